@@ -32,8 +32,8 @@ from benchmarks.problem import STICK, candidates, loop_of
 from jointid.campaigns.campaign_file import Campaign, load_campaign
 from jointid.campaigns.cases import Case, Row
 from jointid.campaigns.engines import DaskCluster, Engine, LocalProcesses, on_one_core
-from jointid.campaigns.export import export_rows
 from jointid.campaigns.folder import read_results
+from jointid.campaigns.report import export_rows
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.shards import Shard, open_shard

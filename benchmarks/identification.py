@@ -48,7 +48,7 @@ def problem_of(axis: Twin) -> ClosedLoopProblem:
     """Return the problem: nine parameters free, the motor at rest on its reference at the first sample."""
     assert axis.record.reference is not None
     position, velocity = INITIAL_STATE
-    rest = (position.fixed(float(axis.record.reference.values[0])), velocity.fixed(0.0))
+    rest = (position.fix(float(axis.record.reference.values[0])), velocity.fix(0.0))
     return torque_problem(axis.record, axis.loop, FILTERING, axis.loop.joint.parameters, rest)
 
 

@@ -28,7 +28,7 @@ LAP, PART = 20.0, 600.0  # s, of a lap, and of what is simulated at once
 FORCE = 10.0  # N, of the white force in the loop
 WARM = 2.0  # h, in which the axis warms up to all but a third
 ROW = np.dtype([("torque", "<f4"), ("reference", "<f8"), ("injected", "<f4")])
-LOOP = ji.ClosedLoop(ji.FlexibleJoint(), CONTROLLERS["L19"])
+LOOP = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])
 CHILD = "--identify"
 
 
@@ -76,7 +76,7 @@ def written(path: Path, hours: float, drifting: bool) -> None:
 def identify(path: Path, window: float) -> None:
     """Identify one record in this process, and print what it took and what it found."""
     channels = {"torque": "torque", "reference": "reference", "injected": "injected"}
-    log = ji.Log(path, channels, {"sample_time": PERIOD})
+    log = ji.Log(path, channels, {"sample_time": PERIOD, "kind": "prismatic"})
     small = next(log.chunks(20_000, 0)).record
     method = ji.DIDIM(frequency=30.0)
     ji.identify(small, LOOP, method, windows=ji.Windowing(length=8.0))  # compiles, or loads what is

@@ -58,7 +58,7 @@ def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none",
 
 def problem_of(record: Record, loop: ClosedLoop) -> ClosedLoopProblem:
     """Return the problem of a record that begins at rest."""
-    state = (INITIAL_STATE[0], INITIAL_STATE[1].fixed(0.0))
+    state = (INITIAL_STATE[0], INITIAL_STATE[1].fix(0.0))
     return torque_problem(record, loop, Filtering(), loop.joint.parameters, state)
 
 

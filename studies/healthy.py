@@ -147,14 +147,14 @@ def _law(rng: np.random.Generator, inertia: float, period: float, torque: float)
     delay, limit = float(rng.choice([0.0, 1.0])) * period, 50 * torque
     if name == "PID":
         slow = bandwidth * rng.uniform(0.3, 0.6)
-        law: Any = ji.PID(
+        law: Any = ji.controller.PID(
             position_gain=inertia * bandwidth * slow,
             derivative_gain=inertia * bandwidth,
             integral_gain=inertia * bandwidth * slow**2 * rng.uniform(0.02, 0.2),
             limit=limit, delay=delay, period=period,
         )  # fmt: skip
         return law, name
-    law = ji.Cascade(
+    law = ji.controller.Cascade(
         position_gain=bandwidth * rng.uniform(0.1, 0.35),
         velocity_gain=inertia * bandwidth,
         integral_gain=bandwidth * rng.uniform(0.05, 0.3) if name == "P-PI" else 0.0,

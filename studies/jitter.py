@@ -109,7 +109,7 @@ def judge(seed: int, late: Late, share: float, remedy: str) -> Jittered:
 @cache
 def _truth() -> Record:
     """Return the axis as it moved, each channel `_FINE` times in a sample time."""
-    loop = ClosedLoop(FlexibleJoint(), replace(CONTROLLERS["L19"], period=SAMPLE_TIME))
+    loop = ClosedLoop(FlexibleJoint("prismatic"), replace(CONTROLLERS["L19"], period=SAMPLE_TIME))
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=DURATION)
     known = pulses(reference.size, SAMPLE_TIME, height=150.0, width=0.02, every=0.4, seed=0)
     held = [np.repeat(signal, _FINE) for signal in (reference, known)]
@@ -137,11 +137,11 @@ def _logged(truth: Record, delay: FloatArray, late: Late, remedy: str) -> Record
     with TemporaryDirectory() as folder:
         path = Path(folder) / "log.npy"
         write_table(path, Table(columns))
-        return read(path, wanted, resample=how, name="twin", sample_time=sample_time)
+        return read(path, wanted, resample=how, name="twin", sample_time=sample_time, kind="prismatic")
 
 
 def _judged(record: Record, late: Late, share: float, remedy: str) -> Jittered:
-    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     search = DIDIM(frequency=30.0)
     without = record.without("motor_position", "load_position")
     didim = identify(without, loop, search, filtering=Filtering(cutoff=60.0), checks=False)

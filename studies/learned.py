@@ -141,7 +141,7 @@ def _random_twin(rng: np.random.Generator) -> LoopTwin | None:
         "offset": size * rng.uniform(-0.3, 0.3),
     }
     known = pulses(reference.size, _PERIOD, height=5 * size, width=0.02, every=0.4, seed=int(rng.integers(1 << 30)))
-    loop = ClosedLoop(RigidJoint(), controller(structure, numbers, _PERIOD, 1.0))
+    loop = ClosedLoop(RigidJoint("prismatic"), controller(structure, numbers, _PERIOD, 1.0))
     tap = Tap.MEASURED if structure.late else Tap.COMMAND
     try:
         record = simulated_record(

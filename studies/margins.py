@@ -29,8 +29,7 @@ from jointid.records.record import Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES, joint_set
-from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
-from jointid.tuning.tune import tune
+from jointid.tuning.tune import compute_minimum_detectable_change, tune
 from jointid.tuning.tuned import LoopMargins
 
 _ROUNDING = 1e-3  # of a margin: how exactly it is computed
@@ -145,7 +144,7 @@ def _again(first: Estimate, record: Record) -> dict[str, float]:
     """Return what the parameters are by another record, searched for from those of the first."""
     assert first.settings.loop is not None
     problem = torque_problem(record, first.settings.loop, first.settings.filtering, first.settings.joint.parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
     x = descend(problem, problem.vector({p.name: p.value or 0.0 for p in first.params.rows}), _ENOUGH).x
     return dict(zip((p.name for p in problem.free), map(float, x), strict=True))

@@ -28,9 +28,9 @@ from jointid.diagnostics.compare import compare
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.unmodelled_motion import predict_residual
-from jointid.models.friction import FRICTIONS, friction_named
-from jointid.models.ripple import PositionHarmonics
-from jointid.models.springs import SPRINGS, ElasticLoad, LinearSpring, spring_named
+from jointid.models.friction import FRICTIONS, find_friction
+from jointid.models.position_forces import PositionHarmonics
+from jointid.models.springs import SPRINGS, ElasticLoad, LinearSpring, find_spring
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
 from studies.seeds import judge_seeds
@@ -288,7 +288,7 @@ def judge(
     about, loop = made.axis.about, made.axis.loop
     assert isinstance(loop.joint, ji.FlexibleJoint)
     cogs = PositionHarmonics(made.truth["pitch"]) if ripple and "pitch" in made.truth else None
-    joint = replace(loop.joint, spring=spring_named(spring), friction=friction_named(friction), ripple=cogs)
+    joint = replace(loop.joint, spring=find_spring(spring), friction=find_friction(friction), ripple=cogs)
     loop = replace(loop, joint=joint)
     try:
         found = ji.identify(made.record, loop)

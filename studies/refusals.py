@@ -148,7 +148,7 @@ def _problem(axis: Twin) -> ClosedLoopProblem:
     """Return the problem that an identification of a twin ends on: at rest, on a band that follows the mode."""
     record = axis.record.without("motor_position", "load_position")
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     return on_band(replace(problem, parameters=still), Filtering(), frequency_of(axis.truth))
 
 

@@ -34,7 +34,7 @@ from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.estimation.robots.idim import identify_robot
-from jointid.estimation.robots.torque_estimate import problem_of
+from jointid.estimation.robots.simulated import problem_of
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
@@ -312,7 +312,10 @@ def _with_idim(about: Found, made: Drives, estimator: str) -> Found:
     """Return the answer with IDIM's beside it, from the positions that the drives had."""
     robot = made.loop.robot
     found = identify_robot(robot, made.records, IDIM(estimator), filtering=Filtering())  # type: ignore[arg-type]
-    z, shares = (found.values - found.base.with_friction(robot)) / found.covariance.std, found.relative_deviations
+    part = found.require_robot()
+    truth, std = part.parameters_of(robot), part.covariance.std
+    assert truth is not None
+    z, shares = (part.values - truth) / std, std / np.maximum(np.abs(part.values), 1e-300)
     return replace(about, idim=tuple(z.tolist()), idim_shares=tuple(shares.tolist()))
 
 

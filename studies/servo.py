@@ -60,7 +60,7 @@ _DRAWS = 1000  # of the log's noise, through the filter and the pseudo-inverse: 
 
 def servo_twin(*, residual: float = RESIDUAL, seed: int = 1) -> Twin:
     """Return one seeded run: force and command, with white noise on the log that gives that share of the force."""
-    loop = ClosedLoop(FlexibleJoint(), SERVO)
+    loop = ClosedLoop(FlexibleJoint("prismatic"), SERVO)
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, LOG, duration=DURATION)
     known = pulses(reference.size, LOG, height=150.0, width=0.02, every=0.4, seed=0)
 
@@ -102,7 +102,7 @@ def _foretold() -> FloatArray:
 
 def _problem(axis: Twin) -> ClosedLoopProblem:
     problem = torque_problem(axis.record, axis.loop, FILTERING, axis.loop.joint.parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     return replace(problem, parameters=still)
 
 

@@ -130,7 +130,7 @@ def identify_plant(seed: int, *, loop_checks: bool = True) -> BoundRun:
 def _predict(plant: BoundedPlant) -> float:
     """Return the relative standard deviation of the stiffness, from sensitivities and noise at the truth."""
     problem = torque_problem(plant.record, plant.loop, Filtering(), plant.loop.joint.parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = on_band(replace(problem, parameters=still), Filtering(), plant.mode)
     truth = problem.vector({"initial_position": 0.0, "initial_torque": 0.0} | plant.truth)
     error, J = problem.linearise(truth)

@@ -126,7 +126,9 @@ def _compare_joints(twin: TapsTwin, learned: LearnedController) -> tuple[dict[st
     """Return the joint's estimate under the learned law less that under the true law, and less the truth."""
 
     def under(controller: Controller) -> dict[str, tuple[float, float]]:
-        estimate = identify(twin.record.without("motor_position"), ClosedLoop(RigidJoint(), controller), checks=False)
+        estimate = identify(
+            twin.record.without("motor_position"), ClosedLoop(RigidJoint("prismatic"), controller), checks=False
+        )
         return {p.name: (p.value or 0.0, p.stderr or math.inf) for p in estimate.params.rows}
 
     try:

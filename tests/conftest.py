@@ -129,7 +129,7 @@ def stiff_axis() -> tuple[Record, Estimate]:
     from jointid.simulation.synthesis import simulated_record
     from tests.estimates import identify
 
-    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     truth = {**TABLE_2, "motor_inertia": 70.0, "load_inertia": 35.0, "stiffness": 1e9, "damping": 1e4}
     reference = trapezoids((0.042, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=8.0)
     force = 10.0 * np.random.default_rng(1).standard_normal(reference.size)

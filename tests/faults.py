@@ -134,9 +134,9 @@ def problem(where: Setting, fault: Fault | None, noise: Noise | None, seed: int 
     torque = _logged(where, fault, noise, seed)
     assert where.record.torque is not None
     record = replace(where.record, torque=replace(where.record.torque, values=torque))
-    parameters = tuple(p.fixed(0.0) if fault.offset and p.name == "offset" else p for p in where.loop.joint.parameters)
+    parameters = tuple(p.fix(0.0) if fault.offset and p.name == "offset" else p for p in where.loop.joint.parameters)
     made = torque_problem(record, where.loop, Filtering(), parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in made.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in made.parameters)
     return replace(made, parameters=still)
 
 

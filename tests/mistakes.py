@@ -86,7 +86,7 @@ def axis(name: AxisName) -> Axis:
     }  # fmt: skip
     law = Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188, limit=1e3)
     reference = trapezoids((0.042, 0.083, 0.125), 2.5, 0.05, RATE, duration=10.0)
-    joint = FlexibleJoint(transmission=Transmission(load="prismatic", ratio=10.0))
+    joint = FlexibleJoint("prismatic", transmission=Transmission(load="prismatic", ratio=10.0))
     return Axis(joint, law, truth, reference, 1.0, 5e-3, 8.0, 1.0)
 
 

@@ -67,7 +67,7 @@ def prismatic(seed: int) -> Case:
         friction = (*rng.uniform(0.5, 1.5, 4) * (92.0, 10.0, 110.0, 10.4), rng.uniform(-5, 5))
         mode = math.exp(rng.uniform(math.log(15), math.log(55)))
         truth = _values(rng.uniform(60, 150), rng.uniform(0.2, 0.85), mode, rng.uniform(0.01, 0.05), friction)
-        loop = ClosedLoop(FlexibleJoint(), controller)
+        loop = ClosedLoop(FlexibleJoint("prismatic"), controller)
         case = _driven(loop, reference, known, truth, 1e-3, mode)
         if case is not None:
             return case

@@ -8,7 +8,7 @@ import numpy as np
 
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import SPRINGS
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare

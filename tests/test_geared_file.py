@@ -284,7 +284,7 @@ def test_a_side_needs_a_transmission(folder: Path) -> None:
     with pytest.raises(
         RecordError, match='has side = "load", but no transmission is given; give it, or leave side out'
     ):
-        read(folder / "run.csv", {"reference": Column("x [mm]", side="load")})
+        read(folder / "run.csv", {"reference": Column("x [mm]", side="load")}, kind="prismatic")
     with pytest.raises(RecordError, match='side is "gear"; expected "motor" or "load"'):
         Column("x", side="gear")  # type: ignore[arg-type]
 

@@ -160,7 +160,7 @@ def test_a_spoiled_log_is_read_or_refused(spoil: Callable[..., Path], name: str)
             assert block.table().columns
     for unclear in ({"torque": "i", "reference": "r"}, {"torque": "no such"}):
         with one_sentence_each():
-            record = ji.read(path, unclear)
+            record = ji.read(path, unclear, kind="prismatic")
             assert all(np.isfinite(channel.values).all() for _, channel in record.items())
 
 
@@ -177,7 +177,7 @@ def test_a_long_number_takes_no_longer_than_its_digits(spoil: Callable[..., Path
 def test_numbers_that_nothing_measured_has_are_refused(spoil: Callable[..., Path], name: str) -> None:
     for resample in (None, Resampling(1e-3, "cubic")):
         with pytest.raises(RecordError, match=r"expected 1e-30 to 1e\+30|which is no time"):
-            ji.read(spoil(SPOILED[name]), {"torque": "i", "reference": "r"}, resample=resample)
+            ji.read(spoil(SPOILED[name]), {"torque": "i", "reference": "r"}, resample=resample, kind="prismatic")
 
 
 def test_an_answer_without_end_is_refused(tmp_path: Path) -> None:
@@ -212,7 +212,7 @@ def test_any_bytes_are_read_or_refused(spoil: Callable[..., Path], content: byte
         for block in read_blocks(path, 64):
             block.table()
     with one_sentence_each():
-        ji.read(path, {"torque": "i", "reference": "r"}, resample=Resampling(1e-3, "cubic"))
+        ji.read(path, {"torque": "i", "reference": "r"}, resample=Resampling(1e-3, "cubic"), kind="prismatic")
 
 
 def test_10_000_columns_are_read_and_more_are_refused(
@@ -284,7 +284,7 @@ def test_no_name_reaches_the_terminal_as_a_command(
     assert capsys.readouterr().out == "\\x1b[2Jcleared \\u202edrow\\x07\nnext line\n"
     path = spoil(names_of(b"\x1b[31mi"))
     with pytest.raises(RecordError) as error:
-        ji.read(path, {"torque": "other"})
+        ji.read(path, {"torque": "other"}, kind="prismatic")
     assert '"\\x1b[31mi"' in str(error.value)
     assert len(short("a\nb" * 40)) == 40
     assert short("a\nb" * 40).isprintable()

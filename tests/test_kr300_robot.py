@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from jointid import Cascade, MethodError
+from jointid import MethodError
 from jointid.config import load
 from jointid.config.robot_file import RobotFile
+from jointid.controller import Cascade
 from jointid.diagnostics.robots.diagnose import diagnose_robot
 from jointid.diagnostics.validation import validate
 from jointid.estimation.robots.consistent import mass_matrix_at
-from jointid.estimation.robots.idim import identify_robot
-from jointid.estimation.robots.torque_estimate import identify_robot_drive_side
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.robot import JointSpring, Robot
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from tests.estimation.robots.twin import identified
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 
@@ -78,7 +79,7 @@ def test_its_masses_are_those_of_the_nominal_model(file: RobotFile, data_dir: Pa
 @pytest.mark.parametrize(("first", "second", "cells"), ROWS)
 def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str, second: str, cells: str) -> None:
     records = {name: file.records(data_dir / "kr300" / f"rec_{name}.mat") for name in "AB"}
-    found = validate(identify_robot(file.robot, records[first]), records[second])
+    found = validate(identified(file.robot, records[first]), records[second])
     assert found.body_errors is not None
     errors = np.concatenate([found.joint_errors, found.nominal_errors, found.body_errors])
     said = [float(text) for text in re.findall(r"[\d.]+", cells)]
@@ -97,14 +98,14 @@ def test_its_springs_are_refused_on_the_drive_side(file: RobotFile, data_dir: Pa
     )
     records = file.records(data_dir / "kr300" / f"rec_{name}.mat")
     with pytest.raises(MethodError, match="a mass matrix that is not positive in a pose of the record"):
-        identify_robot_drive_side(replace(file.robot, joints=joints), records)
+        identified(RobotDriveSide(replace(file.robot, joints=joints)), records)
 
 
 def test_no_law_of_reference_and_position_makes_its_torque(file: RobotFile, data_dir: Path) -> None:
     """The loops of record A: any linear law leaves a fifth of the torques, so that something else is added to them."""
     records = file.records(data_dir / "kr300" / "rec_A.mat")
     laws = [Cascade(position_gain=15.0, velocity_gain=gain) for gain in (3e4, 3e4, 2e4, 2e3, 2e3, 1e3)]
-    found = diagnose_robot(identify_robot(file.robot, records), records, laws)
+    found = diagnose_robot(identified(file.robot, records), records, laws)
     assert found.as_declared is False
     free = [one.law.noise for one in found.joints if one.law is not None]
     assert len(free) == 6

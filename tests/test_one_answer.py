@@ -15,6 +15,7 @@ from jointid.apps.cli import main
 from jointid.apps.web import worker
 from jointid.campaigns.cases import Case, Outcome
 from jointid.campaigns.run_case import run_case
+from jointid.config import JointFile
 from jointid.output.report import sections
 from jointid.uncertainty.verdict import Status, Subject
 
@@ -33,9 +34,9 @@ velocity_gain = 2000.0
 """
 
 
-def _recorded(folder: Path, gain: float) -> ji.JointFile:
+def _recorded(folder: Path, gain: float) -> JointFile:
     """Write a record of a drive, and a joint file that declares its position gain."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=4.0, travel=0.04, rest=0.05, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     noise = 0.5 * np.random.default_rng(0).standard_normal(reference.size)

@@ -55,7 +55,7 @@ class Sinusoid:
         loop = ClosedLoop(joint, CONTROLLERS[loop_name])
         reference = 0.05 * time + 0.02 / self.w * np.sin(self.w * time)
         made = simulated_record(loop, reference, truth, sample_time=T, initial=Initial(0.0, 0.07))
-        initial = (INITIAL_STATE[0].fixed(0.0), INITIAL_STATE[1].fixed(0.07))
+        initial = (INITIAL_STATE[0].fix(0.0), INITIAL_STATE[1].fix(0.07))
         problem = torque_problem(made, loop, Filtering(), joint.parameters, initial)
         x = problem.vector(truth)
         _, jacobian = problem.sensitivities(x)
@@ -89,7 +89,7 @@ class Sinusoid:
 
 @pytest.mark.parametrize(("hertz", "away"), [(5.0, 0.080), (20.0, 1.66)])
 def test_the_jacobian_of_a_rigid_joint_is_t_w(hertz: float, away: float) -> None:
-    motion = Sinusoid(RigidJoint(), RIGID, hertz, "L19")
+    motion = Sinusoid(RigidJoint("prismatic"), RIGID, hertz, "L19")
     plant = 1 / (RIGID["inertia"] * motion.s**2 + RIGID["viscous"] * motion.s)
     expected = motion.predicted(plant, [motion.s * motion.velocity, motion.velocity])
     assert np.allclose(motion.J[:2], expected, rtol=1e-5, atol=0.0)
@@ -98,7 +98,7 @@ def test_the_jacobian_of_a_rigid_joint_is_t_w(hertz: float, away: float) -> None
 
 @pytest.mark.parametrize(("hertz", "loop"), [(5.0, "L19"), (10.0, "L19"), (20.0, "L19"), (28.0, "L19"), (10.0, "L30")])
 def test_the_jacobian_of_a_flexible_joint_is_t_of_both_rows(hertz: float, loop: str) -> None:
-    motion = Sinusoid(FlexibleJoint(), dict(P), hertz, loop)
+    motion = Sinusoid(FlexibleJoint("prismatic"), dict(P), hertz, loop)
     s, v1, v12 = motion.s, motion.velocity, motion.load_velocity
     q2 = (v12 - v1) / s
     z12 = P["damping"] * s + P["stiffness"]
@@ -114,7 +114,7 @@ def test_the_jacobian_of_a_flexible_joint_is_t_of_both_rows(hertz: float, loop: 
 
 
 def test_the_apparent_mass_and_drag_below_resonance() -> None:
-    motion = Sinusoid(FlexibleJoint(), dict(P), 5.0, "L19")
+    motion = Sinusoid(FlexibleJoint("prismatic"), dict(P), 5.0, "L19")
     impedance = motion.torque / motion.velocity
     rho = motion.w**2 * RHO_PER_W2
     mass = P["motor_inertia"] + P["load_inertia"] / (1 - rho)
@@ -202,10 +202,10 @@ def test_simpson_s_rule_and_the_differences_are_of_fourth_order() -> None:
 
 
 def test_convergence_of_the_residual_form() -> None:
-    loop = ClosedLoop(RigidJoint(), CONTROLLERS["L19"])
+    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLERS["L19"])
     motion = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, T, duration=8.0)
     made = simulated_record(loop, motion, RIGID, sample_time=T)
-    joint = RigidJoint()
+    joint = RigidJoint("prismatic")
     off = {p.name: replace(p, start=1.2 * RIGID[p.name]) for p in joint.parameters}
     settings = DIDIM("residual", start="given", scaled_iterations=0, initial_state="reference")
     law = loop.controller.law(T)
@@ -229,9 +229,9 @@ def test_convergence_of_the_residual_form() -> None:
 
 def test_the_pseudo_regular_start_has_the_frequency_it_was_made_for() -> None:
     made = simulated_record(
-        ClosedLoop(RigidJoint(), CONTROLLERS["L19"]), trapezoids((0.1,), 0.8, 0.1, T), RIGID, sample_time=T
+        ClosedLoop(RigidJoint("prismatic"), CONTROLLERS["L19"]), trapezoids((0.1,), 0.8, 0.1, T), RIGID, sample_time=T
     )
-    rigid = identify(made, ClosedLoop(RigidJoint(), CONTROLLERS["L19"]))
+    rigid = identify(made, ClosedLoop(RigidJoint("prismatic"), CONTROLLERS["L19"]))
     start = pseudo_regular(rigid.values, 30.0)
     assert FlexibleJoint.frequencies(start)["free_free"] == pytest.approx(30.0)
     assert start["motor_inertia"] == start["load_inertia"] == pytest.approx(0.5 * rigid.values["inertia"])
@@ -248,7 +248,7 @@ def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:
 
 def _twin_problem(loop: str) -> tuple[ClosedLoopProblem, dict[str, float]]:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
-    fixed = tuple(p.fixed(0.0) for p in INITIAL_STATE)
+    fixed = tuple(p.fix(0.0) for p in INITIAL_STATE)
     joint = axis.loop.joint.parameters
     return torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), joint, fixed), axis.truth
 
@@ -297,7 +297,7 @@ def test_the_inverse_model_s_deviations_are_not_those_of_the_torque(
 @pytest.mark.parametrize(("loop", "masses"), [("L19", (105.40, 105.85)), ("L30", (104.86, 105.05))])
 def test_what_a_rigid_identification_of_the_twin_sees(loop: str, masses: tuple[float, float]) -> None:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
-    rigid = ClosedLoop(RigidJoint(), axis.loop.controller)
+    rigid = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
     for edge, mass in zip((5.0, 10.0), masses, strict=True):
         found = identify(axis.record, rigid, DIDIM("residual"), filtering=Filtering(cutoff=edge))
         assert found.values["inertia"] == pytest.approx(mass, abs=0.006)

@@ -5,7 +5,8 @@ named, so that two versions are counted by one rule.
 
 - Code is a line with a token that is neither a comment nor of a docstring.
 - A room is a first folder below the package. An arrow is a pair of rooms of which one imports the other; imports for
-  types alone count, too. A public name that is imported from the package itself leads to the room that defines it.
+  types alone count, too. A public name that is imported from the package itself, or from one of its namespaces (a
+  file beside `__init__.py`), leads to the room that defines it.
 - A private function is a function or method whose name begins with one underscore. It is used once if its own file
   refers to that name exactly once, beside the definition; to a name that is defined twice, twice.
 
@@ -25,7 +26,7 @@ import time
 import tokenize
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[1] / "src" / "jointid"
@@ -64,34 +65,38 @@ def _parse(path: Path) -> ast.Module:
 
 
 def _rooms_of_names(package: Path) -> dict[str, str]:
-    """Return the room of each name that the package itself has: those its stub imports, and the rooms."""
-    found = {path.parent.name: path.parent.name for path in package.glob("*/__init__.py")}
-    stub = package / "__init__.pyi"
-    for node in _parse(stub).body if stub.is_file() else ():
-        if isinstance(node, ast.ImportFrom) and node.module:
-            found |= {alias.name: node.module.split(".")[0] for alias in node.names}
+    """Return the room of each public name, as `package.Record` or `package.friction.StribeckFriction`."""
+    found = {f"{package.name}.{path.parent.name}": path.parent.name for path in package.glob("*/__init__.py")}
+    for path in sorted(package.glob("*.py*")):
+        module = package.name if path.stem == "__init__" else f"{package.name}.{path.stem}"
+        for node in _parse(path).body:
+            if isinstance(node, ast.ImportFrom) and node.module:
+                room = node.module.removeprefix(f"{package.name}.").split(".")[0]
+                found |= {f"{module}.{alias.name}": room for alias in node.names}
     return found
 
 
-def _imported(tree: ast.Module, package: str) -> Iterator[tuple[str, str]]:
-    """Yield the module and the name of each import from the package; the name is empty if all of the module is meant.
+def _imported(tree: ast.Module, package: str, public: Collection[str]) -> Iterator[str]:
+    """Yield what a file imports: a module by its name, a public name with that of the package or the namespace.
 
     What is used of the package by attribute, after ``import jointid as ji``, counts as imported from it, once for each
     name.
     """
     whole: set[str] = set()
-    used: set[tuple[str, str]] = set()
+    used: set[str] = set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module == package:
-            yield from ((package, alias.name) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            yield node.module or "", ""
+        if isinstance(node, ast.ImportFrom):
+            names = {f"{node.module}.{alias.name}" for alias in node.names} & {*public}
+            yield from names or {node.module or ""}
         elif isinstance(node, ast.Import):
             whole |= {alias.asname or alias.name for alias in node.names if alias.name == package}
-            yield from ((alias.name, "") for alias in node.names)
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            used.add((node.value.id, node.attr))
-    yield from ((package, name) for module, name in sorted(used) if module in whole)
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.Attribute):
+            used.add(ast.unparse(node))
+    for name in sorted(used):
+        first, *below = name.split(".")
+        if first in whole and ".".join([package, *below]) in public:
+            yield ".".join([package, *below])
 
 
 def find_arrows(package: Path) -> Counter[tuple[str, str]]:
@@ -102,10 +107,9 @@ def find_arrows(package: Path) -> Counter[tuple[str, str]]:
         here = path.relative_to(package).parts[0]
         if here.endswith(".py"):
             continue
-        for module, name in _imported(_parse(path), package.name):
-            first, *below = module.split(".")
-            room = public.get(name, "") if not below else below[0]
-            if first == package.name and room and room != here:
+        for name in _imported(_parse(path), package.name, public):
+            room = public.get(name) or public.get(".".join(name.split(".")[:2]))
+            if room and room != here:
                 found[here, room] += 1
     return found
 

@@ -89,9 +89,9 @@ def _closed(law: Law) -> Any:
             position_gain=law.position_gain, derivative_gain=law.derivative_gain, reference_velocity="channel",
             velocity_filter=filtered, limit=law.limit
         )  # fmt: skip
-        return ClosedLoop(FlexibleJoint(), controller)
+        return ClosedLoop(FlexibleJoint("prismatic"), controller)
     return ClosedLoop(
-        FlexibleJoint(), Cascade(position_gain=law.position_gain / law.derivative_gain,
+        FlexibleJoint("prismatic"), Cascade(position_gain=law.position_gain / law.derivative_gain,
         velocity_gain=law.derivative_gain, velocity_filter=filtered, limit=law.limit)
     )  # fmt: skip
 

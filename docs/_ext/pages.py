@@ -10,6 +10,7 @@ import re
 import sys
 from collections.abc import Iterator
 from itertools import groupby, starmap
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,10 +38,16 @@ REPOSITORY = {
 
 BY_MODULE = (
     "models.disturbances.Drift",
-    "models.ripple.PositionHarmonics",
+    "models.position_forces.PositionHarmonics",
     "models.linear.frequency_response",
     "common.parameters.Parameter",
+    "config.contents.JointFile",
+    "config.robot_file.RobotFile",
+    "diagnostics.validation.Validation",
     "output.export.read_estimated",
+    "output.json.read_report",
+    "planning.predict.planned_record",
+    "planning.predict.predict_test",
     "records.record.Injection",
     "records.record.InjectionPoint",
     "records.record.Tap",
@@ -48,6 +55,7 @@ BY_MODULE = (
     "records.resampling.Resampling",
     "simulation.closed_loop.Initial",
     "simulation.closed_loop.simulate_many",
+    "simulation.loop_input.prepare",
 )
 """Names that fewer programs need: they are imported from their module, and stand on its folder's page."""
 
@@ -79,17 +87,37 @@ def relinked(text: str, here: Path, there: Path) -> str:
     return _LINK.sub(moved, text)
 
 
-def _homes() -> dict[str, str]:
-    """Return the module of every public name, from the stub that lists them."""
-    stub = Path(jointid.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-    imports = [node for node in ast.parse(stub).body if isinstance(node, ast.ImportFrom)]
-    return {alias.name: str(node.module) for node in imports for alias in node.names}
+def _imports(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield each name that a file imports and the module of it, empty for the package itself."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            yield from ((alias.name, (node.module or "").removeprefix("jointid.")) for alias in node.names)
+
+
+def find_homes() -> dict[str, str]:
+    """Return the module of every public name: `Record`, or `friction.StribeckFriction` of a namespace."""
+    package = Path(jointid.__file__).parent
+    homes = {}
+    for name, module in _imports(package / "__init__.pyi"):
+        if module:
+            homes[name] = module
+        else:
+            homes |= {f"{name}.{own}": home for own, home in _imports(package / f"{name}.py")}
+    return homes
+
+
+HOMES = find_homes()
+DOTTED = {name.rpartition(".")[2]: name for name in HOMES}
+"""Public names by their last part."""
+
+
+def _thing(name: str) -> Any:
+    return attrgetter(name)(jointid)
 
 
 def _api() -> dict[str, str]:
     """Return a page for each folder that has public names, in their order."""
-    homes = _homes()
-    rooms = groupby(sorted(jointid.__all__, key=lambda name: homes[name]), lambda name: homes[name].split(".")[0])
+    rooms = groupby(sorted(HOMES, key=lambda name: HOMES[name]), lambda name: HOMES[name].split(".")[0])
     pages = {}
     for room, names in rooms:
         public = sorted(names, key=str.lower)
@@ -99,7 +127,7 @@ def _api() -> dict[str, str]:
 
 
 def _api_page(room: str, said: str, names: list[str]) -> str:
-    things = {name: getattr(jointid, name) for name in names}
+    things = {name: _thing(name) for name in names}
     for name in BY_MODULE:
         if name.startswith(f"{room}."):
             module, _, own = name.rpartition(".")
@@ -118,19 +146,19 @@ def _api_page(room: str, said: str, names: list[str]) -> str:
 
 def _bases(room: str, names: list[str]) -> list[str]:
     """Return the bases that public classes of a folder have there and that are no public names themselves."""
-    classes = [thing for name in names if isinstance(thing := getattr(jointid, name), type)]
+    classes = [thing for name in names if isinstance(thing := _thing(name), type)]
     found = {
         f"{base.__module__}.{base.__qualname__}": None
         for made in classes
         for base in made.__mro__[1:]
-        if base.__module__.startswith(f"jointid.{room}.") and base.__name__ not in jointid.__all__ and base.__doc__
+        if base.__module__.startswith(f"jointid.{room}.") and base.__name__ not in DOTTED and base.__doc__
     }
     return list(found)
 
 
 def _results(room: str) -> list[str]:
     """Return the classes of a folder that public functions return, and the parts of an estimate, not public by name."""
-    actions = [thing for name in jointid.__all__ if inspect.isroutine(thing := getattr(jointid, name))]
+    actions = [thing for name in HOMES if inspect.isroutine(thing := _thing(name))]
     said = [(thing.__globals__, str(thing.__annotations__.get("return"))) for thing in actions]
     for made in (jointid.Estimate, Params):
         said += [(vars(sys.modules[made.__module__]), str(hint)) for hint in made.__annotations__.values()]
@@ -138,9 +166,7 @@ def _results(room: str) -> list[str]:
     return [
         f"{made.__module__}.{made.__qualname__}"
         for made in found
-        if isinstance(made, type)
-        and made.__module__.startswith(f"jointid.{room}.")
-        and made.__name__ not in jointid.__all__
+        if isinstance(made, type) and made.__module__.startswith(f"jointid.{room}.") and made.__name__ not in DOTTED
     ]
 
 

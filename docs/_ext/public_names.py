@@ -12,9 +12,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from docutils import nodes
+from pages import DOTTED
 from sphinx.domains.python import PyObject, PythonDomain
-
-import jointid
 
 if TYPE_CHECKING:
     from sphinx.addnodes import pending_xref
@@ -51,10 +50,10 @@ def resolved(
     if node.get("refdomain") != "py":
         return None
     name = str(node["reftarget"]).rpartition(".")[2]
-    if name in jointid.__all__:
+    if name in DOTTED:
         domain = env.get_domain("py")
         assert isinstance(domain, PythonDomain)
-        found = domain.resolve_xref(env, node["refdoc"], app.builder, "obj", f"jointid.{name}", node, contnode)
+        found = domain.resolve_xref(env, node["refdoc"], app.builder, "obj", f"jointid.{DOTTED[name]}", node, contnode)
         if found is not None:
             return found
     # Text that was written as a reference must lead somewhere; a type of a signature need not.

@@ -39,7 +39,7 @@ def make(folder: Path, joints: int, days: int, spoiled: float, falling: int, fal
         fall: by what share, from a day between a third and two thirds on.
         seed: of all that is drawn.
     """
-    loop = ji.ClosedLoop(ji.FlexibleJoint(), CONTROLLERS["L19"])
+    loop = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, 1e-3, duration=8.0)
     pulses = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
     folder.mkdir(parents=True, exist_ok=True)

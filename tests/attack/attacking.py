@@ -108,7 +108,7 @@ def read_in_blocks(path: Path) -> None:
 def read_channels(path: Path) -> None:
     """Read a record as a joint's, with a column that is there and with one that is not."""
     columns = list(read_table(path).columns) or ["none"]
-    ji.read(path, {"torque": columns[-1], "reference": columns[len(columns) // 2]}, sample_time=1e-3)
+    ji.read(path, {"torque": columns[-1], "reference": columns[len(columns) // 2]}, sample_time=1e-3, kind="prismatic")
 
 
 def look_into(path: Path) -> None:

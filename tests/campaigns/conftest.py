@@ -27,7 +27,7 @@ TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
     """Two rigid joints, two days each, and their joint file."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     record = ji.simulated_record(loop, reference, TRUTH, sample_time=1e-3)
     for name in ("a/2026-11-01", "a/20261102", "b/2026-11-01", "b/2026-11-02"):

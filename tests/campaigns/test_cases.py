@@ -21,8 +21,8 @@ from jointid.campaigns import addresses
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started
 from jointid.campaigns.engines import LocalProcesses
-from jointid.campaigns.export import export_rows, table_of
 from jointid.campaigns.folder import read_results
+from jointid.campaigns.report import export_rows, table_of
 from jointid.campaigns.run import _Waiting, run_cases
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.shards import Shard, open_shard
@@ -122,7 +122,7 @@ def test_searches_from_many_starts_end_alike(place: Path) -> None:
 
 def noisy(path: Path, seed: int) -> None:
     """Write the run with noise on its torque."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     noise = 2.0 * np.random.default_rng(seed).standard_normal(reference.size)
     ji.write(ji.simulated_record(loop, reference, TRUTH, sample_time=1e-3, torque_noise=noise), path)

@@ -143,7 +143,7 @@ def test_a_report_names_who_drifted_what_stands_out_and_how_runs_scatter() -> No
     assert "Scatter from run to run over the stated standard deviation" in said
     for quantity in STATED:
         assert f"{quantity}  " in said
-    assert len(report(other).document(details=True).text()) > len(said)
+    assert len(report(other).to_document(details=True).text()) > len(said)
 
 
 def test_a_report_while_nothing_is_known_says_so() -> None:
@@ -158,7 +158,7 @@ def test_a_name_that_is_html_is_text(tmp_path: Path) -> None:
     rows = [replace(row, joint="<script>alert(1)</script>") for row in fleet(1, 1)]
     from jointid.output.report.page import page
 
-    assert "<script>alert" not in page(report(rows).document(details=True))
+    assert "<script>alert" not in page(report(rows).to_document(details=True))
 
 
 def test_the_status_tells_the_rate_and_the_time_left() -> None:

@@ -30,7 +30,7 @@ def report(rows: list[Row]) -> CampaignReport:
 
 
 def flat(found: CampaignReport) -> str:
-    return " ".join(found.document(details=True).text().split())
+    return " ".join(found.to_document(details=True).text().split())
 
 
 def test_repeated_runs_have_no_drift_even_where_their_values_climb_with_the_seed() -> None:

@@ -66,7 +66,7 @@ def test_simulated_runs_of_a_robot_differ_by_their_seed(place: Path) -> None:
     values = [row.found["joint1.coulomb"].value for row in rows]
     assert values[0] != values[1]
     assert values == pytest.approx([4.0, 4.0], rel=0.05)
-    assert "parameters are known to a tenth" in rows[0].sentence
+    assert "parameters known to a tenth" in rows[0].sentence
 
 
 def test_what_is_fixed_is_not_counted(place: Path) -> None:
@@ -77,7 +77,7 @@ def test_what_is_fixed_is_not_counted(place: Path) -> None:
     file.write_text(text.replace("[record.channels]", channels) + fixed, encoding="utf-8")
     asked = '[monte_carlo]\njoint = "robot.toml"\nrecord = "references.csv"\nruns = 1\nnoise_log = 0.5\n'
     row = run_case(next(load_campaign(campaign(place, asked)).cases()))
-    assert "of 12 parameters are known to a tenth" in row.sentence
+    assert "of 12 parameters known to a tenth" in row.sentence
 
 
 @pytest.mark.parametrize("method", ["didim", "idim"])

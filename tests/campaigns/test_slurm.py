@@ -18,10 +18,9 @@ from pathlib import Path
 import pytest
 
 from jointid.campaigns.cases import Case, Outcome, Row
-from jointid.campaigns.engines import LocalProcesses
+from jointid.campaigns.engines import LocalProcesses, SlurmJobs
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.run import run_cases
-from jointid.campaigns.slurm import SlurmJobs
 from jointid.campaigns.store import open_database
 from jointid.common.errors import ExtraError, RecordError
 from tests.campaigns.work import SLOW, carry, cases, ends
@@ -63,7 +62,7 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SlurmJobs:
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("JOBS", str(tmp_path / "jobs"))
-    monkeypatch.setattr("jointid.campaigns.slurm._LOOK", 0.5)
+    monkeypatch.setattr("jointid.campaigns.engines._LOOK", 0.5)
     return SlurmJobs(tmp_path / "shared", jobs=2, batch=5)
 
 

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from jointid.campaigns.cases import Case, Found, Outcome, Row, Simulated
-from jointid.campaigns.export import table_of
 from jointid.campaigns.folder import Results
-from jointid.campaigns.report import CampaignReport
+from jointid.campaigns.report import CampaignReport, table_of
 from jointid.campaigns.run_case import run_case
-from jointid.campaigns.truths import truth_csv
+from jointid.campaigns.run_groups import truth_csv
 from jointid.common.errors import RecordError
 from tests.campaigns.conftest import TRUTH
 from tests.campaigns.test_cases import campaign as cases_of
@@ -70,7 +69,7 @@ def test_too_narrow_intervals_and_a_bias_are_named() -> None:
 def test_it_stands_in_table_page_and_csv_alike() -> None:
     found = report(runs(200, shift=0.5))
     (one,) = found.against_truth
-    for said in (found.document().text(), found.document().markdown()):
+    for said in (found.to_document().text(), found.to_document().markdown()):
         assert "Errors against the truth" in said
         assert f"{one.bias:+.2f}" in said
         assert f"{100 * one.low:.0f} to {100 * one.high:.0f}" in said
@@ -78,7 +77,7 @@ def test_it_stands_in_table_page_and_csv_alike() -> None:
     assert float(row["bias"]) == one.bias
     assert (int(row["held"]), int(row["runs"]), row["verdict"]) == (one.held, 200, "biased")
     without = report([replace(row, truth={}) for row in runs(20)])
-    assert "truth" not in without.document().text()
+    assert "truth" not in without.to_document().text()
     with pytest.raises(RecordError, match=r"^--csv has the errors against the truth, and these runs have none"):
         truth_csv(without.against_truth)
 

@@ -34,9 +34,8 @@ from jointid.models.controllers import (
 )
 from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
-from jointid.models.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import GRAVITY_PARAMETERS, Counterbalance, Gravity, PositionHarmonics
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
 from jointid.records.record import InjectionPoint, Tap, Timing
@@ -248,8 +247,8 @@ def test_all_of_a_file() -> None:
         filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
         parameters={
             "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
-            "damping": known["damping"].fixed(126.0),
-            "motor_inertia": dataclasses.replace(known["motor_inertia"].fixed(0.1), upper=1.0),
+            "damping": known["damping"].fix(126.0),
+            "motor_inertia": dataclasses.replace(known["motor_inertia"].fix(0.1), upper=1.0),
             "load_inertia": known["load_inertia"],
         },
         source=Source(
@@ -289,17 +288,17 @@ def test_gravity() -> None:
     assert file.joint == RigidJoint("revolute", gravity=Gravity("link", Counterbalance(cos=0.2, rate=1e-3), 0.01))
     assert file.parameters["gravity_sin"].start == 0.5
     loaded = loads(FLEXIBLE + '[gravity]\nload = "constant"').joint
-    assert loaded == FlexibleJoint(gravity=Gravity("constant"))
+    assert loaded == FlexibleJoint("prismatic", gravity=Gravity("constant"))
     assert [p.name for p in loaded.parameters[-2:]] == ["offset", "gravity_constant"]
     assert [p.free for p in loaded.parameters[-2:]] == [False, True]
 
 
 def test_ripple() -> None:
     file = loads(FLEXIBLE + '[ripple]\nperiod = 0.005\nside = "load"\n[parameters]\nload_harmonic_1_sine = 0.5')
-    assert file.joint == FlexibleJoint(ripple=PositionHarmonics(0.005, side="load"))
+    assert file.joint == FlexibleJoint("prismatic", ripple=PositionHarmonics(0.005, side="load"))
     assert file.parameters["load_harmonic_1_sine"].start == 0.5
     assert [p.name for p in file.joint.parameters[-2:]] == ["load_harmonic_1_cosine", "load_harmonic_1_sine"]
-    assert file.joint.rigid == RigidJoint(ripple=PositionHarmonics(0.005))
+    assert file.joint.rigid == RigidJoint("prismatic", ripple=PositionHarmonics(0.005))
 
 
 def test_a_state_space_law() -> None:

@@ -44,7 +44,7 @@ def test_a_choice_replaces_what_the_file_says() -> None:
     assert loads(text.replace("form =", 'name = "idim"\n# form ='), method="didim").method == DIDIM()
     assert loads(text, filtering="published") == dataclasses.replace(file, filtering=Filtering.published())
     assert loads(text, filtering="default") == dataclasses.replace(file, filtering=Filtering())
-    assert loads(text, friction="asymmetric").joint == RigidJoint(friction=AsymmetricFriction())
+    assert loads(text, friction="asymmetric").joint == RigidJoint("prismatic", friction=AsymmetricFriction())
     assert loads(text, friction="symmetric") == file
 
 

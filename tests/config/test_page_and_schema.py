@@ -52,7 +52,7 @@ def test_the_page_has_every_unit_and_parameter() -> None:
         assert f"| {kind} | {row} |" in page
     for joint in (RigidJoint, FlexibleJoint):
         for friction, law_ in (("symmetric", SymmetricFriction()), ("asymmetric", AsymmetricFriction())):
-            made = joint(friction=law_)
+            made = joint("revolute", friction=law_)
             names = ", ".join(f"`{parameter.name}`" for parameter in made.parameters)
             assert f"| {made.model} | {friction} | {names} |" in page
     assert ", ".join(f'`"{name}"`' for name in units_of("time")) in page

@@ -46,9 +46,8 @@ from jointid.models.controllers import (
 )
 from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
-from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.models.springs import ElasticLoad
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive, profile_names
@@ -142,14 +141,14 @@ def columns(channel: str, geared: bool) -> st.SearchStrategy[Column]:
 
 
 JOINTS: list[Joint] = [
-    RigidJoint(),
-    RigidJoint(friction=AsymmetricFriction()),
-    RigidJoint(gravity=Gravity("constant", Counterbalance(constant=3.0, rate=-0.5))),
-    FlexibleJoint(),
-    FlexibleJoint(friction=AsymmetricFriction()),
-    FlexibleJoint(gravity=Gravity("constant")),
-    RigidJoint(ripple=PositionHarmonics(0.005, 3)),
-    FlexibleJoint(spring=ElasticLoad(), ripple=PositionHarmonics(0.02, side="load")),
+    RigidJoint("prismatic"),
+    RigidJoint("prismatic", friction=AsymmetricFriction()),
+    RigidJoint("prismatic", gravity=Gravity("constant", Counterbalance(constant=3.0, rate=-0.5))),
+    FlexibleJoint("prismatic"),
+    FlexibleJoint("prismatic", friction=AsymmetricFriction()),
+    FlexibleJoint("prismatic", gravity=Gravity("constant")),
+    RigidJoint("prismatic", ripple=PositionHarmonics(0.005, 3)),
+    FlexibleJoint("prismatic", spring=ElasticLoad(), ripple=PositionHarmonics(0.02, side="load")),
 ]
 
 
@@ -217,7 +216,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
         ),
         parameters={
             p.name: draw(
-                st.sampled_from((p, p.fixed(min(3.0, p.upper)), dataclasses.replace(p, upper=min(5.0, p.upper))))
+                st.sampled_from((p, p.fix(min(3.0, p.upper)), dataclasses.replace(p, upper=min(5.0, p.upper))))
             )
             for p in joint.parameters
             if p.free and draw(st.booleans())
@@ -401,12 +400,12 @@ def test_what_a_joint_file_cannot_say_is_not_written() -> None:
     with pytest.raises(JointFileError, match="has words for one PositionHarmonics, then one Drift, both on the motor"):
         dumps(dataclasses.replace(file, method=loads_only))
     with pytest.raises(JointFileError, match="no word for the friction OtherFriction; use symmetric or asymmetric"):
-        dumps(dataclasses.replace(file, joint=RigidJoint(friction=OtherFriction())))
+        dumps(dataclasses.replace(file, joint=RigidJoint("prismatic", friction=OtherFriction())))
     with pytest.raises(JointFileError, match="The joint's torque is in A, but its channel's in N; give"):
-        dumps(dataclasses.replace(file, joint=RigidJoint(torque_unit="A")))
+        dumps(dataclasses.replace(file, joint=RigidJoint("prismatic", torque_unit="A")))
     for joint, method, meant in (
-        (RigidJoint(), DIDIM(frequency=9.0), "flexible"),
-        (FlexibleJoint(), DIDIM("paper"), "rigid"),
+        (RigidJoint("prismatic"), DIDIM(frequency=9.0), "flexible"),
+        (FlexibleJoint("prismatic"), DIDIM("paper"), "rigid"),
     ):
         with pytest.raises(JointFileError, match=f"is for a {meant} joint, and this is a {joint.model} joint"):
             dumps(dataclasses.replace(file, joint=joint, method=method))

@@ -59,7 +59,9 @@ def test_a_position_that_is_all_rounding_is_heard_if_the_controller_saw_it() -> 
     law = Cascade(position_gain=60.0, velocity_gain=500.0)
     reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, 1e-3, 0.1, 6.0)
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
-    record = simulated_record(ClosedLoop(RigidJoint(), law), reference, values, sample_time=1e-3, encoder_step=1e-6)
+    record = simulated_record(
+        ClosedLoop(RigidJoint("prismatic"), law), reference, values, sample_time=1e-3, encoder_step=1e-6
+    )
     assert record.motor_position is not None and record.torque is not None
     unseen = prepare_loop_record(record)
     saw = unseen.predict(law.law(1e-3))  # the law on the rounded position
@@ -118,7 +120,7 @@ def test_a_long_record_needs_no_memory_for_all_columns_at_once() -> None:
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     for duration in (20.0, 60.0):
         reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, 1e-3, 0.1, duration)
-        record = simulated_record(ClosedLoop(RigidJoint(), law), reference, values, sample_time=1e-3)
+        record = simulated_record(ClosedLoop(RigidJoint("prismatic"), law), reference, values, sample_time=1e-3)
         tracemalloc.start()
         samples = prepare_loop_record(record).samples
         peaks.append((samples, tracemalloc.get_traced_memory()[1]))

@@ -43,7 +43,7 @@ def made(controller: Controller, step: float = 1e-7, *, short: bool = False) -> 
     reference = trapezoids([0.2, 0.5], 2.0, 0.05, T, 0.05, 2.0) if short else long
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     error = 0.02 * np.random.default_rng(3).standard_normal(reference.size)
-    loop = ClosedLoop(RigidJoint(), controller)
+    loop = ClosedLoop(RigidJoint("prismatic"), controller)
     return simulated_record(loop, reference, values, sample_time=T, encoder_step=step, torque_noise=error)
 
 

@@ -13,8 +13,8 @@ from jointid.controller_id.columns import coefficient_columns, columns
 from jointid.controller_id.fitting import Task
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import position_error, position_response
+from jointid.controller_id.ranking import start_law
 from jointid.controller_id.regression import RegressionFit, initial_weighting, law_numbers, regression
-from jointid.controller_id.screening import start_law
 from jointid.controller_id.structure_moves import canonical, list_laws, list_neighbours, list_simpler
 from jointid.controller_id.structures import LATE, RATES, SLOWER, Structure
 from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, SecondOrder, run
@@ -204,7 +204,13 @@ def test_what_is_injected_is_no_part_of_the_law(at: str, averaged: bool) -> None
     law = Cascade(position_gain=60.0, velocity_gain=500.0, torque_filters=(FirstOrder(2e-3),))
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     record = simulated_record(
-        ClosedLoop(RigidJoint(), law), reference, values, sample_time=T, injected=known, at=at, encoder_step=1e-9
+        ClosedLoop(RigidJoint("prismatic"), law),
+        reference,
+        values,
+        sample_time=T,
+        injected=known,
+        at=at,
+        encoder_step=1e-9,
     )
     assert record.torque is not None
     if averaged:

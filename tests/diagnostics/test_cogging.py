@@ -10,7 +10,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.check_loop import LoopTests, check_loop
 from jointid.diagnostics.faults.forces import COGGING
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.uncertainty.verdict import Reason
 from studies.mechanics import spoiled
 from tests.estimates import identify

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.output.json import dumps, to_dict, write
+from jointid.output.json import dumps, read_report, to_dict, write
 from tests.apps.cli.test_commands import run
 from tests.output.report import reports
 
@@ -30,7 +30,7 @@ def of_rigid(seed: int, folder: Path, inertia: float = 0.04) -> Path:
 def test_a_page_and_its_answer_hold_the_same_estimate(tmp_path: Path) -> None:
     page = reports.rigid().save(tmp_path / "page.html")
     answer = told(reports.rigid().estimate, tmp_path, "answer")
-    one, other = ji.read_report(page), ji.read_report(answer)
+    one, other = read_report(page), read_report(answer)
     assert one == replace(other, label="page.html")
     assert one.record == reports.EVIL
 
@@ -42,19 +42,19 @@ def test_gains_of_an_answer_of_0_1_0_are_read_by_their_names_of_now(tmp_path: Pa
     now["parameters"] |= {old: one | {"symbol": old} for old in named}
     old = tmp_path / "old.json"
     old.write_text(json.dumps(now), encoding="utf-8")
-    assert [q.name for q in ji.read_report(old).quantities][-4:] == list(named.values())
+    assert [q.name for q in read_report(old).quantities][-4:] == list(named.values())
 
 
 def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
     path = of_rigid(1, tmp_path)
-    found = ji.compare(ji.read_report(path), ji.read_report(path))
+    found = ji.compare(read_report(path), read_report(path))
     assert found.same_record
     assert all(row.p_value is None and row.difference == 0 for row in found.rows)
     assert "Both are of the same record" in str(found)
 
 
 def test_a_difference_has_the_variance_of_both_and_holms_p_value(tmp_path: Path) -> None:
-    before, after = ji.read_report(of_rigid(1, tmp_path)), ji.read_report(of_rigid(2, tmp_path, inertia=0.0408))
+    before, after = read_report(of_rigid(1, tmp_path)), read_report(of_rigid(2, tmp_path, inertia=0.0408))
     found = ji.compare(before, after)
     rows = {row.name: row for row in found.rows}
     assert "initial_position" not in rows
@@ -69,7 +69,7 @@ def test_a_difference_has_the_variance_of_both_and_holms_p_value(tmp_path: Path)
 
 
 def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
-    before, after = ji.read_report(of_rigid(1, tmp_path)), ji.read_report(of_rigid(2, tmp_path))
+    before, after = read_report(of_rigid(1, tmp_path)), read_report(of_rigid(2, tmp_path))
     inertia, viscous, *rest = after.quantities
     changed = replace(
         after, quantities=(replace(inertia, value=None, std=None), replace(viscous, std=None, free=False), *rest)
@@ -92,13 +92,13 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
     ],
 )
 def test_other_joints_are_not_compared(change: dict[str, str], words: str, tmp_path: Path) -> None:
-    one = ji.read_report(of_rigid(1, tmp_path))
+    one = read_report(of_rigid(1, tmp_path))
     with pytest.raises(ji.MethodError, match=words):
         ji.compare(one, replace(one, **change))  # type: ignore[arg-type]
 
 
 def test_other_units_and_settings_are_said(tmp_path: Path) -> None:
-    one, other = ji.read_report(of_rigid(1, tmp_path)), ji.read_report(of_rigid(2, tmp_path))
+    one, other = read_report(of_rigid(1, tmp_path)), read_report(of_rigid(2, tmp_path))
     units = replace(other, quantities=(replace(other.quantities[0], unit="kg"), *other.quantities[1:]))
     with pytest.raises(ji.MethodError, match="inertia is in kg m2"):
         ji.compare(one, units)
@@ -125,13 +125,13 @@ def test_a_file_that_is_no_report_is_one_sentence(text: str, words: str, tmp_pat
     path = tmp_path / "x.html"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ji.RecordError, match=words):
-        ji.read_report(path)
+        read_report(path)
 
 
 def test_an_answer_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text(dumps(to_dict(reports.rigid().estimate)), encoding="utf-8-sig")
-    assert ji.read_report(path).record == reports.EVIL
+    assert read_report(path).record == reports.EVIL
 
 
 def test_a_damaged_answer_is_one_sentence(tmp_path: Path) -> None:
@@ -148,9 +148,9 @@ def test_a_damaged_answer_is_one_sentence(tmp_path: Path) -> None:
         path = tmp_path / "x.json"
         path.write_text(json.dumps(spoiled), encoding="utf-8")
         with pytest.raises(ji.RecordError, match="damaged"):
-            ji.read_report(path)
+            read_report(path)
     with pytest.raises(ji.RecordError, match="cannot be read"):
-        ji.read_report(tmp_path / "none.json")
+        read_report(tmp_path / "none.json")
 
 
 def test_the_command_prints_the_table_and_writes_the_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,7 +167,7 @@ def test_the_command_prints_the_table_and_writes_the_answer(tmp_path: Path, caps
 
 @pytest.mark.slow
 def test_seldom_is_anything_called_changed_where_nothing_did(tmp_path: Path) -> None:
-    files = [ji.read_report(of_rigid(seed, tmp_path)) for seed in range(60)]
+    files = [read_report(of_rigid(seed, tmp_path)) for seed in range(60)]
     alarms = [bool(ji.compare(files[i], files[i + 1]).changed) for i in range(0, 60, 2)]
     assert sum(alarms) <= 5  # of 30 at 5 %: more happens once in a hundred
 
@@ -180,7 +180,7 @@ def test_a_spring_that_grew_softer_is_found(tmp_path: Path) -> None:
         found = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0))
         return told(found, tmp_path, f"twin{seed}")
 
-    before, same, softer = (ji.read_report(estimate(seed, by)) for seed, by in ((1, 1.0), (2, 1.0), (3, 0.95)))
+    before, same, softer = (read_report(estimate(seed, by)) for seed, by in ((1, 1.0), (2, 1.0), (3, 0.95)))
     assert not ji.compare(before, same).changed
     found = ji.compare(before, softer)
     names = {row.name for row in found.changed}

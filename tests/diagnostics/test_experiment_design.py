@@ -90,7 +90,7 @@ def test_the_law_makes_of_the_torque_what_the_encoder_would_tell(disturbed: tupl
 
 def test_friction_that_differs_by_direction(disturbed: tuple[Twin, Estimate]) -> None:
     axis, _ = disturbed
-    loop = ClosedLoop(FlexibleJoint(friction=AsymmetricFriction()), axis.loop.controller)
+    loop = ClosedLoop(FlexibleJoint("prismatic", friction=AsymmetricFriction()), axis.loop.controller)
     advice = advise(identify(axis.record, loop), axis.record)
     for name in ("motor_viscous_forwards", "motor_viscous_backwards"):
         assert ratio(advice, "load encoder", name) < 0.5
@@ -221,7 +221,7 @@ def test_what_cannot_be_advised_on(disturbed: tuple[Twin, Estimate], logged: tup
 
 def test_a_rigid_joint_has_no_load_to_put_an_encoder_on(disturbed: tuple[Twin, Estimate]) -> None:
     axis, _ = disturbed
-    loop = ClosedLoop(RigidJoint(), axis.loop.controller)
+    loop = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
     rigid = advise(identify(axis.record, loop), axis.record)
     assert [one.name for one in rigid.sensors] == ["motor encoder"]
 
@@ -245,9 +245,9 @@ def test_a_refused_stiffness_is_answered_with_what_would_show_it(stiff_axis: tup
 
 def test_what_was_kept_fixed_is_no_reason_not_to_answer(stiff_axis: tuple[Record, Estimate]) -> None:
     record, _ = stiff_axis
-    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     stiffness = next(p for p in loop.joint.parameters if p.name == "stiffness")
-    estimate = identify(record, loop, parameters={"stiffness": stiffness.fixed(1e9)})
+    estimate = identify(record, loop, parameters={"stiffness": stiffness.fix(1e9)})
     assert estimate.checks.bounds
     assert "would" in str(design_stiffness_test(estimate, record))
 

@@ -348,7 +348,7 @@ def test_a_record_that_moves_one_way_only_tells_nothing_however_long_it_is() -> 
 def test_a_record_too_short_is_not_relied_on_however_well_it_fits() -> None:
     """The frictions of a flexible axis came out wrong at 0.3 s."""
     law = Cascade(position_gain=40.0, velocity_gain=2000.0)
-    loop = ClosedLoop(RigidJoint(), law)
+    loop = ClosedLoop(RigidJoint("prismatic"), law)
     values = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     for seconds, reliable in ((0.7, False), (3.0, True)):
         reference = trapezoids((0.1,), 2.0, 0.02, 1e-3, rest=0.02, duration=seconds)

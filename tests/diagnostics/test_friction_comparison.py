@@ -82,7 +82,7 @@ def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
 ) -> None:
     record, loop, values = rising
     plain = replace(loop, joint=loop.joint.linear)
-    offset = next(p for p in plain.joint.parameters if p.name == "offset").fixed(values["offset"])
+    offset = next(p for p in plain.joint.parameters if p.name == "offset").fix(values["offset"])
     found = compare_frictions(record, plain, parameters={"offset": offset})
     by_name = {one.name: one for one in found.laws}
     assert found.shown.name == "stribeck"

@@ -170,12 +170,12 @@ def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> N
     where = setting("L19", brief=True)
     made = problem(where, None, None)
     x = made.vector(where.truth)
-    asymmetric = replace(made.joint, friction=ji.AsymmetricFriction())
+    asymmetric = replace(made.joint, friction=ji.friction.AsymmetricFriction())
     loop = replace(made.loop, joint=asymmetric)
     values = made.values(x)
     values |= {p.name: values[p.name.rpartition("_")[0]] for p in asymmetric.parameters if p.name.endswith("wards")}
     beside = made.parameters[len(made.joint.parameters) :]
-    own = tuple(p.fixed(values[p.name]) if p.name == "offset" else p for p in asymmetric.parameters)
+    own = tuple(p.fix(values[p.name]) if p.name == "offset" else p for p in asymmetric.parameters)
     other = replace(made, loop=loop, parameters=(*own, *beside))
     ours, theirs = vary(made, x), vary(other, other.vector(values))
     for one in theirs:

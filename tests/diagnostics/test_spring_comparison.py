@@ -81,14 +81,14 @@ def judging(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
 
 def test_a_rigid_axis_shows_no_spring(monkeypatch: pytest.MonkeyPatch) -> None:
     judging(monkeypatch, "linear", "backlash", "three-piece")  # the fewest parameters, and the most
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
     assert record.torque is not None
     noise = 0.5 * np.random.default_rng(3).standard_normal(len(record.torque))
     record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
-    found = compare_springs(record, replace(loop, joint=ji.FlexibleJoint()))
+    found = compare_springs(record, replace(loop, joint=ji.FlexibleJoint("prismatic")))
     assert found.shown.name == RIGID
     assert found.answer.code == SpringShown.NONE
     assert 'set joint.model = "rigid"' in found.sentence
@@ -131,8 +131,8 @@ def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
     case, _ = plain
     record, given = some_of(case.clean, 3000), {p.name: p for p in case.loop.joint.parameters}
     declared = {
-        "stiffness": given["stiffness"].fixed(0.5 * case.truth["stiffness"]),
-        "offset": given["offset"].fixed(0.0),
+        "stiffness": given["stiffness"].fix(0.5 * case.truth["stiffness"]),
+        "offset": given["offset"].fix(0.0),
     }
     loop = with_spring(case.loop, TwoPieceSpring())
     found = compare_springs(record, loop, parameters=declared, didim=ji.DIDIM(frequency=case.mode))
@@ -144,7 +144,7 @@ def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
 def test_what_cannot_be_compared_is_refused_in_a_sentence(plain: tuple[Case, SpringComparison]) -> None:
     case, _ = plain
     with pytest.raises(MethodError, match="Only a flexible joint has a spring"):
-        compare_springs(case.clean, replace(case.loop, joint=ji.RigidJoint()))
+        compare_springs(case.clean, replace(case.loop, joint=ji.RigidJoint("prismatic")))
     with pytest.raises(MethodError, match="compared by least squares; received the minimiser nelder-mead"):
         compare_springs(case.clean, case.loop, didim=ji.DIDIM(minimiser="nelder-mead"))
     with pytest.raises(MethodError, match="stifness"):

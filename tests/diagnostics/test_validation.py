@@ -12,8 +12,8 @@ import jointid as ji
 from jointid.diagnostics.validation import Prediction
 
 RATE = 1e-3
-LAW = ji.Cascade(position_gain=40.0, velocity_gain=2000.0)
-LOOP = ji.ClosedLoop(ji.RigidJoint(), LAW)
+LAW = ji.controller.Cascade(position_gain=40.0, velocity_gain=2000.0)
+LOOP = ji.ClosedLoop(ji.RigidJoint("prismatic"), LAW)
 TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
 
 
@@ -31,7 +31,7 @@ def identified() -> tuple[ji.Estimate, ji.Record]:
 
 def answer(record: ji.Record) -> tuple[str, str]:
     checked = ji.validate(identified()[0], record)
-    assert checked.document().title == checked.sentence
+    assert checked.to_document().title == checked.sentence
     return checked.answer.code, checked.sentence
 
 
@@ -67,7 +67,7 @@ def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
 
 @pytest.mark.parametrize("inertia", [30.0, 33.0])
 def test_by_measured_positions_too(inertia: float) -> None:
-    joint = ji.RigidJoint()
+    joint = ji.RigidJoint("prismatic")
     estimate = ji.identify(made(0.1, 1), joint)
     code = ji.validate(estimate, made(0.13, 2, inertia=inertia)).answer.code
     assert code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)

@@ -7,6 +7,7 @@ import inspect
 import re
 import sys
 from importlib import import_module
+from operator import attrgetter
 
 import pytest
 
@@ -72,11 +73,17 @@ def test_the_page_of_keys_has_every_key_of_the_schema_with_its_meaning() -> None
 
 def test_every_public_name_has_an_entry_and_a_docstring() -> None:
     entries = "".join(text for name, text in generated.written().items() if name.startswith("api-"))
-    modules = {name for name in jointid.__all__ if inspect.ismodule(getattr(jointid, name))}
-    assert set(re.findall(r"^\.\. auto\w+:: jointid\.(\w+)$", entries, re.MULTILINE)) == {*jointid.__all__} - modules
-    assert all(f".. automodule:: {getattr(jointid, name).__name__}\n" in entries for name in modules)
-    for name in jointid.__all__:
-        assert inspect.getdoc(getattr(jointid, name)), name
+    modules = {name: module for name in jointid.__all__ if inspect.ismodule(module := getattr(jointid, name))}
+    spaces = {name: module for name, module in modules.items() if module.__name__ == f"jointid.{name}"}
+    assert spaces.keys() == {"controller", "friction", "robots", "spring"}
+    public = {f"{space}.{name}" for space, module in spaces.items() for name in module.__all__}
+    public |= {*jointid.__all__} - modules.keys()
+    names = rf"\w+|(?:{'|'.join(spaces)})\.\w+"
+    found = re.findall(rf"^\.\. auto\w+:: jointid\.({names})$", entries, re.MULTILINE)
+    assert set(found) == public
+    assert all(f".. automodule:: {modules[name].__name__}\n" in entries for name in modules.keys() - spaces.keys())
+    for name in public:
+        assert inspect.getdoc(attrgetter(name)(jointid)), name
 
 
 SOURCE = ROOT / "src"

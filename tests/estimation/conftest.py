@@ -23,7 +23,7 @@ COLUMNS = {
 @pytest.fixture(scope="session")
 def emps(emps_path: Path) -> Record:
     """The EMPS record with its motor position."""
-    return read(emps_path, COLUMNS, time="t", name="EMPS")
+    return read(emps_path, COLUMNS, time="t", name="EMPS", kind="prismatic")
 
 
 @pytest.fixture(scope="session")
@@ -31,4 +31,4 @@ def emps_pulses(emps_path: Path) -> Record:
     """The EMPS record with pulses."""
     known = Column("pulses_N", unit="N", gain=35.636, at=InjectionPoint.AFTER_LIMIT, in_torque=True)
     path = emps_path.with_name("DATA_EMPS_PULSES.mat")
-    return read(path, {**COLUMNS, "injected": known}, time="t", name="PULSES")
+    return read(path, {**COLUMNS, "injected": known}, time="t", name="PULSES", kind="prismatic")

@@ -54,7 +54,7 @@ def flexible(stiffness: float | None, stderr: float | None = None, **more: float
     )
     found = replace(ESTIMATE, params=Params(rows, ("motor_inertia",), np.zeros((0, 0)), ""))
     joint = FlexibleJoint(kind="revolute")
-    return amended(found, settings={"joint": joint, "loop": ClosedLoop(joint, CONTROLLER)})
+    return amended(found, settings={"system": joint, "loop": ClosedLoop(joint, CONTROLLER)})
 
 
 def test_an_estimate_that_nothing_speaks_against() -> None:
@@ -108,7 +108,10 @@ def test_a_refused_stiffness_has_a_bound_and_no_value() -> None:
     assert str(answer.found) == f"{least}, for a load of 10 to 20 % of the inertia"
     assert answer.found.values["lower_bound"] == 3.1e5
     assert str(answer.trust) == "Identify the joint as rigid, or record a motion that shows it"
-    whole = physical(FlexibleJoint().parameters, dict.fromkeys((p.name for p in FlexibleJoint().parameters), "kg"))
+    whole = physical(
+        FlexibleJoint("prismatic").parameters,
+        dict.fromkeys((p.name for p in FlexibleJoint("prismatic").parameters), "kg"),
+    )
     total = next(Known(one, 95.24, 0.455, 0.005) for one in whole if one.quantity == "inertia")
     known = Identifiability((), (total,), (), 1.0, ())
     told = amended(
@@ -207,7 +210,7 @@ def test_the_table_marks_what_a_fault_changes_and_what_is_only_known_with_anothe
 
 def test_a_parameter_at_its_bound_reads_it_and_the_verdict_says_so() -> None:
     """A friction that comes out negative is kept at 0 while the others are identified."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": -20.0, "coulomb": 15.0, "offset": 2.0}
     estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop, checks=False)
@@ -226,7 +229,7 @@ def test_no_line_is_longer_than_80_characters() -> None:
     long = amended(
         judged(RIGID, coulomb=1.19),
         checks={"known": Identifiability((), (), (), 1.0, (pair,)), "warnings": ("word " * 60,)},
-        settings={"joint": RigidJoint(transmission=Transmission(load="prismatic", lead=0.01))},
+        settings={"system": RigidJoint("prismatic", transmission=Transmission(load="prismatic", lead=0.01))},
     )
     for details in (False, True):
         assert max(map(len, long.summary(details=details).splitlines())) <= 80
@@ -293,7 +296,7 @@ def test_a_rigid_joint_is_not_advised_to_be_identified_as_rigid() -> None:
 
 
 def test_an_inertia_of_each_record_comes_before_what_they_share() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     records = [ji.simulated_record(loop, reference, truth | {"inertia": m}, sample_time=1e-3) for m in (30.0, 45.0)]

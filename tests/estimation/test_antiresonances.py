@@ -47,7 +47,7 @@ def test_without_a_simulation_the_best_start_is_near_the_truth(seed: int) -> Non
 def test_parameters_that_are_known_stay_and_frictions_by_direction_begin_alike() -> None:
     case = prismatic(2)
     joint = replace(case.loop.joint, friction=AsymmetricFriction())
-    parameters = tuple(p.fixed(123.0) if p.name == "damping" else p for p in joint.parameters)
+    parameters = tuple(p.fix(123.0) if p.name == "damping" else p for p in joint.parameters)
     loop = replace(case.loop, joint=joint)
     for start in antiresonance_starts(torque_problem(case.clean, loop, Filtering(), parameters)):
         assert start["damping"] == 123.0

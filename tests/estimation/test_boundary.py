@@ -141,7 +141,7 @@ def test_directions_that_say_nothing_are_refused() -> None:
 def of_record(record: Record, controller: Cascade, start: dict[str, float]) -> BoundaryTest:
     """Return the test of a record, by compliances that put the mode at 150 Hz, at three load shares."""
     filtering = Filtering(cutoff=60.0)
-    rigid, flexible = (ClosedLoop(joint, controller) for joint in (RigidJoint(), FlexibleJoint()))
+    rigid, flexible = (ClosedLoop(joint, controller) for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic")))
     problem = torque_problem(record, rigid, filtering, rigid.joint.parameters)
     x = problem.vector(start)
     for _ in range(8):

@@ -49,15 +49,17 @@ def test_a_disagreement_is_pointed_out(flexible: MethodComparison) -> None:
 
 
 def test_what_cannot_run_is_listed_with_the_reason(emps: Record) -> None:
-    found = compare(emps.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
+    found = compare(emps.without("motor_position"), ClosedLoop(RigidJoint("prismatic"), CONTROLLER))
     assert list(found.estimates) == ["DIDIM", "DIDIM asymmetric"]
     assert "IDIM-LS cannot run: IDIM needs motor_position; this record has torque, reference" in unwrapped(str(found))
     assert found.disagreements == ()
     assert "no two methods differ by more than their intervals allow" in unwrapped(str(found))
-    alone = compare(emps, RigidJoint())
+    alone = compare(emps, RigidJoint("prismatic"))
     assert list(alone.estimates) == ["IDIM-LS", "IDIM-IRLS", "IDIM-LS asymmetric"]
     assert "DIDIM cannot run: DIDIM simulates the closed loop, so it needs the controller" in str(alone)
-    fixed = compare(emps, RigidJoint(), parameters={"viscous": RigidJoint().parameters[1].fixed(207.0)})
+    fixed = compare(
+        emps, RigidJoint("prismatic"), parameters={"viscous": RigidJoint("prismatic").parameters[1].fix(207.0)}
+    )
     assert fixed.estimates["IDIM-LS"].values["viscous"] == 207.0
     assert fixed.estimates["IDIM-LS asymmetric"].values["viscous_forwards"] == pytest.approx(171, abs=1)
 
@@ -66,7 +68,7 @@ def test_a_record_that_cannot_be_is_refused_at_once(emps: Record) -> None:
     assert emps.torque is not None
     still = replace(emps, torque=replace(emps.torque, values=np.full(len(emps.torque), 3.0)))
     with pytest.raises(RecordError, match="The torque is 3 N in every sample"):
-        compare(still, RigidJoint())
+        compare(still, RigidJoint("prismatic"))
 
 
 def test_the_answer_is_written(flexible: MethodComparison, tmp_path: Path) -> None:

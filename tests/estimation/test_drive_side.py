@@ -21,11 +21,12 @@ from jointid.estimation.methods.endogeneity import (
 from jointid.estimation.problems.prescribed import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.simulation.loop_input import prepare
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import band_deviations, sandwich
 
-JOINT = ji.FlexibleJoint()
+JOINT = ji.FlexibleJoint("prismatic")
 PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
 FILTERING = ji.Filtering(cutoff=60.0)
 
@@ -56,8 +57,8 @@ def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
 
 def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
     """A rigid joint that is light, slow and noisy; with little noise its inertia is told."""
-    joint = ji.RigidJoint()
-    loop = ji.ClosedLoop(joint, ji.Cascade(position_gain=50.0, velocity_gain=1000.0))
+    joint = ji.RigidJoint("prismatic")
+    loop = ji.ClosedLoop(joint, ji.controller.Cascade(position_gain=50.0, velocity_gain=1000.0))
     truth = {"inertia": 2.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=0.2, travel=0.4, sample_time=1e-3)
     random = np.random.default_rng(3).standard_normal(reference.size)
@@ -78,7 +79,7 @@ def test_a_load_that_sticks_is_identified() -> None:
         speeds=(0.042, 0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.3
     )
     known = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=1)
-    run = ji.simulate(loop, ji.prepare(loop, _driven(reference, known)), truth)
+    run = ji.simulate(loop, prepare(loop, _driven(reference, known)), truth)
     assert run.load_velocity is not None
     assert np.mean(run.load_velocity == 0) > 0.05
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, injected=known)
@@ -286,7 +287,7 @@ def test_a_record_without_instruments_says_that_it_was_not_tested() -> None:
 
 
 def test_a_rigid_joint_needs_no_load() -> None:
-    joint, truth = ji.RigidJoint(), {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+    joint, truth = ji.RigidJoint("prismatic"), {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     loop = ji.ClosedLoop(joint, CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids(speeds=(0.05, 0.12), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.4)
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)

@@ -14,8 +14,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.models.disturbances import Drift, effect_columns
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.models.motion import Motion
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Motion, PositionHarmonics
 from jointid.output import json as answers
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -25,7 +24,7 @@ from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 
 T = 1e-3
-LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+LOOP = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 TRUTH = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
 MOTION = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, T, duration=12.0)
 PITCH = 0.0123
@@ -64,7 +63,7 @@ def test_ripple_and_drift_are_found(estimator: str) -> None:
 
 
 def test_beside_asymmetric_friction() -> None:
-    joint = RigidJoint(friction=AsymmetricFriction())
+    joint = RigidJoint("prismatic", friction=AsymmetricFriction())
     estimate = identify(rippled(), joint, IDIM(effects=(PositionHarmonics(PITCH, 2), Drift("both"))))
     assert abs(estimate.values["harmonic_1_cosine"] - 2.0) <= 0.1
     forwards, backwards = (estimate[f"coulomb_{word}"] for word in ("forwards", "backwards"))
@@ -144,7 +143,7 @@ def test_the_real_axis_has_a_ripple_of_half_a_screw_turn_that_does_not_carry_ove
     emps: Record, emps_pulses: Record
 ) -> None:
     """Found alike in both records, but its phase is another one: the incremental encoder's zero has moved."""
-    joint = RigidJoint(friction=AsymmetricFriction())
+    joint = RigidJoint("prismatic", friction=AsymmetricFriction())
     plain = identify(emps, joint, IDIM())
     found = [identify(record, joint, IDIM(effects=(PositionHarmonics(),))) for record in (emps, emps_pulses)]
     assert [round(1e3 * float(e["period"].value or 0.0), 2) for e in found] == [2.5, 2.5]

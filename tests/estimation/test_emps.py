@@ -19,8 +19,8 @@ from jointid.records.signals.filtering import Filtering
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 
-LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
-ASYMMETRIC = ClosedLoop(RigidJoint(friction=AsymmetricFriction()), CONTROLLER)
+LOOP = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
+ASYMMETRIC = ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), CONTROLLER)
 
 
 def rounded(estimate: Estimate, digits: dict[str, int]) -> dict[str, float]:

@@ -24,7 +24,7 @@ from jointid.solvers.regression import Conditioning, least_squares
 from tests.estimates import amended
 from tests.estimation.conftest import CONTROLLER
 
-LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+LOOP = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 TORQUE = np.sin(np.arange(400) / 20.0) * 50.0
 
 
@@ -75,7 +75,7 @@ ESTIMATE = Estimate(
     settings=Settings(
         method="didim",
         variant="DIDIM in residual form from an inversion start",
-        joint=LOOP.joint,
+        system=LOOP.joint,
         loop=LOOP,
         filtering=Filtering().resolve(1e-3),
     ),
@@ -114,7 +114,7 @@ def test_parameters_are_a_mapping_of_rows() -> None:
     assert "Fv" in ESTIMATE.params
     assert "stiffness" not in ESTIMATE.params
     assert (rows["viscous"].axis, rows["viscous"].side) == ("", None)
-    flexible = replace(rows["viscous"], name="elbow.load_viscous")
+    flexible = replace(rows["viscous"], name="elbow.load_viscous", axis="elbow")
     assert (flexible.axis, flexible.side) == ("elbow", "load")
 
 
@@ -188,7 +188,7 @@ def test_the_figure_of_the_torque_is_at_hand() -> None:
 
 
 def test_the_residual_and_the_report_are_a_word_away() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
@@ -304,7 +304,7 @@ def test_a_law_with_a_slower_loop_and_no_period_of_its_own_has_a_fingerprint(slo
     """Whatever the slower period is: the one at which laws are compared need not divide it."""
     loops = [
         ClosedLoop(
-            RigidJoint(),
+            RigidJoint("prismatic"),
             Cascade(position_gain=position_gain, velocity_gain=2.0, position_period=slow, position_offset=offset),
         )
         for position_gain, offset in ((1.0, 0.0), (1.0, 0.0), (1.1, 0.0), (1.0, slow / 2))

@@ -184,7 +184,7 @@ def test_a_sum_has_the_deviation_of_a_sum(identified: Callable[..., Estimate]) -
     total, std = estimate.params.total(("Fv1", "load_viscous"))
     assert total == estimate.values["motor_viscous"] + estimate.values["load_viscous"]
     assert std < 0.4 * float(estimate["Fv1"].stderr or 0.0)
-    fixed = {"offset": axis.loop.joint.parameters[-1].fixed(-3.16)}
+    fixed = {"offset": axis.loop.joint.parameters[-1].fix(-3.16)}
     held = identify(torque_only(axis), axis.loop, DIDIM(frequency=30.0), parameters=fixed)
     assert held.params.total(("Fv1", "Fv2", "offset"))[1] == held.params.total(("Fv1", "Fv2"))[1]
 
@@ -267,7 +267,7 @@ def test_nelder_mead_reaches_the_minimum_after_one_restart(monkeypatch: pytest.M
     simplex = identify(record, axis.loop, DIDIM.paper("flexible"))
     assert simplex.fit.simulations == len(calls)  # the reported simulations are those counted
     assert simplex.fit.stop.count("iterations") == 2  # one descent and one restart
-    state = tuple(p.fixed(0.0) for p in INITIAL_STATE)  # of the same criterion: on the reference, at rest
+    state = tuple(p.fix(0.0) for p in INITIAL_STATE)  # of the same criterion: on the reference, at rest
     monkeypatch.setattr(didim, "_at_rest", lambda *_: state)
     calls.clear()
     best = identify(record, axis.loop)
@@ -307,4 +307,4 @@ def test_settings_that_make_no_sense_are_refused() -> None:
         DIDIM(frequency=-3.0)
     axis = twin(noise="none")
     with pytest.raises(MethodError, match=r"DIDIM\.frequency is for a flexible joint, and this is a rigid joint"):
-        identify(axis.record, ClosedLoop(RigidJoint(), axis.loop.controller), DIDIM(frequency=30.0))
+        identify(axis.record, ClosedLoop(RigidJoint("prismatic"), axis.loop.controller), DIDIM(frequency=30.0))

@@ -17,8 +17,8 @@ from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
@@ -42,7 +42,7 @@ GEARED_TRUTH = {
 SAG = -0.5 / (40.0 * 0.226)  # where a proportional loop carries the load at the first sample
 
 LIFT = ClosedLoop(
-    FlexibleJoint(gravity=Gravity("constant", Counterbalance(constant=100.0))),
+    FlexibleJoint("prismatic", gravity=Gravity("constant", Counterbalance(constant=100.0))),
     Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=1e3),
 )
 LIFT_TRUTH = {
@@ -170,7 +170,7 @@ def test_a_short_travel_tells_only_sums(travel: float) -> None:
 
 def test_fixing_the_offset_tells_the_rest() -> None:
     offset = next(p for p in ARM.joint.parameters if p.name == "offset")
-    estimate = identify(torque_only(arm(0.2, noise=0.3)), ARM, parameters={"offset": offset.fixed(0.5)})
+    estimate = identify(torque_only(arm(0.2, noise=0.3)), ARM, parameters={"offset": offset.fix(0.5)})
     cosine = estimate["gravity_cos"]
     assert cosine.value == pytest.approx(40.0, abs=0.1)
     assert cosine.stderr is not None
@@ -203,11 +203,11 @@ def test_a_counterbalance_without_a_spring_is_no_lost_spring() -> None:
 
 def test_what_gravity_cannot_be_is_refused() -> None:
     with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
-        RigidJoint(gravity=Gravity("link"))
+        RigidJoint("prismatic", gravity=Gravity("link"))
     with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
-        FlexibleJoint(gravity=Gravity("constant", Counterbalance(sin=1.0)))
+        FlexibleJoint("prismatic", gravity=Gravity("constant", Counterbalance(sin=1.0)))
     with pytest.raises(MethodError, match="cannot be told apart from asymmetric friction"):
-        FlexibleJoint(friction=AsymmetricFriction(), gravity=Gravity("constant"))
+        FlexibleJoint("prismatic", friction=AsymmetricFriction(), gravity=Gravity("constant"))
     with pytest.raises(MethodError, match='load is "arm"; expected "constant" or "link"'):
         Gravity("arm")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match=r"angle is 0\.0; expected a number other than 0"):

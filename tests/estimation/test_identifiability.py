@@ -110,13 +110,15 @@ def test_two_of_different_units_are_known_by_a_weighted_sum() -> None:
 
 def test_the_sums_of_every_joint() -> None:
     """Sums and differences are of both sides, direction by direction; a rigid joint has one side."""
-    joint = FlexibleJoint(friction=AsymmetricFriction())
+    joint = FlexibleJoint("prismatic", friction=AsymmetricFriction())
     units = {p.name: joint.unit(p) for p in joint.parameters}
     formulas = [c.formula for c in physical(joint.parameters, units)]
     assert formulas == [
         "ZZ1 + ZZ2", "Fv1+ + Fv2+", "Fv1+ - Fv2+", "Fc1+ + Fc2+", "Fc1+ - Fc2+",
         "Fv1- + Fv2-", "Fv1- - Fv2-", "Fc1- + Fc2-", "Fc1- - Fc2-",
     ]  # fmt: skip
-    assert not physical(RigidJoint().parameters, dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), ""))
+    assert not physical(
+        RigidJoint("prismatic").parameters, dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), "")
+    )
     held = tuple(p for p in joint.parameters if p.name != "load_inertia")
     assert "ZZ1 + ZZ2" not in [c.formula for c in physical(held, units)]

@@ -57,7 +57,7 @@ def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop() -> None:
 
 
 def test_instruments_on_a_rigid_axis() -> None:
-    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
     motion = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, 1e-3, duration=8.0)
     plain, instrumented = [], []
@@ -173,7 +173,7 @@ def under(axis: Twin, **changed: float) -> ClosedLoop:
 
 def test_what_an_estimator_lacks_is_said() -> None:
     axis = twin(noise="none")
-    rigid = RigidJoint()
+    rigid = RigidJoint("prismatic")
     with pytest.raises(MethodError, match="a rigid joint has one, whose weight changes nothing"):
         identify(axis.record, rigid, IDIM("weighted"))
     with pytest.raises(MethodError, match="IDIM-IV simulates the closed loop for its instruments, so it needs the con"):
@@ -236,4 +236,4 @@ def test_a_rigid_joint_has_one_encoder() -> None:
     axis = twin(noise="none")
     for side in ("motor", "load"):
         with pytest.raises(MethodError, match="A rigid joint has "):
-            identify(axis.record, RigidJoint(), IDIM(effects=(EncoderOffset(side=side),)))  # type: ignore[arg-type]
+            identify(axis.record, RigidJoint("prismatic"), IDIM(effects=(EncoderOffset(side=side),)))  # type: ignore[arg-type]

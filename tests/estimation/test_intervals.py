@@ -48,7 +48,7 @@ def test_bootstraps_agree_with_the_table(estimate) -> None:  # type: ignore[no-u
 
 
 def test_on_emps_the_bootstrap_over_place_sees_what_repeats(emps: Record) -> None:
-    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
     found = intervals(identify(emps, loop, DIDIM()), emps, bootstrap=True)
     assert found.over_time is not None
     assert found.over_place is not None
@@ -76,4 +76,4 @@ def test_what_no_estimate_can_have_is_refused_before_one_is_made() -> None:
     with pytest.raises(MethodError, match='"" is no quantity'):
         require_quantities([""], AXIS.loop)
     with pytest.raises(MethodError, match=r'"compliance" is no quantity .* sum or difference of some\.'):
-        require_quantities(["compliance"], ClosedLoop(RigidJoint(), CONTROLLER))
+        require_quantities(["compliance"], ClosedLoop(RigidJoint("prismatic"), CONTROLLER))

@@ -43,7 +43,7 @@ from tests.estimates import identify
 from tests.text import unwrapped
 
 PERIOD = 1e-3
-LOOP = ClosedLoop(RigidJoint(), Cascade(position_gain=100.0, velocity_gain=2000.0))
+LOOP = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=2000.0))
 TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
 SPEEDS = (0.05, 0.1, 0.2)
 
@@ -89,7 +89,7 @@ def test_without_noise_the_truth_comes_back() -> None:
 
 @pytest.mark.slow
 def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
-    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, PERIOD, duration=600.0)
     force = 30.0 * np.random.default_rng(5).standard_normal(reference.size)
     record = simulated_record(loop, reference, TABLE_2, sample_time=PERIOD, disturbance=force)
@@ -162,7 +162,7 @@ def test_a_log_at_rest_is_no_problem_for_any_solver() -> None:
 def stored(path: Path, record: Record) -> Log:
     channels = dict(record.items())
     write_table(path, Table({name: channels[name].values for name in ("torque", "reference")}))
-    return Log(path, {"torque": "torque", "reference": "reference"}, {"sample_time": PERIOD})
+    return Log(path, {"torque": "torque", "reference": "reference"}, {"sample_time": PERIOD, "kind": "prismatic"})
 
 
 @pytest.mark.slow
@@ -272,7 +272,7 @@ def test_windows_without_motion_are_left_out() -> None:
 
 def test_how_long_a_window_remembers_is_measured() -> None:
     stiff = identify(rigid(40.0), LOOP, windows=Windowing(length=5.0))
-    slow = ClosedLoop(RigidJoint(), Cascade(position_gain=5.0, velocity_gain=500.0))
+    slow = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=5.0, velocity_gain=500.0))
     reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=100.0)
     record = simulated_record(slow, reference, TRUTH, sample_time=PERIOD)
     loose = identify(record, slow, windows=Windowing(length=10.0))
@@ -310,8 +310,8 @@ def test_a_record_that_nothing_can_be_started_from_is_refused() -> None:
 
 
 def test_what_surrounds_the_joint_can_be_free() -> None:
-    declared = ClosedLoop(RigidJoint(), PD(position_gain=1.1e5, derivative_gain=2000.0))
-    true = ClosedLoop(RigidJoint(), PD(position_gain=1e5, derivative_gain=2000.0))
+    declared = ClosedLoop(RigidJoint("prismatic"), PD(position_gain=1.1e5, derivative_gain=2000.0))
+    true = ClosedLoop(RigidJoint("prismatic"), PD(position_gain=1e5, derivative_gain=2000.0))
     reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=60.0)
     record = simulated_record(true, reference, TRUTH, sample_time=PERIOD)
     estimate = identify(record, declared, windows=Windowing(length=5.0), method=DIDIM(free=("position_gain",)))
@@ -322,7 +322,8 @@ def test_what_surrounds_the_joint_can_be_free() -> None:
 
 def test_a_delay_that_was_freed_is_the_one_that_is_reported() -> None:
     declared, true = (
-        ClosedLoop(RigidJoint(), PD(position_gain=1e5, derivative_gain=2000.0, delay=delay)) for delay in (1.5e-3, 2e-3)
+        ClosedLoop(RigidJoint("prismatic"), PD(position_gain=1e5, derivative_gain=2000.0, delay=delay))
+        for delay in (1.5e-3, 2e-3)
     )
     reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=60.0)
     record = simulated_record(true, reference, TRUTH, sample_time=PERIOD)
@@ -333,7 +334,7 @@ def test_a_delay_that_was_freed_is_the_one_that_is_reported() -> None:
 
 def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     """Both ways in the first half, forwards only in the second, which tells nothing of friction backwards."""
-    loop = ClosedLoop(RigidJoint(friction=AsymmetricFriction()), LOOP.controller)
+    loop = ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), LOOP.controller)
     lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
     both = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 10)
     out = lap[: np.argmax(lap) + 1]
@@ -356,7 +357,7 @@ def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
 
 def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> None:
     """Windows of 5.01 s would begin in the middle of one of 4 ms: noise-free, that left 0.04 % of the torque."""
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=30.0, velocity_gain=2000.0, period=4e-3))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=30.0, velocity_gain=2000.0, period=4e-3))
     lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
     reference = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 4)
     estimate = identify(

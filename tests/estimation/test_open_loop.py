@@ -13,7 +13,7 @@ from jointid.records.record import Timing
 from jointid.simulation.prescribed import simulate_open_loop
 
 T = 1e-3
-JOINT = ji.FlexibleJoint()
+JOINT = ji.FlexibleJoint("prismatic")
 TRUTH = TABLE_2 | {"load_coulomb": 25.0}
 AROUND = {"initial_position": 0.1, "initial_velocity": 0.0, "log_delay": T}
 FILTERING = ji.Filtering(cutoff=60.0)
@@ -66,7 +66,7 @@ def test_noise_of_the_encoder_leaves_the_truth_in_the_intervals() -> None:
 
 def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
     """A light rigid joint, moved slowly and measured coarsely; with a fine encoder its inertia is told."""
-    joint, truth = ji.RigidJoint(), {"inertia": 0.02, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    joint, truth = ji.RigidJoint("prismatic"), {"inertia": 0.02, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     t = np.arange(6000) * T
     force = (40 * np.sin(2 * np.pi * t) + 30 * np.sin(2 * np.pi * 2.3 * t)) * np.minimum(1, t / 0.2)
     torque = ji.Channel(force, "N", T, Timing.HELD)

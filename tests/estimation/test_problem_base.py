@@ -24,7 +24,7 @@ class Line(RecordProblem):
 
     @property
     def joint(self) -> Joint:
-        return RigidJoint()
+        return RigidJoint("prismatic")
 
     def filtered(self, columns: Array) -> Array:
         return columns

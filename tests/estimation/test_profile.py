@@ -217,7 +217,7 @@ def test_a_stiffness_that_is_not_seen_has_a_lower_bound_only() -> None:
 def test_on_the_twin_the_compliance_is_bounded_and_the_sum_of_the_frictions_known() -> None:
     axis = twin("L19", seed=3)
     problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
     x = problem.vector({**axis.truth, "initial_position": 0.0})
     for _ in range(4):

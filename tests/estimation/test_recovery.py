@@ -28,7 +28,7 @@ T = 1e-3
 TRUTH = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
 MOVING = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, T, duration=8.0)
 RESTING = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, T, rest=0.6, duration=12.0)
-LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+LOOP = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 
 
 def errors(estimate_values: dict[str, float], truth: dict[str, float]) -> float:
@@ -62,11 +62,12 @@ def test_didim_recovers_the_truth_behind_a_fractional_delay(delay: float) -> Non
     late = Cascade(
         position_gain=100.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=delay
     )
-    loop = ClosedLoop(RigidJoint(), late)
+    loop = ClosedLoop(RigidJoint("prismatic"), late)
     made = simulated_record(loop, MOVING, TRUTH, sample_time=T).without("motor_position")
     assert errors(identify(made, loop).values, TRUTH) <= 1e-6
     undelayed = ClosedLoop(
-        RigidJoint(), Cascade(position_gain=100.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15)
+        RigidJoint("prismatic"),
+        Cascade(position_gain=100.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15),
     )
     assert errors(identify(made, undelayed).values, TRUTH) > 1e-3
 
@@ -75,7 +76,7 @@ def test_didim_recovers_the_truth_behind_a_fractional_delay(delay: float) -> Non
 def test_didim_recovers_the_truth_through_saturation(limit: float, share: float) -> None:
     """At its limit the torque does not answer to the parameters, so the regressor is not the Jacobian there."""
     tight = Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=limit)
-    loop = ClosedLoop(RigidJoint(), tight)
+    loop = ClosedLoop(RigidJoint("prismatic"), tight)
     made = simulated_record(loop, MOVING, TRUTH, sample_time=T).without("motor_position")
     assert made.torque is not None
     assert np.mean(np.abs(made.torque.values) >= limit * 35.15 * (1 - 1e-12)) > share
@@ -109,14 +110,14 @@ def test_didim_recovers_asymmetric_friction_on_a_rotary_pd_loop() -> None:
 
 def test_a_fixed_parameter_keeps_its_value_and_a_wrong_one_biases_the_others() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    right = {"offset": Parameter("offset", "offset", Quantity.FORCE).fixed(-3.2)}
+    right = {"offset": Parameter("offset", "offset", Quantity.FORCE).fix(-3.2)}
     estimate = identify(made, LOOP, parameters=right)
     assert estimate.values["offset"] == -3.2
     assert estimate["offset"].stderr is None
     assert errors(estimate.values, TRUTH) <= 1e-6
     idim = identify(made, LOOP, IDIM(), parameters=right)
     assert idim.values["offset"] == -3.2
-    wrong = {"viscous": Parameter("viscous", "Fv", Quantity.VISCOUS).fixed(100.0)}
+    wrong = {"viscous": Parameter("viscous", "Fv", Quantity.VISCOUS).fix(100.0)}
     assert errors(identify(made, LOOP, parameters=wrong).values, TRUTH) > 0.01
 
 
@@ -131,7 +132,7 @@ def test_idim_must_respect_that_a_torque_is_held() -> None:
 
 def test_idim_respects_delay_and_averaging() -> None:
     late = Cascade(position_gain=120.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=1.4e-3)
-    loop = ClosedLoop(RigidJoint(), late)
+    loop = ClosedLoop(RigidJoint("prismatic"), late)
     made = simulated_record(loop, MOVING, TRUTH, sample_time=T)
     assert errors(identify(made, loop, IDIM()).values, TRUTH) < 3e-3
     assert made.torque is not None
@@ -166,7 +167,7 @@ def test_the_intervals_cover_the_truth_for_white_noise_on_the_log() -> None:
 def test_a_measured_torque_is_read_when_it_acts(delay: float, timing: Timing) -> None:
     """Held or averaged, behind a delay of whole or broken periods, by both methods."""
     late = Cascade(position_gain=100.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=delay)
-    loop = ClosedLoop(RigidJoint(), late)
+    loop = ClosedLoop(RigidJoint("prismatic"), late)
     made = simulated_record(loop, MOVING, TRUTH, sample_time=T)
     driven = Record(torque=Channel(np.zeros(MOVING.size), "N", T, timing), tap=Tap.MEASURED, reference=made.reference)
     run = simulate(loop, prepare(loop, driven), TRUTH)
@@ -181,7 +182,7 @@ def test_a_measured_torque_is_read_when_it_acts(delay: float, timing: Timing) ->
 
 
 def test_an_averaged_command_is_not_a_held_one() -> None:
-    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
     assert made.torque is not None
     before = np.concatenate([made.torque.values[:1], made.torque.values[:-1]])
@@ -255,7 +256,8 @@ def test_a_torque_of_the_wrong_sign_is_refused_with_the_remedy() -> None:
 def test_a_wrong_loop_is_not_called_a_good_fit() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T).without("motor_position")
     wrong = ClosedLoop(
-        RigidJoint(), Cascade(position_gain=16.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15)
+        RigidJoint("prismatic"),
+        Cascade(position_gain=16.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15),
     )
     estimate = identify(made, wrong)
     assert any("of the filtered torque unexplained" in warning for warning in estimate.checks.warnings)
@@ -264,7 +266,7 @@ def test_a_wrong_loop_is_not_called_a_good_fit() -> None:
 
 def test_an_inertia_that_is_known_may_be_fixed_under_every_start() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    known = {"inertia": LOOP.joint.parameters[0].fixed(TRUTH["inertia"])}
+    known = {"inertia": LOOP.joint.parameters[0].fix(TRUTH["inertia"])}
     for start in ("inversion", "regular", "given"):
         estimate = identify(made, LOOP, DIDIM(start=start), parameters=known)  # type: ignore[arg-type]
         assert errors(estimate.values, TRUTH) <= 1e-6
@@ -297,7 +299,8 @@ def test_a_validation_under_another_controller_says_so() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
     identified = identify(made, LOOP).identified
     other = ClosedLoop(
-        RigidJoint(), Cascade(position_gain=120.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15)
+        RigidJoint("prismatic"),
+        Cascade(position_gain=120.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15),
     )
     assert validate(identified, made).warnings == ()
     again = simulated_record(other, MOVING, TRUTH, sample_time=T)
@@ -319,21 +322,21 @@ def test_torque_alone_in_ampere() -> None:
 
 def test_what_cannot_be_identified_is_refused_in_a_sentence() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    asymmetric = RigidJoint(friction=AsymmetricFriction())
+    asymmetric = RigidJoint("prismatic", friction=AsymmetricFriction())
     free_offset = {"offset": Parameter("offset", "offset", Quantity.FORCE)}
     with pytest.raises(MethodError, match=r"offset.*cannot be distinguished"):
         identify(made, asymmetric, parameters=free_offset)
     with pytest.raises(RecordError, match=r"IDIM needs motor_position; this record has torque, reference\."):
-        identify(made.without("motor_position"), RigidJoint())
+        identify(made.without("motor_position"), RigidJoint("prismatic"))
     with pytest.raises(RecordError, match=r"DIDIM needs reference; this record has torque, motor_position"):
         identify(made.without("reference"), LOOP)
     with pytest.raises(MethodError, match="needs the controller"):
-        identify(made, RigidJoint(), DIDIM())
+        identify(made, RigidJoint("prismatic"), DIDIM())
     with pytest.raises(
         MethodError, match=r"DIDIM\.form is for a rigid joint, and this is a flexible joint; leave it out"
     ):
-        identify(made, ClosedLoop(FlexibleJoint(), CONTROLLER), DIDIM("paper"))
-    everything = {p.name: p.fixed(1.0) for p in LOOP.joint.parameters}
+        identify(made, ClosedLoop(FlexibleJoint("prismatic"), CONTROLLER), DIDIM("paper"))
+    everything = {p.name: p.fix(1.0) for p in LOOP.joint.parameters}
     with pytest.raises(MethodError, match="nothing to identify"):
         identify(made, LOOP, parameters=everything)
     with pytest.raises(MethodError, match=r"No parameter is called mass; this model has inertia"):

@@ -22,7 +22,7 @@ from tests.estimation.motions import NAMES, columns, field, motion
 POSITION, VELOCITY, ACCELERATION = motion()
 W = columns(VELOCITY, ACCELERATION)
 WHERE = cells(POSITION, VELOCITY)
-LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+LOOP = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 
 
 def coloured(random: np.random.Generator, size: int) -> np.ndarray:
@@ -199,7 +199,7 @@ def test_on_the_twin_the_intervals_hold_the_truth_and_nothing_repeats() -> None:
     """A disturbance inside the loop, estimated by one linear step from the truth: 100 runs of the paper's axis."""
     axis = twin("L30", noise="none")
     problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
     x = problem.vector({**axis.truth, "initial_position": 0.0})
     _, J = problem.linearise(x)

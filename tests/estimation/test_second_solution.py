@@ -14,8 +14,8 @@ from jointid.models.controllers import Cascade
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.solve import solve
+from jointid.uncertainty.model_tests import second_solution, widened_to_second
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
-from jointid.uncertainty.second_solution import second_solution, widened_to_second
 
 TRUTH = np.array([2.0, 3e4])
 PLACES = cells(np.sin(np.arange(2000) / 50), np.cos(np.arange(2000) / 50))

@@ -26,7 +26,7 @@ from tests.estimates import amended, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 
-RIGID = ClosedLoop(RigidJoint(), CONTROLLER)
+RIGID = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
 
 
@@ -119,7 +119,7 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
 
 def test_a_torque_constant_from_a_known_mass() -> None:
     """A torque in ampere: the joint comes in kilograms, and the drive's gain in newtons per ampere."""
-    joint = RigidJoint(torque_unit="A")
+    joint = RigidJoint("prismatic", torque_unit="A")
     loop = ClosedLoop(joint, replace(CONTROLLER, gain=1.0))
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
     records = [
@@ -139,7 +139,7 @@ def test_what_is_fixed_and_bounded_is_so_without_the_added_mass() -> None:
     axis = twins("none")
     known = {p.name: p for p in axis.loop.joint.parameters}
     records = [logged(axis.loop, axis.truth), logged(axis.loop, heavier(axis.truth))]
-    fixed = {"load_inertia": known["load_inertia"].fixed(axis.truth["load_inertia"])}
+    fixed = {"load_inertia": known["load_inertia"].fix(axis.truth["load_inertia"])}
     found = identify(
         records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), parameters=fixed, method=QUICK
     )
@@ -239,7 +239,11 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     emps: Record, emps_pulses: Record, friction: str
 ) -> None:
     """Least squares gives 95.4 and 94.1 kg, the solutions by the regressor lie between; every interval holds both."""
-    loop = RIGID if friction == "symmetric" else ClosedLoop(RigidJoint(friction=AsymmetricFriction()), CONTROLLER)
+    loop = (
+        RIGID
+        if friction == "symmetric"
+        else ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), CONTROLLER)
+    )
     assert emps_pulses.injected is not None
     pulses = replace(emps_pulses, injected=replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT))
     found = identify([emps.without("motor_position"), pulses.without("motor_position")], loop)

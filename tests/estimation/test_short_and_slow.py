@@ -56,7 +56,7 @@ def test_steps_that_lead_to_no_joint_give_way_to_least_squares() -> None:
 
 def test_a_loop_of_a_third_of_a_hertz_is_identified() -> None:
     pace = 2 * math.pi * 0.3
-    law = ji.Cascade(position_gain=0.25 * pace, velocity_gain=0.5 * pace, period=1e-3)
+    law = ji.controller.Cascade(position_gain=0.25 * pace, velocity_gain=0.5 * pace, period=1e-3)
     mode = 3 * pace
     truth = {
         "motor_inertia": 0.25, "motor_viscous": 0.03, "motor_coulomb": 0.05, "stiffness": 0.125 * mode**2,

@@ -38,6 +38,6 @@ def test_the_record_shows_that_its_friction_winds_up() -> None:
 
 def test_what_takes_friction_for_a_line_refuses_it() -> None:
     case = prismatic(1)
-    joint = FlexibleJoint(friction=FRICTIONS["presliding"]())
+    joint = FlexibleJoint("prismatic", friction=FRICTIONS["presliding"]())
     with pytest.raises(MethodError, match=r'IDIM takes friction for one line .* received the law "presliding"'):
         identify(case.clean, joint, IDIM())

@@ -122,7 +122,7 @@ def test_the_joint_file_refuses_what_no_joint_has() -> None:
 
 def test_what_takes_the_spring_for_linear_refuses_another(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
     found, _ = gapped
-    joint = FlexibleJoint(spring=TwoPieceSpring())
+    joint = FlexibleJoint("prismatic", spring=TwoPieceSpring())
     with pytest.raises(MethodError, match="The drive side takes the spring for linear"):
         DriveSide(joint)
     record = prismatic(0).clean

@@ -79,7 +79,7 @@ def _reasons(case: Case, loop: ClosedLoop, values: dict[str, float]) -> list[str
 @pytest.mark.parametrize("friction", list(EMPS_RESIDUAL))
 def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps: Record, emps_pulses: Record) -> None:
     """The 7.7 N that the check of the loop finds near standstill are a law, which holds on the other record, too."""
-    loop = ClosedLoop(RigidJoint(friction=FRICTIONS[friction]()), CONTROLLER)
+    loop = ClosedLoop(RigidJoint("prismatic", friction=FRICTIONS[friction]()), CONTROLLER)
     estimate = identify(emps.without("motor_position"), loop)
     fitted, kept = EMPS_RESIDUAL[friction]
     assert round(100 * estimate.fit.filtered_error, 2) == pytest.approx(fitted, abs=0.02)
@@ -95,7 +95,7 @@ def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps:
 def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_pulses: Record) -> None:
     changes = []
     for record in (emps, emps_pulses):
-        found = compare(record.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER), "frictions")
+        found = compare(record.without("motor_position"), ClosedLoop(RigidJoint("prismatic"), CONTROLLER), "frictions")
         assert found.shown.name == "asymmetric-stribeck"
         changes.append((found.shown.values["stribeck_force"], found.shown.std["stribeck_force"]))
     (first, std), (second, other) = changes
@@ -104,7 +104,7 @@ def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_puls
 
 def test_what_takes_friction_for_a_line_refuses_it() -> None:
     record = ji.twin(noise="white").record
-    joint = RigidJoint(friction=StribeckFriction())
+    joint = RigidJoint("prismatic", friction=StribeckFriction())
     with pytest.raises(MethodError, match=r'IDIM takes friction for one line .* received the law "stribeck"'):
         identify(record, joint)
     with pytest.raises(MethodError, match="A fixed point of a regressor takes friction for one line"):
@@ -116,7 +116,7 @@ def test_what_takes_friction_for_a_line_refuses_it() -> None:
 def test_what_is_free_must_begin_without_the_change() -> None:
     case = rigid(prismatic(1))
     loop, values = slow(case, RISES)
-    held = {p.name: p.fixed(values[p.name]) for p in loop.joint.parameters if not p.name.startswith("stribeck")}
+    held = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if not p.name.startswith("stribeck")}
     with pytest.raises(MethodError, match="add to a plain one is free, stribeck_force and stribeck_speed"):
         identify(noisy(case, loop, values), loop, parameters=held)
 
@@ -126,7 +126,7 @@ def test_a_speed_without_a_change_is_not_told() -> None:
     loop, values = slow(case, RISES)
     change = next(p for p in loop.joint.parameters if p.name == "stribeck_force")
     with pytest.raises(MethodError, match="stribeck_speed"):
-        identify(noisy(case, loop, values), loop, parameters={"stribeck_force": change.fixed(0.0)})
+        identify(noisy(case, loop, values), loop, parameters={"stribeck_force": change.fix(0.0)})
 
 
 def test_a_change_that_leaves_no_friction_at_rest_is_no_joint() -> None:

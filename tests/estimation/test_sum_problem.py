@@ -38,7 +38,7 @@ def driven(axis: Twin, loop: ClosedLoop, values: dict[str, float]) -> Record:
 def problem_of(
     axis: Twin, values: dict[str, float], free: Sequence[str] = (), loop: ClosedLoop | None = None
 ) -> ClosedLoopProblem:
-    state = (replace(INITIAL_STATE[0], start=0.0), INITIAL_STATE[1].fixed(0.0))
+    state = (replace(INITIAL_STATE[0], start=0.0), INITIAL_STATE[1].fix(0.0))
     loop = loop or axis.loop
     return torque_problem(driven(axis, loop, values), loop, Filtering(), loop.joint.parameters, state).freeing(*free)
 
@@ -136,7 +136,7 @@ def test_the_gain_of_a_drive_needs_something_known(axis: Twin) -> None:
         several(problems, added=[{"load_inertia": 10.0}] * 2)
     assert any(p.name == "drive_gain" for p in several(problems, added=ADDED).free)
     known = [
-        replace(q, parameters=tuple(p.fixed(34.8) if p.name == "load_inertia" else p for p in q.parameters))
+        replace(q, parameters=tuple(p.fix(34.8) if p.name == "load_inertia" else p for p in q.parameters))
         for q in problems
     ]
     assert several(known).free
@@ -150,7 +150,7 @@ def test_what_cannot_be_is_refused(axis: Twin) -> None:
         several(problems, [(), ("load_inertia",)], ADDED)
     reference = axis.record.reference
     assert reference is not None
-    rigid = ClosedLoop(RigidJoint(), axis.loop.controller)
+    rigid = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
     other = torque_problem(axis.record, rigid, Filtering(), rigid.joint.parameters)
     with pytest.raises(MethodError, match="one model of joint"):
         several([problems[0], other])

@@ -27,7 +27,7 @@ def rigid_record(loop: ClosedLoop) -> Record:
 
 
 def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
-    declared = ClosedLoop(RigidJoint(), replace(CONTROLLER, limit=1e3))
+    declared = ClosedLoop(RigidJoint("prismatic"), replace(CONTROLLER, limit=1e3))
     actual = replace(declared, controller=replace(declared.controller, delay=0.3e-3))  # type: ignore[type-var]
     estimate = identify(rigid_record(actual), declared, DIDIM(free=("delay",)))
     assert estimate["delay"].value == pytest.approx(0.3e-3, rel=1e-4)
@@ -66,13 +66,13 @@ def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     ],
 )
 def test_what_cannot_be_freed_is_refused(name: str, sentence: str) -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=100.0, velocity_gain=5000.0))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=5000.0))
     with pytest.raises(MethodError, match=sentence):
         identify(rigid_record(loop), loop, DIDIM(free=(name,)))
 
 
 def test_a_name_alone_is_no_list_of_names() -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=100.0, velocity_gain=5000.0))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=5000.0))
     with pytest.raises(MethodError, match='What is freed is a list of names; received "position_gain"'):
         identify(rigid_record(loop), loop, DIDIM(free="position_gain"))  # type: ignore[arg-type]
 
@@ -88,7 +88,7 @@ def test_the_log_s_own_gain_and_delay_are_found() -> None:
 
 def test_torque_alone_finds_the_delay_of_the_real_axis(emps: Record, emps_pulses: Record) -> None:
     """Its motor answers 0.2 to 0.3 ms after the log; from torque alone that takes the pulses, and the gains free."""
-    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
     pulsed = identify(emps_pulses, loop, DIDIM(free=("position_gain", "velocity_gain", "delay")))["delay"]
     assert pulsed.value == pytest.approx(0.31e-3, abs=0.02e-3)
     assert pulsed.stderr == pytest.approx(0.08e-3, rel=0.2)
@@ -121,9 +121,9 @@ def test_any_number_of_a_law_is_found_from_beside(name: str, declared: float) ->
     values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     reference = trapezoids((0.06, 0.12), 0.8, 0.1, 1e-3, duration=4.0)
     noise = np.random.default_rng(0).standard_normal(reference.size)
-    loop = ClosedLoop(RigidJoint(), true)
+    loop = ClosedLoop(RigidJoint("prismatic"), true)
     record = simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise)
-    wrong = ClosedLoop(RigidJoint(), with_numbers(true, {name: declared}))
+    wrong = ClosedLoop(RigidJoint("prismatic"), with_numbers(true, {name: declared}))
     estimate = identify(record, wrong, DIDIM(free=(name,)))
     found = estimate[name]
     assert abs((found.value or 0.0) - numbers_of(true)[name]) <= 4 * (found.stderr or 0.0)

@@ -417,7 +417,7 @@ def test_a_check_is_written_to_json() -> None:
 
 def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) -> None:
     """Both records say the same: less friction towards standstill, and a torque that acts 0.15 to 0.25 ms late."""
-    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
     for record in (emps, emps_pulses):
         check = check_loop(identify(record, loop), record, LoopTests(most=2))
         friction, late = (f.test for f in check.findings)

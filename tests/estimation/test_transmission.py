@@ -23,9 +23,8 @@ from jointid.estimation.result.parts import EstimatedParameter, bounds_on_other_
 from jointid.models.controllers import Cascade
 from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
-from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.output.json import to_dict
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import pulses, trapezoids
@@ -232,7 +231,7 @@ def test_several_records_are_told_on_both_sides() -> None:
     assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-8
     # At the bottom a last step that changes the criterion by 1e-12 is taken on one side, and made shorter on the other.
     assert abs(there.fit.simulations - motor.fit.simulations) <= 0.1 * motor.fit.simulations
-    text, answer = there.document().text(300), to_dict(there)
+    text, answer = there.to_document().text(300), to_dict(there)
     assert "values are on the load side" in unwrapped(text)
     assert "0.50000 kg m2 added to the load" in text
     (row,) = (line for line in text.splitlines() if line.startswith("ZZ  "))
@@ -242,7 +241,7 @@ def test_several_records_are_told_on_both_sides() -> None:
 
 
 def test_the_table_has_both_sides_and_says_what_it_takes_for_granted() -> None:
-    text = found("flexible", SCREW).document().text(200)
+    text = found("flexible", SCREW).to_document().text(200)
     assert (
         "transmission 10 mm per turn, without loss (efficiency taken as 1); values are on the load side"
         in unwrapped(text)

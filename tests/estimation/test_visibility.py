@@ -28,7 +28,7 @@ from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faster_drives import CASCADE, drive
 
-LOOP = ClosedLoop(FlexibleJoint(), CONTROLLER)
+LOOP = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLER)
 
 
 def stiffness_verdict(estimate: Estimate) -> tuple[bool | None, str]:

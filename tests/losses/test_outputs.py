@@ -126,7 +126,7 @@ def test_every_answer_is_shown_on_any_terminal(
     monkeypatch.chdir(small)
     monkeypatch.setattr(JointFile, "learn_controller", lambda file, *_: learned_in_no_time(file))
     monkeypatch.setattr("jointid.paper.reproduce.reproduce", lambda *_: reproduced_in_no_time())
-    monkeypatch.setattr("jointid.paper.reproduce.reproduction_document", lambda *_: Document("±", ()))
+    monkeypatch.setattr("jointid.paper.reproduce.report_reproduction", lambda *_: Document("±", ()))
     if not (small / "estimate.json").exists():
         call("identify joint.toml --json estimate.json -q")
     capsys.readouterr()

@@ -12,7 +12,7 @@ from jointid.config import dumps, loads
 from jointid.config.contents import JointFile
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import Cascade
-from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, friction_named
+from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, find_friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.linear import linear_joints
 from jointid.output import json as answers
@@ -42,8 +42,8 @@ def values_of(law: Friction) -> dict[str, float]:
 
 @EVERY_LAW
 def test_a_law_has_one_coefficient_for_each_part_and_direction(law: Friction) -> None:
-    assert FRICTIONS[law.name] is type(law) and friction_named(law.name) == law
-    assert friction_named(law.contrast) != law
+    assert FRICTIONS[law.name] is type(law) and find_friction(law.name) == law
+    assert find_friction(law.contrast) != law
     assert law.linear == (law.lines == law) == (len(law.parameters()) == len(law.coefficients))
     acting = [(c.part, direction) for c in law.coefficients for direction in c.directions]
     assert len(set(acting)) == len(acting)
@@ -89,13 +89,13 @@ def test_its_bands_follow_each_other_without_a_step(law: Friction) -> None:
 
 @WHOLE
 def test_a_moving_joint_is_linear_once_for_each_viscous_coefficient(law: Friction) -> None:
-    found = linear_joints(RigidJoint(friction=law), [values_of(law)])
+    found = linear_joints(RigidJoint("prismatic", friction=law), [values_of(law)])
     assert len(found.A) == 1 + law.depends_on_direction("viscous")
 
 
 @WHOLE
 def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Friction, tmp_path: Path) -> None:
-    joint, truth = RigidJoint(friction=law), values_of(law)
+    joint, truth = RigidJoint("prismatic", friction=law), values_of(law)
     loop = ClosedLoop(joint, CASCADE)
     reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 4.0)
     record = simulated_record(loop, reference, truth, sample_time=1e-3)
@@ -111,7 +111,7 @@ def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Fri
 
 @EVERY_LAW
 def test_a_joint_file_names_the_law_it_was_written_with(law: Friction) -> None:
-    rigid = [RigidJoint(friction=law)] if law.of_whole == law else []
-    for joint in (*rigid, FlexibleJoint(friction=law)):
+    rigid = [RigidJoint("prismatic", friction=law)] if law.of_whole == law else []
+    for joint in (*rigid, FlexibleJoint("prismatic", friction=law)):
         text = dumps(JointFile(joint, {name: Column(name) for name in CHANNELS}, IDIM()))
         assert f'friction = "{law.name}"' in text and loads(text).joint == joint

@@ -8,9 +8,9 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.models.controllers import Cascade
-from jointid.models.friction import AsymmetricFriction, SymmetricFriction, friction_named
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction, find_friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.paper.twin import TABLE_2, TABLE_4
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -19,7 +19,7 @@ from jointid.simulation.synthesis import simulated_record
 @pytest.mark.parametrize("friction", [SymmetricFriction(), AsymmetricFriction()])
 def test_regressor_times_parameters_is_the_inverse_dynamics(friction: SymmetricFriction) -> None:
     random = np.random.default_rng(1)
-    joint = RigidJoint(friction=friction)
+    joint = RigidJoint("prismatic", friction=friction)
     velocity, acceleration = random.normal(size=(2, 200))
     velocity[:20] = 0.0
     values = {p.name: random.uniform(0.5, 2.0) for p in joint.parameters}
@@ -33,7 +33,7 @@ def test_regressor_times_parameters_is_the_inverse_dynamics(friction: SymmetricF
 
 def test_what_the_simulation_balances_is_the_model() -> None:
     """The torque of a simulated flexible joint at the motor equals (2) of the paper on its own states."""
-    joint = FlexibleJoint()
+    joint = FlexibleJoint("prismatic")
     loop = ClosedLoop(
         joint, Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15)
     )
@@ -53,7 +53,7 @@ def test_units_follow_the_kind_and_the_torque() -> None:
     def units(joint: FlexibleJoint) -> dict[str, str]:
         return {p.symbol: joint.unit(p) for p in joint.parameters}
 
-    prismatic, revolute = units(FlexibleJoint()), units(FlexibleJoint("revolute"))
+    prismatic, revolute = units(FlexibleJoint("prismatic")), units(FlexibleJoint("revolute"))
     assert prismatic["ZZ1"] == "kg"
     assert prismatic["K12"] == "N/m"
     assert prismatic["Fv2"] == "N s/m"
@@ -84,15 +84,17 @@ def test_the_sums_of_the_tables() -> None:
 
 
 def test_the_offset_is_fixed_beside_asymmetric_friction() -> None:
-    offset = RigidJoint(friction=AsymmetricFriction()).parameters[-1]
+    offset = RigidJoint("prismatic", friction=AsymmetricFriction()).parameters[-1]
     assert (offset.name, offset.free, offset.start) == ("offset", False, 0.0)
 
 
 def test_a_friction_that_is_not_known_is_refused() -> None:
     with pytest.raises(MethodError, match=r'Friction "dahl" is not known; use symmetric, asymmetric, .*, presliding'):
-        friction_named("dahl")
+        find_friction("dahl")
 
 
 def test_adjusting_a_parameter_that_is_not_there_lists_those_that_are() -> None:
     with pytest.raises(MethodError, match="No parameter is called stiffness; this model has inertia, viscous"):
-        adjust_parameters(RigidJoint().parameters, {"stiffness": Parameter("stiffness", "K12", Quantity.STIFFNESS)})
+        adjust_parameters(
+            RigidJoint("prismatic").parameters, {"stiffness": Parameter("stiffness", "K12", Quantity.STIFFNESS)}
+        )

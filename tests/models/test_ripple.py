@@ -12,9 +12,8 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.linear import frequency_response, linear_joints
-from jointid.models.motion import Motion
-from jointid.models.ripple import PositionHarmonics
-from jointid.models.springs import ElasticLoad, spring_named
+from jointid.models.position_forces import Motion, PositionHarmonics
+from jointid.models.springs import ElasticLoad, find_spring
 from jointid.output import json as answers
 from jointid.paper.twin import TABLE_2
 from jointid.planning.predict import _holding_torque
@@ -27,19 +26,19 @@ SWINGS = {"swinging_share": 0.4, "swinging_stiffness": 9e5, "swinging_damping": 
 
 
 def test_a_ripple_on_the_load_is_one_of_the_whole_where_the_spring_does_not_give() -> None:
-    joint = FlexibleJoint(ripple=replace(RIPPLE, side="load"))
-    assert joint.rigid == RigidJoint(ripple=RIPPLE)
+    joint = FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load"))
+    assert joint.rigid == RigidJoint("prismatic", ripple=RIPPLE)
     values = TABLE_2 | {f"load_{name}": value for name, value in WAVED.items()}
     found = {p.name: of_whole(p, values) for p in joint.rigid.parameters}
     assert {name: found[name] for name in WAVED} == WAVED
-    assert joint.linear == FlexibleJoint()
-    assert RigidJoint(ripple=RIPPLE).flexible == FlexibleJoint(ripple=RIPPLE)
+    assert joint.linear == FlexibleJoint("prismatic")
+    assert RigidJoint("prismatic", ripple=RIPPLE).flexible == FlexibleJoint("prismatic", ripple=RIPPLE)
 
 
 @pytest.mark.parametrize("spring", [None, "cubic", "elastic-load"])
 def test_the_spring_carries_the_ripple_of_a_load_at_rest(spring: str | None) -> None:
-    joint = FlexibleJoint(ripple=replace(RIPPLE, side="load"))
-    joint = joint if spring is None else replace(joint, spring=spring_named(spring))
+    joint = FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load"))
+    joint = joint if spring is None else replace(joint, spring=find_spring(spring))
     values = TABLE_2 | SWINGS | {"cubic_stiffness": 0.0, "load_harmonic_1_cosine": 80.0, "load_harmonic_1_sine": 0.0}
     start = joint.start(values, 0.0, 0.0)
     assert start[0] - start[2] == pytest.approx(80.0 / TABLE_2["stiffness"])
@@ -50,20 +49,20 @@ def test_the_drive_side_has_the_ripple_of_the_motor() -> None:
     q = 0.05 * np.sin(2 * np.pi * 0.7 * t)
     names = tuple(WAVED)
     motion = prescribed_motion(q, 1e-3)
-    run = simulate_drive_side(RigidJoint(ripple=RIPPLE), motion, RIGID | WAVED, names)
-    plain = simulate_drive_side(RigidJoint(), motion, RIGID)
+    run = simulate_drive_side(RigidJoint("prismatic", ripple=RIPPLE), motion, RIGID | WAVED, names)
+    plain = simulate_drive_side(RigidJoint("prismatic"), motion, RIGID)
     columns = RIPPLE.columns_at(motion.mean_position)
     np.testing.assert_allclose(run.torque - plain.torque, columns @ list(WAVED.values()), atol=1e-9)
     np.testing.assert_allclose(run.derivatives, columns)
     with pytest.raises(MethodError, match="takes a joint without a ripple on the load's side; received one that has"):
-        DriveSide(FlexibleJoint(ripple=replace(RIPPLE, side="load")))
+        DriveSide(FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load")))
 
 
 def test_a_regression_has_its_columns() -> None:
     rng = np.random.default_rng(1)
     motor, load = (Motion(*rng.standard_normal((3, 50))) for _ in range(2))
     for side, row in (("motor", 0), ("load", 1)):
-        joint = FlexibleJoint(ripple=PositionHarmonics(0.3, 2, side))  # type: ignore[arg-type]
+        joint = FlexibleJoint("prismatic", ripple=PositionHarmonics(0.3, 2, side))  # type: ignore[arg-type]
         columns = joint.regressor(motor, load)[:, :, -4:]
         moved = (motor, load)[row].position
         np.testing.assert_allclose(columns[row], PositionHarmonics(0.3, 2).columns_at(moved))
@@ -73,7 +72,7 @@ def test_a_regression_has_its_columns() -> None:
 @pytest.fixture(scope="module")
 def rippled() -> tuple[ji.Record, ji.ClosedLoop]:
     axis = ji.twin(noise="white")
-    loop = ji.ClosedLoop(RigidJoint(ripple=RIPPLE), axis.loop.controller)
+    loop = ji.ClosedLoop(RigidJoint("prismatic", ripple=RIPPLE), axis.loop.controller)
     reference = ji.excitation.trapezoids((0.05, 0.1), 0.8, 0.1, 1e-3, duration=6.0)
     noise = 0.5 * np.random.default_rng(1).standard_normal(reference.size)
     return ji.simulated_record(loop, reference, RIGID | WAVED, sample_time=1e-3, torque_noise=noise), loop
@@ -93,7 +92,7 @@ def test_it_is_identified_from_torque_and_reference_written_and_read_back(
     read = answers.read_identified(path, loop.joint, loop)
     assert read.values["harmonic_1_sine"] == found["harmonic_1_sine"].value
     with pytest.raises(ji.RecordError):
-        answers.read_identified(path, RigidJoint(ripple=PositionHarmonics(0.03)), loop)
+        answers.read_identified(path, RigidJoint("prismatic", ripple=PositionHarmonics(0.03)), loop)
 
 
 def test_a_fixed_point_does_not_take_one(rippled: tuple[ji.Record, ji.ClosedLoop]) -> None:
@@ -104,13 +103,13 @@ def test_a_fixed_point_does_not_take_one(rippled: tuple[ji.Record, ji.ClosedLoop
 
 def test_what_holds_a_joint_holds_it_on_its_ripple() -> None:
     axis = ji.twin()
-    loop = ji.ClosedLoop(RigidJoint(ripple=RIPPLE), axis.loop.controller)
+    loop = ji.ClosedLoop(RigidJoint("prismatic", ripple=RIPPLE), axis.loop.controller)
     assert _holding_torque(loop, RIGID | WAVED, 0.0) == pytest.approx(-3.0 + 8.0)
     assert _holding_torque(loop, RIGID | WAVED, 0.005) == pytest.approx(-3.0 - 5.0)
 
 
 def test_modes_and_response_of_an_elastic_load_are_those_of_three_masses() -> None:
-    joint, values = FlexibleJoint(spring=ElasticLoad()), TABLE_2 | SWINGS
+    joint, values = FlexibleJoint("prismatic", spring=ElasticLoad()), TABLE_2 | SWINGS
     A = linear_joints(joint, [values]).A[0]
     undamped = linear_joints(joint, [values | dict.fromkeys(
         ("motor_viscous", "load_viscous", "damping", "swinging_damping"), 0.0
@@ -120,7 +119,7 @@ def test_modes_and_response_of_an_elastic_load_are_those_of_three_masses() -> No
     np.testing.assert_allclose(poles[-2:], [modes["free_free"], modes["second_free_free"]], rtol=1e-6)
     assert A.shape == (6, 6)
     hertz = np.array([modes["motor_locked"] * 0.5, modes["second_free_free"]])
-    rigid_part = frequency_response(FlexibleJoint(), TABLE_2, hertz)
+    rigid_part = frequency_response(FlexibleJoint("prismatic"), TABLE_2, hertz)
     none = frequency_response(joint, TABLE_2 | SWINGS | {"swinging_share": 0.0}, hertz)
     np.testing.assert_allclose(none, rigid_part)
     assert frequency_response(joint, values, hertz)[1].real > 20 * rigid_part[1].real  # a peak, in phase

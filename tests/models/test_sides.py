@@ -9,7 +9,7 @@ from jointid.common.transmission import OtherSide, Transmission
 from jointid.models.disturbances import Drift, effect_parameters
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.records.record import Channel, Timing, refer_channel
 from tests.geared import TURNED_SCREW
 

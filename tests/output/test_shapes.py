@@ -24,7 +24,7 @@ from jointid.estimation.result.parts import EstimatedParameter, RecordFit
 from jointid.models.controllers import Cascade, Controller
 from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.output.json.documents import SHAPES
 from jointid.output.json.estimates import Shape, named, percent, take
 from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known
@@ -36,7 +36,7 @@ ELSEWHERE = {"jointid.common.charts.Band", "jointid.records.drives.Profile"}
 CASCADE = Cascade(position_gain=1.0, velocity_gain=1.0)
 REAL = {
     Controller: CASCADE,
-    ClosedLoop: ClosedLoop(RigidJoint(), CASCADE),
+    ClosedLoop: ClosedLoop(RigidJoint("prismatic"), CASCADE),
     Effect: PositionHarmonics(1.0),
 }
 """Objects instead of specimens, where a shape asks a function for the keys."""

@@ -11,32 +11,36 @@ import numpy as np
 import pytest
 
 from jointid.models.joints import FlexibleJoint
-from jointid.models.motion import Motion
-from jointid.paper.errata import ERRATA, markdown
+from jointid.models.position_forces import Motion
+from jointid.paper.errata import ERRATA
 from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, PublishedTable
 from jointid.paper.recomputed import (
     METHODS,
-    REGRESSOR_OF_2,
     TESTS,
     agrees,
     compare_table,
     compute_relative_deviations,
     compute_relative_errors,
-    compute_shifts,
-    compute_stiffness,
     compute_variations,
-    find_largest_decimation,
     find_misprints,
-    find_wrong_entries,
     format_as_print,
     recompute_cells,
-    stops,
     sum_sides,
 )
 from jointid.paper.twin import TABLE_2, TABLE_4
+from tests.paper.errata_numbers import (
+    RECOMPUTED,
+    REGRESSOR_OF_2,
+    compute_shifts,
+    compute_stiffness,
+    find_largest_decimation,
+    find_wrong_entries,
+    format_errata,
+    stops,
+)
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "paper-errata.md"
-NAMES = [p.name for p in FlexibleJoint().parameters][:-1]
+NAMES = [p.name for p in FlexibleJoint("prismatic").parameters][:-1]
 
 
 def by_symbol(column: dict[str, Decimal]) -> dict[str, float]:
@@ -248,7 +252,7 @@ def test_the_regressor_is_that_of_the_joint_and_print_has_two_other_entries() ->
         signals[f"sign({symbol})"] = np.sign(signals[symbol])
     for symbol in ("q2", "v2"):
         signals[f"-{symbol}"] = -signals[symbol]
-    expected = FlexibleJoint().regressor(motor, load)[:, :, :-1]  # the paper has no offset
+    expected = FlexibleJoint("prismatic").regressor(motor, load)[:, :, :-1]  # the paper has no offset
     assert np.array_equal([np.column_stack([signals[entry] for entry in row]) for row in REGRESSOR_OF_2], expected)
     printed = np.array([np.column_stack([signals[entry] for entry in row]) for row in REGRESSOR])
     assert sorted(set(np.nonzero(printed != expected)[2] + 1)) == [1, 6]
@@ -359,10 +363,16 @@ def test_an_erratum_says_its_numbers(item: str, printed: list[str], recomputed: 
     assert erratum.what_we_do
 
 
+def test_every_number_of_the_errata_follows_from_the_printed_ones() -> None:
+    """The findings are data; what they state is computed here."""
+    for stated, found in zip(ERRATA, RECOMPUTED, strict=True):
+        assert stated == found
+
+
 def test_there_is_one_erratum_for_every_finding() -> None:
     assert len(ERRATA) == len({erratum.item for erratum in ERRATA}) == 15
 
 
 def test_the_page_is_the_list() -> None:
-    """Write it anew with `jointid.paper.errata.markdown()` after the mark when this fails."""
-    assert PAGE.read_text(encoding="utf-8").partition("<!-- errata -->\n\n")[2] == markdown()
+    """Write it anew with `tests.paper.errata_numbers.format_errata()` after the mark when this fails."""
+    assert PAGE.read_text(encoding="utf-8").partition("<!-- errata -->\n\n")[2] == format_errata()

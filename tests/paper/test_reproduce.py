@@ -10,11 +10,12 @@ import pytest
 import jointid as ji
 from jointid.common.document import Document, Heading, Paragraph, Picture, Table
 from jointid.common.errors import RecordError
+from jointid.diagnostics.validation import Validation
 from jointid.output.figures import torque_chart
 from jointid.output.figures.matplotlib_backend import png
 from jointid.output.report.page import page as html
 from jointid.output.report.page import save
-from jointid.paper.reproduce import Reproduction, reproduce, reproduction_document
+from jointid.paper.reproduce import Reproduction, report_reproduction, reproduce
 from jointid.paper.twin import TABLE_2, TABLE_4
 
 
@@ -75,14 +76,14 @@ def test_the_relative_errors_have_both_denominators(run: Reproduction) -> None:
     assert by_idim["motor_viscous"] == pytest.approx(100 * abs(idim - didim) / idim)
 
 
-def torque_png(answer: ji.Estimate | ji.Validation) -> bytes:
+def torque_png(answer: ji.Estimate | Validation) -> bytes:
     """The figures of the page, as `jointid reproduce` has them."""
     return png(torque_chart(answer), 100)
 
 
 @pytest.mark.slow
 def test_the_report_has_every_table_printed_recomputed_and_run(run: Reproduction, tmp_path: Path) -> None:
-    document = reproduction_document(run, torque_png)
+    document = report_reproduction(run, torque_png)
     written = save(document, tmp_path / "out", "reproduction")
     assert {path.name for path in written} == {"reproduction.html", "reproduction.md", "figure4.png", "figure5.png"}
     page = written[0].read_text(encoding="utf-8")
@@ -97,12 +98,12 @@ def test_the_report_has_every_table_printed_recomputed_and_run(run: Reproduction
         assert {len(row) for row in table.rows} == {len(table.header)}
     assert "What we found in the paper" in page
     assert not re.search(r"\b(nan|inf|None)\b", re.sub(r'src="[^"]*"', "", page))
-    assert html(document) == html(reproduction_document(run, torque_png))
+    assert html(document) == html(report_reproduction(run, torque_png))
 
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(run: Reproduction) -> None:
-    assert html(reproduction_document(reproduce(seed=1), torque_png)) == html(reproduction_document(run, torque_png))
+    assert html(report_reproduction(reproduce(seed=1), torque_png)) == html(report_reproduction(run, torque_png))
 
 
 def test_a_document_escapes_what_it_is_given(tmp_path: Path) -> None:

@@ -105,7 +105,9 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
     paths = designed.write(tmp_path / "next")
     assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv", "test.mat"]
-    table = ji.read(tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t")
+    table = ji.read(
+        tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t", kind="prismatic"
+    )
     assert table.reference is not None
     assert table.reference.values == pytest.approx(designed.proposed.reference, abs=1e-12)
     assert "jointid examine" in (tmp_path / "next" / "how-to-run.md").read_text()
@@ -132,7 +134,9 @@ def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
-    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    loop = ClosedLoop(
+        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+    )
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     limits = AxisLimits(stroke=2.0, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
     found = design_joint_test(
@@ -161,7 +165,9 @@ def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pyte
 
 def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
-    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    loop = ClosedLoop(
+        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+    )
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     limits = AxisLimits(lower=1.0, upper=2.5, speed=3.0, acceleration=20.0, torque=2.0)
     asked = {"values": values, "noise": Noise(log=0.02), "duration": 4.0, "sample_time": 1e-3, "limits": limits}
@@ -174,7 +180,7 @@ def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: p
 
 
 def test_what_is_of_a_joint_is_not_of_a_robot() -> None:
-    robot, one = ji.Robot((ji.Link("l", -1),), (ji.RobotJoint("j"),)), short_record()
+    robot, one = ji.Robot((ji.robots.Link("l", -1),), (ji.robots.RobotJoint("j"),)), short_record()
     for model, given, said in (
         (AXIS.loop, {"limits": [AxisLimits()]}, "The test of a joint has one record"),
         (AXIS.loop, {}, "has values and a noise"),
@@ -417,7 +423,9 @@ def test_the_command_plans_from_rough_values_without_a_record(
 
 
 def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    loop = ClosedLoop(
+        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+    )
     truth = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     reference = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, 1e-3, duration=6.0)
     noise = 0.02 * np.random.default_rng(5).standard_normal(reference.size)
@@ -479,7 +487,7 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: p
     count_trials(monkeypatch)
     loop = ClosedLoop(
         RigidJoint("revolute", gravity=ji.Gravity("constant")),
-        ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0),
+        ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0),
     )
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.0, "gravity_constant": -0.8}
     values = {p.name: values.get(p.name, -0.8) for p in loop.joint.parameters}
@@ -558,7 +566,7 @@ def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said(monkeypat
 
 def test_behind_a_gear_the_page_says_whose_numbers_they_are(tmp_path: Path) -> None:
     gear = ji.Transmission(load="revolute", ratio=100.0)
-    law = ji.Cascade(position_gain=40.0, velocity_gain=2.0, ratio=gear.torque("motor"))
+    law = ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, ratio=gear.torque("motor"))
     loop = ClosedLoop(RigidJoint("revolute", transmission=gear), law)
     values = {"inertia": 400.0, "viscous": 500.0, "coulomb": 10.0, "offset": 2.0}
     reference = excitation.trapezoids((0.02, 0.05), 0.3, 0.02, T, duration=4.0)

@@ -23,7 +23,9 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
 from jointid.simulation.synthesis import simulated_record
 
-LOOP = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+LOOP = ClosedLoop(
+    RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+)
 TRUTH = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
 T = 1e-3
 REFERENCE = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, T, duration=6.0)
@@ -70,7 +72,7 @@ def test_intervals_scale_as_they_must() -> None:
 def test_a_fixed_parameter_is_not_predicted_and_narrows_the_others() -> None:
     test, noise = planned_record(LOOP, REFERENCE, T), Noise(log=0.01)
     free = predict_test(LOOP, TRUTH, test, noise)
-    fixed = {p.name: p.fixed(0.05) for p in LOOP.joint.parameters if p.name == "viscous"}
+    fixed = {p.name: p.fix(0.05) for p in LOOP.joint.parameters if p.name == "viscous"}
     told = predict_test(LOOP, TRUTH, test, noise, parameters=fixed)
     assert "viscous" not in told.joint
     assert told.std["coulomb"] < free.std["coulomb"]

@@ -10,7 +10,6 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.idim import identify_robot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.planning.limits import AxisLimits
@@ -19,6 +18,7 @@ from jointid.planning.robot_motions import Motions, complete
 from jointid.records.record import Channel, Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.simulation.synthesis import simulate
+from tests.estimation.robots.twin import by_idim, identified
 from tests.robots_plants import inertial, two
 
 LIMITS = (
@@ -76,7 +76,7 @@ def test_a_motion_that_was_looked_for_tells_more_than_any_of_twenty_random_ones(
 def test_the_intervals_are_those_that_come() -> None:
     noise = np.array([0.4, 0.2])
     found = design_robot_test(two().robot, LIMITS, duration=8.0, sample_time=T, seconds=1.0, noise=noise)
-    each = [identify_robot(two().robot, measured(found.reference, noise, seed)) for seed in range(30)]
+    each = [by_idim(two().robot, measured(found.reference, noise, seed)) for seed in range(30)]
     assert each[0].names == found.names
     scatter = np.std([one.values for one in each], axis=0, ddof=1)
     ratio = scatter / found.std
@@ -106,7 +106,7 @@ def test_a_first_record_says_its_noise_and_what_its_motion_tells() -> None:
     q = np.column_stack([0.4 * np.sin(1.5 * t), 0.3 * np.sin(2.3 * t)])
     noise = np.array([0.4, 0.2])
     records = measured(q, noise, 1)
-    first = first_record(identify_robot(two().robot, records), records)
+    first = first_record(identified(two().robot, records), records)
     np.testing.assert_allclose(first.noise, noise, rtol=0.15)
     found = design_robot_test(
         two().robot, LIMITS, duration=first.duration, sample_time=T, seconds=1.0, noise=first.noise,

@@ -222,9 +222,9 @@ def test_the_largest_numbers_do_no_harm() -> None:
 
 def test_the_real_records_have_no_fault(data_dir: Path) -> None:
     emps = {"torque": Column("vir", unit="V"), "reference": "qg", "motor_position": "qm"}
-    check_record(read(data_dir / "emps" / "DATA_EMPS.mat", emps), limit=10.0)
+    check_record(read(data_dir / "emps" / "DATA_EMPS.mat", emps, kind="prismatic"), limit=10.0)
     pulses = emps | {"injected": Column("pulses_N", gain=5.07 / 5, at=InjectionPoint.BEFORE_LIMIT)}
-    check_record(read(data_dir / "emps" / "DATA_EMPS_PULSES.mat", pulses), limit=10.0)
+    check_record(read(data_dir / "emps" / "DATA_EMPS_PULSES.mat", pulses, kind="prismatic"), limit=10.0)
     for axis in range(6):
         columns = {
             "torque": f"rec.act_torque_rel_nm[{axis}]",
@@ -237,7 +237,7 @@ def test_the_real_records_have_no_fault(data_dir: Path) -> None:
 def test_the_unit_of_a_real_record_is_noticed(emps_path: Path) -> None:
     columns = {"torque": Column("vir", unit="V"), "reference": Column("qg", gain=1e3), "motor_position": "qm"}
     with pytest.raises(RecordError) as error:
-        read(emps_path, columns)
+        read(emps_path, columns, kind="prismatic")
     speed, ratio = error.value.faults
     assert "reference moves at" in speed
     assert "as if reference were in mm and read as m" in ratio

@@ -54,9 +54,9 @@ def test_what_cannot_be_unwrapped_is_refused(tmp_path: Path) -> None:
     assert "spans 999, more than its wrap of 100" in wrap_faults("q", np.arange(1000.0), 100.0)[0]
     path = saved(tmp_path / "run.csv", q=fast)
     with pytest.raises(RecordError, match=r"moves by 0\.45"):
-        read(path, {"motor_position": Column("q", wrap=100.0)})
+        read(path, {"motor_position": Column("q", wrap=100.0)}, kind="prismatic")
     with pytest.raises(RecordError, match="torque has a wrap of 100, which is for a position"):
-        read(path, {"torque": Column("q", wrap=100.0)})
+        read(path, {"torque": Column("q", wrap=100.0)}, kind="prismatic")
     with pytest.raises(RecordError, match=r"wrap is -1\.0; expected a positive number"):
         Column("q", wrap=-1.0)
 
@@ -70,7 +70,9 @@ def slow(every: int, phase: int) -> np.ndarray:
 @pytest.mark.parametrize("phase", [0, 1, 3])
 def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) -> None:
     path = saved(tmp_path / "run.csv", i=slow(4, phase), q=MOTION)
-    record = read(path, {"torque": Column("i", update_time=4 * T), "motor_position": Column("q", unit="um")})
+    record = read(
+        path, {"torque": Column("i", update_time=4 * T), "motor_position": Column("q", unit="um")}, kind="prismatic"
+    )
     assert record.torque is not None
     assert record.motor_position is not None
     assert (record.torque.sample_time, record.torque.timing) == (4 * T, Timing.HELD)
@@ -82,7 +84,9 @@ def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) ->
 
 def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
     path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 1))
-    record = read(path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)})
+    record = read(
+        path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)}, kind="prismatic"
+    )
     assert record.torque is not None
     assert record.reference is not None
     np.testing.assert_allclose(record.torque.values, TORQUE[3::4])
@@ -90,7 +94,11 @@ def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
     assert record.begin == pytest.approx(3 * T)
     path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0))
     with pytest.raises(RecordError, match="never refreshed at one instant"):
-        read(path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)})
+        read(
+            path,
+            {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)},
+            kind="prismatic",
+        )
 
 
 @pytest.mark.parametrize(
@@ -105,7 +113,7 @@ def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
 def test_a_rhythm_that_is_not_there_is_refused(tmp_path: Path, every: int, update_time: float, part: str) -> None:
     path = saved(tmp_path / "run.csv", i=slow(every, 0))
     with pytest.raises(RecordError, match=part):
-        read(path, {"torque": Column("i", update_time=update_time)})
+        read(path, {"torque": Column("i", update_time=update_time)}, kind="prismatic")
 
 
 def test_a_rhythm_and_a_rounding_are_found() -> None:
@@ -163,7 +171,9 @@ def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
 
 def test_a_joint_is_identified_from_a_slow_torque(tmp_path: Path) -> None:
     """The log has a sample each period of the loop, and shows every fourth torque four times, from its second on."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T))
+    loop = ji.ClosedLoop(
+        ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T)
+    )
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=T)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     made = ji.simulated_record(loop, reference, truth, sample_time=T)
@@ -173,7 +183,7 @@ def test_a_joint_is_identified_from_a_slow_torque(tmp_path: Path) -> None:
     shown = torque[np.maximum((np.arange(torque.size) - 1) // 4 * 4 + 1, 0)]
     write_table(tmp_path / "run.mat", Table({"r": made.reference.values, "i": shown}))
     columns = {"torque": Column("i", update_time=4 * T), "reference": Column("r")}
-    record = read(tmp_path / "run.mat", columns, sample_time=T)
+    record = read(tmp_path / "run.mat", columns, sample_time=T, kind="prismatic")
     estimate = ji.identify(record, loop, filtering=ji.Filtering(cutoff=20.0))
     assert estimate["inertia"].value == pytest.approx(30.0, rel=1e-4)
     assert estimate["coulomb"].value == pytest.approx(15.0, rel=1e-3)
@@ -188,7 +198,7 @@ def test_idim_picks_the_position_at_a_slow_torque(tmp_path: Path) -> None:
         "motor_position": Column("q"),
     }
     record = read(path, columns, kind="revolute")
-    fixed = {"coulomb": ji.RigidJoint().parameters[2].fixed(0.0)}
+    fixed = {"coulomb": ji.RigidJoint("prismatic").parameters[2].fix(0.0)}
     filtering = ji.Filtering(position_cutoff=60.0, cutoff=10.0, borders=(20, 20))
     estimate = ji.identify(record, ji.RigidJoint("revolute"), filtering=filtering, parameters=fixed)
     assert estimate["inertia"].value == pytest.approx(2.0, rel=2e-3)

@@ -300,7 +300,7 @@ def test_the_joint_files_of_the_kr300_are_right(data_dir: Path) -> None:
 
 def test_a_joint_is_identified_from_a_trace_and_a_few_numbers(tmp_path: Path) -> None:
     """A drive with a 17-bit encoder counted by 16 bits, and the torque in per mille: what CiA 402 traces hold."""
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.Cascade(position_gain=80.0, velocity_gain=0.5))
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.controller.Cascade(position_gain=80.0, velocity_gain=0.5))
     reference = ji.excitation.trapezoids(
         speeds=(10.0, 20.0), acceleration=300.0, travel=6.0, rest=0.1, sample_time=5e-4
     )

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from jointid.records.checks import find_record_warnings
-from jointid.records.hunting import find_hunting
+from jointid.records.checks import find_hunting, find_record_warnings
 from jointid.records.record import Channel, Record
 from studies.healthy import drive
 

@@ -39,7 +39,7 @@ def saved(tmp_path: Path) -> Saved:
 
 def faults_of(path: Path, *columns: Any, **how: Any) -> tuple[str, ...]:
     with pytest.raises(RecordError) as error:
-        read(path, *columns, **how)
+        read(path, *columns, **{"kind": "prismatic", **how})
     for fault in error.value.faults:
         assert fault.endswith("."), fault
         assert "\n" not in fault
@@ -47,7 +47,7 @@ def faults_of(path: Path, *columns: Any, **how: Any) -> tuple[str, ...]:
 
 
 def test_a_record_has_its_channels_rate_units_and_sources(saved: Saved) -> None:
-    record = read(saved(t=TIME, i=TORQUE, r=POSITION), {"torque": "i", "reference": "r"})
+    record = read(saved(t=TIME, i=TORQUE, r=POSITION), {"torque": "i", "reference": "r"}, kind="prismatic")
     assert record.channels == ("torque", "reference")
     assert record.name == "run"
     assert record.tap is Tap.COMMAND
@@ -97,7 +97,7 @@ def test_a_unit_in_the_name_counts_unless_another_is_stated(
     heading: str, how: dict[str, Any], unit: str, factor: float, saved: Saved
 ) -> None:
     path = saved(".csv", **{"t": TIME, heading: POSITION})
-    channel = read(path, {"reference": Column(heading, **how)}).reference
+    channel = read(path, {"reference": Column(heading, **how)}, kind="prismatic").reference
     assert channel is not None
     assert channel.unit == unit
     np.testing.assert_allclose(channel.values, POSITION * factor, rtol=1e-15)
@@ -153,7 +153,7 @@ def test_a_clock_that_cannot_be_is_named(columns: dict[str, Any], how: dict[str,
 def test_two_rates_stand_side_by_side(saved: Saved) -> None:
     slow = np.append(POSITION[::4], np.full(150, NAN))
     path = saved(".csv", t=TIME, i=TORQUE, r=slow)
-    record = read(path, {"torque": "i", "reference": Column("r", sample_time=4e-3)})
+    record = read(path, {"torque": "i", "reference": Column("r", sample_time=4e-3)}, kind="prismatic")
     assert record.torque is not None
     assert record.reference is not None
     assert (len(record.torque), len(record.reference)) == (200, 50)
@@ -241,7 +241,7 @@ def test_of_many_columns_the_likeliest_are_listed(saved: Saved) -> None:
 def test_an_injected_signal_is_in_the_unit_of_the_torque(saved: Saved) -> None:
     path = saved(t=TIME, v=TORQUE, p=POSITION)
     injected = Column("p", at=InjectionPoint.BEFORE_LIMIT)
-    record = read(path, {"torque": Column("v", unit="mV"), "injected": injected})
+    record = read(path, {"torque": Column("v", unit="mV"), "injected": injected}, kind="prismatic")
     assert record.injected is not None
     assert record.injected.at is InjectionPoint.BEFORE_LIMIT
     assert record.injected.channel.unit == "V"
@@ -256,7 +256,7 @@ def test_a_wrong_unit_is_noticed_on_reading(saved: Saved) -> None:
     speed, ratio = faults_of(path, {"motor_position": "q", "reference": "r"})
     assert "motor_position moves at 3e+03 m/s" in speed
     assert "motor_position is 1000 times reference, and should equal it, as if motor_position were in mm" in ratio
-    read(path, {"motor_position": Column("q", unit="mm"), "reference": "r"})
+    read(path, {"motor_position": Column("q", unit="mm"), "reference": "r"}, kind="prismatic")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".mat"])
@@ -279,7 +279,7 @@ def test_what_is_written_is_read_to_the_last_bit(
     velocity = Channel(rows[2], "m/s", sample_time)
     record = Record(held[0], Tap.COMMAND, still[1], velocity, still[3], still[4], Injection(held[5]), name="record")
     write(record, path)
-    again = read(path, {name: name for name in record.channels})
+    again = read(path, {name: name for name in record.channels}, kind="prismatic")
     assert again.channels == record.channels
     assert again.name == record.name
     for (_, old), (_, new) in zip(record.items(), again.items(), strict=True):
@@ -303,19 +303,21 @@ def test_a_spoiled_file_gives_a_record_or_a_sentence(
         content[place % len(content)] = byte
     path.write_bytes(content)
     try:
-        assert isinstance(read(path, {"torque": "i", "reference": "r", "motor_position": "r"}), Record)
+        assert isinstance(
+            read(path, {"torque": "i", "reference": "r", "motor_position": "r"}, kind="prismatic"), Record
+        )
     except JointidError as error:
         assert str(error)
 
 
 def test_the_emps_record_is_read(emps_path: Path) -> None:
     columns = {"torque": Column("vir", unit="V"), "reference": "qg", "motor_position": "qm"}
-    record = read(emps_path, columns)
+    record = read(emps_path, columns, kind="prismatic")
     assert record.channels == ("torque", "reference", "motor_position")
     assert record.torque is not None
     assert (record.torque.unit, record.torque.sample_time, len(record.torque)) == ("V", 1e-3, 24841)
     np.testing.assert_array_equal(record.torque.values, read_table(emps_path).columns["vir"])
-    agreed = read(emps_path, columns, time="t", sample_time=1e-3)
+    agreed = read(emps_path, columns, time="t", sample_time=1e-3, kind="prismatic")
     assert agreed.duration == record.duration
 
 

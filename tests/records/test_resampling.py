@@ -38,7 +38,7 @@ def saved(tmp_path: Path) -> Saved:
 
 
 def read(path: Path, how: Resampling | None, **channels: Any) -> ji.Record:
-    return ji.read(path, channels or {"motor_position": "q"}, resample=how)
+    return ji.read(path, channels or {"motor_position": "q"}, resample=how, kind="prismatic")
 
 
 def values(record: ji.Record, name: str = "motor_position") -> np.ndarray:
@@ -268,7 +268,9 @@ def test_a_record_in_pieces_is_not_resampled() -> None:
 
 def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
     """A rigid axis that is logged late by up to 0.3 of a sample, and identified from what was resampled."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T))
+    loop = ji.ClosedLoop(
+        ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T)
+    )
     fine = 20
     reference = np.repeat(ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, T, duration=2.0), fine)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
@@ -277,7 +279,7 @@ def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
     at = np.floor((np.arange(1900) + late) * fine).astype(int)
     path = saved(t=at * T / fine, **{name: channel.values[at] for name, channel in made.items()})
     columns: dict[str, Any] = {"torque": "torque", "reference": ji.Column("reference", timing=Timing.HELD)}
-    record = ji.read(path, columns, resample=Resampling(T, "cubic"))
+    record = ji.read(path, columns, resample=Resampling(T, "cubic"), kind="prismatic")
     estimate = ji.identify(record, loop)
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=1e-3), name

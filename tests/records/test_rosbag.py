@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jointid.common.errors import RecordError
 from jointid.records.formats import Table, read_table, write_table
-from jointid.records.formats.messages import Definition, Field, decode_message, message_types
+from jointid.records.formats.messages import decode_message, message_types
 from tests.records.logged import LOGGED, POSITION, bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -198,11 +198,6 @@ def test_a_topic_of_two_kinds_is_told_and_not_mixed(tmp_path: Path) -> None:
 # -------------
 
 
-def types_of(definition: str) -> dict[str, Definition]:
-    found = message_types("my/msg/A", definition)
-    return {kind: tuple(Field(*field) for field in fields) for kind, fields in found.items()}
-
-
 @pytest.mark.parametrize(
     ("definition", "data"),
     [
@@ -217,7 +212,7 @@ def types_of(definition: str) -> dict[str, Definition]:
 )
 def test_no_definition_makes_a_message_larger_than_its_bytes(definition: str, data: bytes) -> None:
     with pytest.raises(ValueError, match=r"the message|messages within messages"):
-        decode_message("my/msg/A", b"\x00\x01\x00\x00" + data, types_of(definition))
+        decode_message("my/msg/A", b"\x00\x01\x00\x00" + data, message_types("my/msg/A", definition))
 
 
 def test_a_definition_is_never_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,7 +46,9 @@ def write_csv(tmp_path: Path, heading: str, step: float) -> Path:
     ("heading", "step"), [("t [s]", 0.002), ("time [ms]", 2.0), ("t", 0.002), ("t", 2.0), ("t", 1.0), ("k", 0.5)]
 )
 def test_a_sample_time_beside_a_time_column_that_agrees(tmp_path: Path, heading: str, step: float) -> None:
-    record = read(write_csv(tmp_path, heading, step), {"torque": Column("i", unit="A")}, sample_time=0.002)
+    record = read(
+        write_csv(tmp_path, heading, step), {"torque": Column("i", unit="A")}, sample_time=0.002, kind="prismatic"
+    )
     assert record.torque is not None
     assert record.torque.sample_time == 0.002
 
@@ -54,7 +56,7 @@ def test_a_sample_time_beside_a_time_column_that_agrees(tmp_path: Path, heading:
 @pytest.mark.parametrize(("heading", "step", "said"), [("t [s]", 0.001, "0.001 s"), ("time [ms]", 1.0, "1 ms")])
 def test_a_sample_time_that_contradicts_the_time_column(tmp_path: Path, heading: str, step: float, said: str) -> None:
     with pytest.raises(RecordError) as caught:
-        read(write_csv(tmp_path, heading, step), {"torque": Column("i", unit="A")}, sample_time=0.002)
+        read(write_csv(tmp_path, heading, step), {"torque": Column("i", unit="A")}, sample_time=0.002, kind="prismatic")
     assert str(caught.value) == (
         f'sample_time is 0.002 s, but the time column "{heading}" has {said} between samples; expected the same: leave '
         "sample_time out, or correct it, or rename the column if it is no time."

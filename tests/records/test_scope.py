@@ -119,7 +119,7 @@ def test_groups_end_where_they_end_and_keep_their_clocks(read: Callable[..., Tab
 def test_each_channel_becomes_one_of_its_own_rate(tmp_path: Path) -> None:
     path = tmp_path / "axis.csv"
     path.write_text(scope_text(TWO_CLOCKS), encoding="utf-8")
-    record = ji.read(path, {"torque": "Slow", "motor_position": ji.Column("ActPos", unit="mm")})
+    record = ji.read(path, {"torque": "Slow", "motor_position": ji.Column("ActPos", unit="mm")}, kind="prismatic")
     assert record.torque is not None
     assert record.motor_position is not None
     assert (record.torque.sample_time, record.motor_position.sample_time) == (2e-3, 1e-3)
@@ -142,8 +142,8 @@ def test_what_is_scaled_for_drawing_must_be_told_its_unit(tmp_path: Path) -> Non
     path.write_text(scope_text(ONE_CLOCK, said={"Torque": {"ScaleFactor": "2"}}), encoding="utf-8")
     name = "Torque [no unit, drawn times 2]"
     with pytest.raises(RecordError, match='is in "no unit, drawn times 2"; expected one of N,'):
-        ji.read(path, {"torque": name})
-    assert ji.read(path, {"torque": ji.Column(name, unit="N")}).torque is not None
+        ji.read(path, {"torque": name}, kind="prismatic")
+    assert ji.read(path, {"torque": ji.Column(name, unit="N")}, kind="prismatic").torque is not None
 
 
 def test_rows_that_were_filled_with_the_ones_before_are_left_out(read: Callable[..., Table]) -> None:

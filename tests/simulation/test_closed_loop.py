@@ -60,7 +60,7 @@ def test_the_measuring_stick_and_the_reference_agree_over_25_seconds(bench_dir: 
         reference_velocity=Channel(problem["reference_velocity"], "m/s", T),
         injected=Injection(Channel(problem["pulse"], "N", T), "before_limit"),  # type: ignore[arg-type]
     )
-    loop = ClosedLoop(FlexibleJoint(), controller)
+    loop = ClosedLoop(FlexibleJoint("prismatic"), controller)
     values = dict(zip([p.name for p in loop.joint.parameters], [*problem["parameters"], 0.0], strict=True))
     run = simulate(loop, prepare(loop, driven), values)
     expected, states, _, events = ref.run()
@@ -75,7 +75,7 @@ def test_the_measuring_stick_and_the_reference_agree_over_25_seconds(bench_dir: 
 
 
 def test_an_axis_at_rest_on_its_reference_stays_there() -> None:
-    loop = ClosedLoop(FlexibleJoint(), EMPS)
+    loop = ClosedLoop(FlexibleJoint("prismatic"), EMPS)
     run = simulate(loop, prepare(loop, record(np.full(500, 0.3))), FLEXIBLE)
     assert np.array_equal(run.motor_position, np.full(500, 0.3))
     assert np.array_equal(run.motor_velocity, np.zeros(500))
@@ -89,7 +89,7 @@ def test_a_record_that_begins_in_motion_begins_without_a_kick() -> None:
     friction = 202.0 * speed + 20.4 - 3.16
     late = (friction / (35.15 * 243.45) + speed) / 160.18  # steady tracking error of the law
     reference = speed * np.arange(800) * T
-    loop = ClosedLoop(FlexibleJoint(), EMPS)
+    loop = ClosedLoop(FlexibleJoint("prismatic"), EMPS)
     run = simulate(loop, prepare(loop, record(reference)), FLEXIBLE, Initial(-late, speed))
     assert np.max(np.abs(run.torque - friction)) <= 1e-8 * friction
     stopped = simulate(loop, prepare(loop, record(reference)), FLEXIBLE)
@@ -101,20 +101,20 @@ def test_a_delay_is_a_later_torque(delay: float) -> None:
     """A delayed law equals an undelayed one on a four times finer clock, where 0.4 ms and 2.3 ms are no fractions."""
     fine = 1e-4
     fast = StateSpaceController(A=[], B={}, C=[], D={"reference": 4000.0}, period=T, delay=delay)
-    loop = ClosedLoop(RigidJoint(), fast)
+    loop = ClosedLoop(RigidJoint("prismatic"), fast)
     position = simulate(loop, prepare(loop, record()), RIGID).motor_position
     torque = np.repeat(4000.0 * REFERENCE, 10)
     shift = round(delay / fine)
     held = np.concatenate([np.full(shift, torque[0]), torque])[: torque.size]
     feed = StateSpaceController(A=[], B={}, C=[], D={"reference": 1.0}, period=fine)
-    exact = ClosedLoop(RigidJoint(), feed)
+    exact = ClosedLoop(RigidJoint("prismatic"), feed)
     expected = simulate(exact, prepare(exact, record(held, fine)), RIGID).motor_position[::10]
     assert np.max(np.abs(position - expected)) <= 1e-9 * np.ptp(expected)
 
 
 def test_saturation_holds_the_torque_and_is_counted() -> None:
     loop = ClosedLoop(
-        RigidJoint(),
+        RigidJoint("prismatic"),
         Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=2.0),
     )
     run = simulate(loop, prepare(loop, record()), RIGID)
@@ -132,7 +132,7 @@ def test_anti_windup_is_fed_what_the_limit_cut_off() -> None:
     overshoot = []
     for B in (back, wound):
         law = StateSpaceController(A=[[1.0]], B=B, C=[600.0], D={"reference": 3e3, "position": -3e3}, limit=45.0)
-        loop = ClosedLoop(RigidJoint(), law)
+        loop = ClosedLoop(RigidJoint("prismatic"), law)
         overshoot.append(np.max(simulate(loop, prepare(loop, record(step)), RIGID).motor_position) - 0.05)
     assert overshoot[0] < 0.6 * overshoot[1]
 
@@ -140,7 +140,7 @@ def test_anti_windup_is_fed_what_the_limit_cut_off() -> None:
 @pytest.mark.parametrize(("at", "in_torque"), [("before_limit", True), ("after_limit", True), ("after_limit", False)])
 def test_an_injected_signal_acts_and_is_logged_as_declared(at: str, in_torque: bool) -> None:
     known = pulses(REFERENCE.size, T, 60.0, 0.02, 0.2, seed=3)
-    loop = ClosedLoop(RigidJoint(), EMPS)
+    loop = ClosedLoop(RigidJoint("prismatic"), EMPS)
     driven = record(injected=Injection(Channel(known, "N", T), at, in_torque))  # type: ignore[arg-type]
     run = simulate(loop, prepare(loop, driven), RIGID)
     quiet = simulate(loop, prepare(loop, record()), RIGID)
@@ -157,7 +157,7 @@ def test_the_log_may_be_slower_or_faster_than_the_loop() -> None:
     fast = Cascade(
         position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4
     )
-    loop = ClosedLoop(RigidJoint(), fast)
+    loop = ClosedLoop(RigidJoint("prismatic"), fast)
     slow = simulate(loop, prepare(loop, record()), RIGID)  # log of 1 ms
     reference = np.repeat(REFERENCE, 4)
     same = simulate(loop, prepare(loop, record(reference, 2.5e-4)), RIGID)  # every period logged
@@ -175,14 +175,14 @@ def test_an_averaged_log_is_the_mean_over_the_period_before() -> None:
     fast = Cascade(
         position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4
     )
-    loop = ClosedLoop(RigidJoint(), fast)
+    loop = ClosedLoop(RigidJoint("prismatic"), fast)
     every = simulate(loop, prepare(loop, record(np.repeat(REFERENCE, 4), 2.5e-4)), RIGID).torque
     shown = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED)), RIGID).torque
     assert np.allclose(shown[1:], every.reshape(-1, 4).mean(axis=1)[:-1], rtol=0, atol=1e-9)
 
 
 def test_an_averaged_log_as_fast_as_the_loop_shows_the_period_before() -> None:
-    loop = ClosedLoop(RigidJoint(), EMPS)
+    loop = ClosedLoop(RigidJoint("prismatic"), EMPS)
     held = simulate(loop, prepare(loop, record()), RIGID).torque
     averaged = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED)), RIGID).torque
     assert np.allclose(averaged[1:], held[:-1], rtol=0, atol=1e-9)
@@ -190,7 +190,7 @@ def test_an_averaged_log_as_fast_as_the_loop_shows_the_period_before() -> None:
     slow = Cascade(
         position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=T
     )
-    fine = ClosedLoop(RigidJoint(), slow)
+    fine = ClosedLoop(RigidJoint("prismatic"), slow)
     shown = simulate(fine, prepare(fine, twice), RIGID).torque
     assert np.allclose(shown[1::2], held, rtol=0, atol=1e-9)
     assert np.allclose(shown[2::2], held[:-1], rtol=0, atol=1e-9)
@@ -201,7 +201,7 @@ def test_a_measured_torque_is_averaged_over_the_parts_it_acts_in(delay: float) -
     late = Cascade(
         position_gain=100.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=delay
     )
-    loop = ClosedLoop(RigidJoint(), late)
+    loop = ClosedLoop(RigidJoint("prismatic"), late)
     command = simulate(loop, prepare(loop, record()), RIGID).torque
     fine = 1000
     acting = np.concatenate([np.full(round(delay / T * fine), command[0]), np.repeat(command, fine)])
@@ -217,7 +217,7 @@ def test_a_reference_slower_than_the_loop_is_interpolated_or_held_as_declared() 
     fast = Cascade(
         position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=T / 4
     )
-    loop = ClosedLoop(RigidJoint(), fast)
+    loop = ClosedLoop(RigidJoint("prismatic"), fast)
     exact = simulate(loop, prepare(loop, record(smooth, T / 4)), RIGID).torque[::4]
     errors = {}
     for commanded in (Timing.SAMPLED, Timing.HELD):
@@ -230,7 +230,7 @@ def test_a_log_that_ends_within_a_period_is_simulated_to_its_last_whole_one() ->
     slow = Cascade(
         position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2 * T
     )
-    loop = ClosedLoop(RigidJoint(), slow)
+    loop = ClosedLoop(RigidJoint("prismatic"), slow)
     run = simulate(loop, prepare(loop, record(REFERENCE[:3001])), RIGID)
     assert run.torque.size == run.motor_position.size == run.motor.velocity.size == 3000
 
@@ -245,7 +245,7 @@ def test_a_log_that_ends_within_a_period_is_simulated_to_its_last_whole_one() ->
 )
 def test_what_cannot_be_simulated_is_said(driven: Record, controller: Cascade, sentence: str) -> None:
     with pytest.raises(RecordError, match=sentence):
-        prepare(ClosedLoop(RigidJoint(), controller), driven)
+        prepare(ClosedLoop(RigidJoint("prismatic"), controller), driven)
 
 
 def test_a_record_in_other_units_than_the_joint_s_is_refused() -> None:
@@ -258,7 +258,7 @@ def test_a_record_in_other_units_than_the_joint_s_is_refused() -> None:
 
 
 def test_a_missing_value_is_named() -> None:
-    loop = ClosedLoop(RigidJoint(), EMPS)
+    loop = ClosedLoop(RigidJoint("prismatic"), EMPS)
     with pytest.raises(MethodError, match="coulomb, offset has none"):
         simulate(loop, prepare(loop, record()), {"inertia": 1.0, "viscous": 1.0})
 
@@ -268,7 +268,7 @@ def test_a_delayed_loop_in_steady_motion_begins_without_a_kick() -> None:
     speed, friction = 0.08, 202.0 * 0.08 + 20.4 - 3.16
     delayed = Cascade(position_gain=100.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=1.3e-3)
     late = (friction / (35.15 * 243.45) + speed) / 100.0
-    loop = ClosedLoop(FlexibleJoint(), delayed)
+    loop = ClosedLoop(FlexibleJoint("prismatic"), delayed)
     run = simulate(loop, prepare(loop, record(speed * np.arange(500) * T)), FLEXIBLE, Initial(-late, speed))
     assert np.max(np.abs(run.torque - friction)) <= 1e-7 * friction
 
@@ -276,21 +276,21 @@ def test_a_delayed_loop_in_steady_motion_begins_without_a_kick() -> None:
 def test_clocks_that_do_not_divide_each_other_are_refused() -> None:
     odd = Cascade(position_gain=160.18, velocity_gain=243.45, period=0.7e-3)
     with pytest.raises(RecordError, match=r"0\.0007 s and 0\.001 s.*nor is one a multiple"):
-        prepare(ClosedLoop(RigidJoint(), odd), record())
+        prepare(ClosedLoop(RigidJoint("prismatic"), odd), record())
 
 
 def test_a_measured_torque_is_the_one_that_acts() -> None:
     late = Cascade(
         position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=2e-3
     )
-    loop = ClosedLoop(RigidJoint(), late)
+    loop = ClosedLoop(RigidJoint("prismatic"), late)
     command = simulate(loop, prepare(loop, record()), RIGID).torque
     measured = simulate(loop, prepare(loop, record(tap=Tap.MEASURED)), RIGID).torque
     assert np.array_equal(measured[2:], command[:-2])
 
 
 def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
-    loop = ClosedLoop(RigidJoint(), EMPS)
+    loop = ClosedLoop(RigidJoint("prismatic"), EMPS)
     experiment = prepare(loop, record())
     for change, outcome in (
         ({"inertia": 0.02}, Outcome.DIVERGED),
@@ -298,7 +298,7 @@ def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
         ({"coulomb": -5.0}, Outcome.INVALID),
         ({"viscous": math.nan}, Outcome.INVALID),
     ):
-        unlimited = ClosedLoop(RigidJoint(), Cascade(position_gain=160.18, velocity_gain=243.45, gain=35.15))
+        unlimited = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=160.18, velocity_gain=243.45, gain=35.15))
         run = simulate(unlimited, prepare(unlimited, record()), RIGID | change)
         assert run.outcome is outcome
         assert np.all(np.isfinite(run.torque))
@@ -311,7 +311,7 @@ def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
 
 def test_a_batch_equals_its_members() -> None:
     random = np.random.default_rng(0)
-    loop = ClosedLoop(FlexibleJoint(friction=AsymmetricFriction()), EMPS)
+    loop = ClosedLoop(FlexibleJoint("prismatic", friction=AsymmetricFriction()), EMPS)
     names = [p.name for p in loop.joint.parameters]
     base = {name: FLEXIBLE.get(name.replace("_forwards", "").replace("_backwards", ""), 0.0) for name in names}
     candidates = [{n: v * random.uniform(0.6, 1.6) for n, v in base.items()} for _ in range(24)]
@@ -328,7 +328,7 @@ def test_units_of_mass_length_and_time_do_not_matter() -> None:
     force = mass * length / time**2
     units = {"inertia": mass, "viscous": force * time / length, "coulomb": force, "offset": force}
     other = {name: value * units[name] for name, value in RIGID.items()}
-    loop = ClosedLoop(RigidJoint(), EMPS)
+    loop = ClosedLoop(RigidJoint("prismatic"), EMPS)
     run = simulate(loop, prepare(loop, record()), RIGID)
     law = Cascade(
         position_gain=160.18 / time,
@@ -337,14 +337,14 @@ def test_units_of_mass_length_and_time_do_not_matter() -> None:
         gain=35.15 * force,
         limit=10.0,
     )
-    scaled = ClosedLoop(RigidJoint(), law)
+    scaled = ClosedLoop(RigidJoint("prismatic"), law)
     again = simulate(scaled, prepare(scaled, record(REFERENCE * length, T * time)), other)
     assert again.events == run.events
     assert np.max(np.abs(again.torque / force - run.torque)) <= 1e-9 * np.max(np.abs(run.torque))
 
 
 def test_a_simulated_record_is_what_was_simulated() -> None:
-    loop = ClosedLoop(FlexibleJoint(), EMPS)
+    loop = ClosedLoop(FlexibleJoint("prismatic"), EMPS)
     made = simulated_record(loop, REFERENCE, FLEXIBLE, sample_time=T, encoder_step=1e-6)
     run = simulate(loop, prepare(loop, made), FLEXIBLE)
     assert made.channels == ("torque", "reference", "motor_position", "load_position")

@@ -11,7 +11,7 @@ from jointid.paper.twin import TABLE_2
 from jointid.simulation.prescribed import LOAD_STATE, PARTS, PrescribedMotion, prescribed_motion, simulate_drive_side
 
 T = 1e-3
-JOINT = FlexibleJoint()
+JOINT = FlexibleJoint("prismatic")
 
 
 def wave(samples: int = 3000, pause: bool = False) -> np.ndarray:
@@ -83,7 +83,7 @@ def test_a_load_that_sticks_stands_still_and_stores_its_deflection() -> None:
 
 @pytest.mark.parametrize("pause", [False, True])
 def test_derivatives_are_those_of_differences(pause: bool) -> None:
-    joint = FlexibleJoint(friction=AsymmetricFriction()) if not pause else JOINT
+    joint = FlexibleJoint("prismatic", friction=AsymmetricFriction()) if not pause else JOINT
     values = dict(TABLE_2)
     if not pause:
         for side in ("motor", "load"):
@@ -105,7 +105,7 @@ def test_a_rigid_joint_takes_its_inverse_model() -> None:
     q = wave()
     values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     names = tuple(values)
-    run = simulate_drive_side(RigidJoint(), prescribed_motion(q, T), values, names)
+    run = simulate_drive_side(RigidJoint("prismatic"), prescribed_motion(q, T), values, names)
     assert np.allclose(run.torque, run.derivatives @ np.array(list(values.values())))
     assert run.load_position is None
     t = (np.arange((q.size - 1) * PARTS) + 0.5) * T / PARTS

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jointid.models.controllers import Cascade
-from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_torque
 from jointid.simulation.excitation import trapezoids
@@ -130,12 +130,12 @@ def test_the_equation_holds_where_the_torque_begins_to_act(model: str) -> None:
 
 
 def test_a_constant_load_is_an_offset_to_the_torque_and_a_preload_to_the_spring() -> None:
-    lifted = FlexibleJoint(gravity=Gravity("constant"))
-    plain = {n: v for n, v in VALUES.items() if n in {p.name for p in FlexibleJoint().parameters}}
+    lifted = FlexibleJoint("prismatic", gravity=Gravity("constant"))
+    plain = {n: v for n, v in VALUES.items() if n in {p.name for p in FlexibleJoint("prismatic").parameters}}
     record, loads = swing("m", 0.0), []
     for joint, values in (
         (lifted, plain | {"offset": 0.0, "gravity_constant": 25.0}),
-        (FlexibleJoint(), plain | {"offset": 25.0}),
+        (FlexibleJoint("prismatic"), plain | {"offset": 25.0}),
     ):
         loop = ClosedLoop(joint, CONTROLLER)
         loads.append(simulate(loop, prepare(loop, record), values))

@@ -193,7 +193,7 @@ def check(
     return found.at_limit
 
 
-@pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()], ids=["rigid", "flexible"])
+@pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")], ids=["rigid", "flexible"])
 @pytest.mark.parametrize("name", LAWS)
 def test_a_loop_without_coulomb_friction_is_its_matrix_exponentials(name: str, joint: Joint) -> None:
     law, values = LAWS[name], RIGID if joint.model == "rigid" else FLEXIBLE
@@ -204,7 +204,7 @@ def test_a_loop_without_coulomb_friction_is_its_matrix_exponentials(name: str, j
     assert (limited > 0.02) == (law.limit < math.inf)
 
 
-@pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()], ids=["rigid", "flexible"])
+@pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")], ids=["rigid", "flexible"])
 @pytest.mark.parametrize("name", [pytest.param("P-PI, limits, hold", marks=pytest.mark.slow), "P-PI, after, track"])
 def test_a_loop_that_sticks_is_the_event_driven_one(name: str, joint: Joint) -> None:
     check(LAWS[name], joint, RIGID if joint.model == "rigid" else FLEXIBLE, Driven(2e-3, 130), None, 1e-9)
@@ -213,7 +213,7 @@ def test_a_loop_that_sticks_is_the_event_driven_one(name: str, joint: Joint) -> 
 def test_a_fast_loop_with_a_slow_position_gain_has_not_gone_far() -> None:
     """Its gain within a period is nearly all the velocity's: 16000 / s beside 10 / s."""
     reference = trapezoids((0.05, 0.1), 1.0, 0.05, 1e-3, rest=0.15)
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=10.0, velocity_gain=3e3, period=62.5e-6))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=10.0, velocity_gain=3e3, period=62.5e-6))
     run = simulate(loop, prepare(loop, Record(reference=Channel(reference, "m", 1e-3))), RIGID)
     assert run.outcome is Outcome.FINISHED
     assert np.ptp(run.motor_position) > 0.9 * np.ptp(reference)
@@ -228,7 +228,7 @@ AT_REST = np.concatenate([np.zeros(12), trapezoids((0.1, 0.2), 2.0, 0.1, T, dura
 
 def after(cut: float, law: Cascade = SLOW) -> Record:
     """What remains of a log from so many samples on, while nothing moves: as if its first refresh had been there."""
-    loop = ClosedLoop(RigidJoint(), law)
+    loop = ClosedLoop(RigidJoint("prismatic"), law)
     whole = Record(reference=Channel(AT_REST, "m", T))
     torque = simulate(loop, prepare(loop, whole), RIGID | {"offset": 0.0}).torque
     first = math.ceil(cut)
@@ -239,7 +239,7 @@ def after(cut: float, law: Cascade = SLOW) -> Record:
 @pytest.mark.parametrize("cut", [0, 1, 3, 6])
 def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -> None:
     """Simulated, differentiated and identified: the law of the whole log, whatever was cut off."""
-    loop, record, values = ClosedLoop(RigidJoint(), SLOW), after(cut), RIGID | {"offset": 0.0}
+    loop, record, values = ClosedLoop(RigidJoint("prismatic"), SLOW), after(cut), RIGID | {"offset": 0.0}
     assert record.torque is not None
     run = simulate(loop, prepare(loop, record), values)
     size = float(np.max(np.abs(record.torque.values)))
@@ -254,7 +254,7 @@ def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -
     difference = (high.values - low.values) / 2e-3
     np.testing.assert_allclose(slope, difference, atol=1e-4 * np.max(np.abs(difference)))
 
-    wrong = ClosedLoop(RigidJoint(), replace(SLOW, position_gain=1.02 * SLOW.position_gain))
+    wrong = ClosedLoop(RigidJoint("prismatic"), replace(SLOW, position_gain=1.02 * SLOW.position_gain))
     found = identify(record, wrong, DIDIM(free=("position_gain",)))
     assert found["position_gain"].value == pytest.approx(SLOW.position_gain, rel=1e-5)
     assert found["inertia"].value == pytest.approx(RIGID["inertia"], rel=1e-5)

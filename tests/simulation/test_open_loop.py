@@ -28,7 +28,7 @@ def channel(values: np.ndarray, timing: Timing = Timing.HELD) -> Channel:
 def test_a_frictionless_mass_is_the_double_integral_of_what_is_held() -> None:
     values = {"inertia": 50.0, "viscous": 0.0, "coulomb": 0.0, "offset": 0.0} | AROUND | {"log_delay": 0.0}
     u = torque(500)
-    run = simulate_open_loop(RigidJoint(), channel(u), values)
+    run = simulate_open_loop(RigidJoint("prismatic"), channel(u), values)
     speed = 0.02 + np.concatenate([[0.0], np.cumsum(u[:-1])]) * T / 50.0
     where = 0.1 + np.concatenate([[0.0], np.cumsum(speed[:-1] * T + 0.5 * u[:-1] * T**2 / 50.0)])
     assert np.allclose(run.position, where, rtol=0, atol=1e-12)
@@ -36,19 +36,23 @@ def test_a_frictionless_mass_is_the_double_integral_of_what_is_held() -> None:
 
 def test_a_log_that_is_a_sample_late_acts_a_sample_earlier() -> None:
     values, u = TABLE_2 | AROUND, torque()
-    early = simulate_open_loop(FlexibleJoint(), channel(u), values | {"log_delay": T}).position
-    moved = simulate_open_loop(FlexibleJoint(), channel(np.append(u[1:], u[-1])), values | {"log_delay": 0.0}).position
+    early = simulate_open_loop(FlexibleJoint("prismatic"), channel(u), values | {"log_delay": T}).position
+    moved = simulate_open_loop(
+        FlexibleJoint("prismatic"), channel(np.append(u[1:], u[-1])), values | {"log_delay": 0.0}
+    ).position
     assert np.allclose(early, moved, rtol=0, atol=1e-12)
 
 
 def test_timing_says_when_a_torque_acts() -> None:
     values, u = TABLE_2 | AROUND, torque()
-    held = simulate_open_loop(FlexibleJoint(), channel(u), values | {"log_delay": 0.5 * T}).position
-    sampled = simulate_open_loop(FlexibleJoint(), channel(u, Timing.SAMPLED), values | {"log_delay": 0.0}).position
+    held = simulate_open_loop(FlexibleJoint("prismatic"), channel(u), values | {"log_delay": 0.5 * T}).position
+    sampled = simulate_open_loop(
+        FlexibleJoint("prismatic"), channel(u, Timing.SAMPLED), values | {"log_delay": 0.0}
+    ).position
     assert np.allclose(held, sampled, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("joint", "truth"), [(FlexibleJoint(), TABLE_2), (RigidJoint(), RIGID)])
+@pytest.mark.parametrize(("joint", "truth"), [(FlexibleJoint("prismatic"), TABLE_2), (RigidJoint("prismatic"), RIGID)])
 def test_derivatives_are_those_of_differences(joint: Joint, truth: dict[str, float]) -> None:
     values = dict(truth) | AROUND
     names = [p.name for p in joint.parameters] + list(AROUND)
@@ -64,6 +68,8 @@ def test_derivatives_are_those_of_differences(joint: Joint, truth: dict[str, flo
 
 
 def test_what_no_joint_has_is_not_simulated() -> None:
-    run = simulate_open_loop(RigidJoint(), channel(torque()), RIGID | AROUND | {"inertia": -1.0}, ["inertia"])
+    run = simulate_open_loop(
+        RigidJoint("prismatic"), channel(torque()), RIGID | AROUND | {"inertia": -1.0}, ["inertia"]
+    )
     assert not run.finished
     assert not np.any(run.derivatives)

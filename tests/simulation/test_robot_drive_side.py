@@ -11,7 +11,6 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.rest import moving_weights, turning_weights
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.signals.filtering import window_parts
-from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_drive_side import (
     MotorMotion,
     RobotDriveSideRun,
@@ -20,6 +19,7 @@ from jointid.simulation.robot_drive_side import (
     run_drive_side,
 )
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
+from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import RobotOutcome, RobotSimulation
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, six, two

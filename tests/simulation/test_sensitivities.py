@@ -74,7 +74,7 @@ VALUES = {
     "load_inertia": 40.0, "load_viscous_forwards": 100.0, "load_coulomb_forwards": 12.0,
     "load_viscous_backwards": 120.0, "load_coulomb_backwards": 8.0, "offset": 0.0,
 }  # fmt: skip
-ASYMMETRIC = FlexibleJoint(friction=AsymmetricFriction())
+ASYMMETRIC = FlexibleJoint("prismatic", friction=AsymmetricFriction())
 WINDUP = StateSpaceController(
     A=[[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
     B={"reference": [0.02, 0.0, 0.0], "position": [-0.02, 1.0, 0.0], "excess": [1e-7, 0.0, 0.0]},
@@ -146,7 +146,7 @@ def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> No
 
 def test_what_is_held_at_rest_forgets_the_velocity_it_was_to_begin_with() -> None:
     """Friction takes it at once, so it must not move what comes loose later; with positions and without."""
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=100.0, velocity_gain=2e3))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=2e3))
     experiment = prepare(loop, driven())
     values = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     slope = simulate_sensitivities(loop, experiment, values, ["initial_velocity"]).torque
@@ -157,7 +157,7 @@ def test_what_is_held_at_rest_forgets_the_velocity_it_was_to_begin_with() -> Non
 
 @pytest.mark.parametrize("delay", [0.3e-3, 1.25e-3])
 def test_a_delay_moves_the_edges_in_an_averaged_measured_torque(delay: float) -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=60.0, velocity_gain=5e3, delay=delay))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=60.0, velocity_gain=5e3, delay=delay))
     record = driven(Timing.AVERAGED, Tap.MEASURED)
     values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     found = simulate_sensitivities(loop, prepare(loop, record), values, ["delay", "inertia"])
@@ -174,7 +174,7 @@ def test_a_candidate_that_cannot_be_simulated_has_no_slope() -> None:
     assert not found.torque.any()
 
 
-@pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()])
+@pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")])
 def test_what_has_no_derivative_is_named(joint: Joint) -> None:
     loop = ClosedLoop(joint, Cascade(position_gain=60.0, velocity_gain=5e3))
     values = dict.fromkeys((p.name for p in joint.parameters), 1.0)

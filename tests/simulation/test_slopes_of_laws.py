@@ -94,7 +94,7 @@ def check(law: Any, joint: Joint, names: tuple[str, ...], tap: Tap) -> tuple[flo
     return found.response.at_limit, found.torque
 
 
-@pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()], ids=["rigid", "flexible"])
+@pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")], ids=["rigid", "flexible"])
 def test_every_number_of_a_cascade_at_two_rates(joint: Joint) -> None:
     check(BASE, joint, NUMBERS, Tap.FILTERED)
     # An integral that begins with a given torque makes good what is constant.
@@ -111,7 +111,7 @@ def test_limits_that_act(windup: Any, at: Any, tap: Tap) -> None:
     if (windup, at) == ("track", "before_limit"):  # what is tracked must not lag, or it swings
         law = replace(law, torque_filters=(Notch(80.0, 20.0, 0.9),))
     names = tuple(name.replace("filters.1", f"filters.{len(law.torque_filters) - 1}") for name in LIMITS)
-    limited, slopes = check(law, FlexibleJoint(), names, tap)
+    limited, slopes = check(law, FlexibleJoint("prismatic"), names, tap)
     assert 0.03 < limited < 0.9
     assert np.any(slopes[:, 9] != 0.0)
     assert np.any(slopes[:, 10] != 0.0)
@@ -137,7 +137,7 @@ def test_a_pid_at_its_limit(windup: Any) -> None:
         "velocity_filter.time_constant",
         "initial_torque",
     )
-    limited, _ = check(law, RigidJoint(), names, Tap.COMMAND)
+    limited, _ = check(law, RigidJoint("prismatic"), names, Tap.COMMAND)
     assert 0.01 < limited < 0.9
 
 
@@ -151,7 +151,7 @@ def test_what_is_0_has_a_slope_all_the_same() -> None:
         period=250e-6,
         torque_filters=(Notch(80.0, 20.0),),
     )
-    loop, start = ClosedLoop(RigidJoint(), law), Initial(1e-4, 0.005)
+    loop, start = ClosedLoop(RigidJoint("prismatic"), law), Initial(1e-4, 0.005)
     names = ("acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward", "constant_feedforward",
              "reference_delay", "velocity_feedforward_delay", "torque_filters.0.depth")  # fmt: skip
     found = simulate_sensitivities(loop, prepare(loop, driven(Tap.COMMAND)), RIGID, names, start)
@@ -167,7 +167,7 @@ def test_what_is_0_has_a_slope_all_the_same() -> None:
 def test_what_is_not_there_has_no_slope() -> None:
     for limit in (50.0, math.inf):
         law = replace(BASE, integral_gain=0.0, limit=limit)
-        loop, values = ClosedLoop(RigidJoint(), law), RIGID
+        loop, values = ClosedLoop(RigidJoint("prismatic"), law), RIGID
         experiment = prepare(loop, driven(Tap.COMMAND))
         with pytest.raises(
             MethodError, match="The integral_gain of this controller is 0, and what it belongs to is not there"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.models.gravity import Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring, TwoPieceSpring, spring_named
+from jointid.models.position_forces import Gravity
+from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring, TwoPieceSpring, find_spring
 from jointid.simulation.closed_loop import Outcome, Simulation, simulate, simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
@@ -164,7 +164,7 @@ def test_what_a_spring_in_pieces_cannot_be_is_refused() -> None:
     with pytest.raises(MethodError, match="gravity that follows the position"):
         FlexibleJoint("revolute", gravity=Gravity("link"), spring=TwoPieceSpring())
     with pytest.raises(MethodError, match="takes the spring for linear"):
-        FlexibleJoint(spring=Backlash()).regressor(None)  # type: ignore[arg-type]
+        FlexibleJoint("prismatic", spring=Backlash()).regressor(None)  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="use linear, two-piece"):
-        spring_named("quintic")
-    assert [spring_named(name).name for name in SPRINGS] == list(SPRINGS)
+        find_spring("quintic")
+    assert [find_spring(name).name for name in SPRINGS] == list(SPRINGS)

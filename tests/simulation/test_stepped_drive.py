@@ -12,9 +12,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.controllers import Cascade, numbers_of
 from jointid.models.friction import FRICTIONS, PARTS
-from jointid.models.gravity import Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, frictions_beside, springs_beside
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
@@ -220,12 +219,16 @@ def test_laws_in_pieces_and_smooth_ones_are_not_simulated_beside_each_other() ->
     with pytest.raises(
         MethodError, match=r'"stribeck" and "cubic" of friction and spring are not simulated beside each'
     ):
-        FlexibleJoint(friction=FRICTIONS["stribeck"](), spring=SPRINGS["cubic"]())
+        FlexibleJoint("prismatic", friction=FRICTIONS["stribeck"](), spring=SPRINGS["cubic"]())
     with pytest.raises(MethodError, match=r"Load-dependent friction follows the torque through a spring"):
-        RigidJoint(friction=FRICTIONS["load-dependent"]())
-    assert FlexibleJoint(friction=FRICTIONS["load-dependent"]()).rigid.friction == FRICTIONS["symmetric"]()
-    assert "backlash" not in [law.name for law in springs_beside(FlexibleJoint(friction=FRICTIONS["presliding"]()))]
-    assert "stribeck" not in [law.name for law in frictions_beside(FlexibleJoint(spring=SPRINGS["cubic"]()))]
+        RigidJoint("prismatic", friction=FRICTIONS["load-dependent"]())
+    assert FlexibleJoint("prismatic", friction=FRICTIONS["load-dependent"]()).rigid.friction == FRICTIONS["symmetric"]()
+    assert "backlash" not in [
+        law.name for law in springs_beside(FlexibleJoint("prismatic", friction=FRICTIONS["presliding"]()))
+    ]
+    assert "stribeck" not in [
+        law.name for law in frictions_beside(FlexibleJoint("prismatic", spring=SPRINGS["cubic"]()))
+    ]
 
 
 def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -> None:

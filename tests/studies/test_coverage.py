@@ -19,7 +19,7 @@ def deviations(cutoff: float) -> np.ndarray:
     axis, noise = twin("L19", noise="none"), twin("L19", noise="white").noise
     record = axis.record.without("motor_position", "load_position")
     problem = torque_problem(record, axis.loop, Filtering(cutoff=cutoff), axis.loop.joint.parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
     _, J = problem.linearise(problem.vector({**axis.truth, "initial_position": 0.0}))
     # Of rows so far apart, white noise of 1 leaves the covariance of the filter's answers to single samples.

@@ -51,7 +51,7 @@ def test_the_log_is_read_in_per_mille(tmp_path: Path) -> None:
     path = tmp_path / "trace.csv"
     path.write_text("\n".join(["force [permille],x [mm],pulses [N]", *lines]), encoding="utf-8")
     names = {"torque": "force [permille]", "reference": "x [mm]", "injected": "pulses [N]"}
-    record = read(path, names, sample_time=LOG, drive=Drive(rated_torque=RATED))
+    record = read(path, names, sample_time=LOG, drive=Drive(rated_torque=RATED), kind="prismatic")
     assert record.torque is not None
     assert np.allclose(record.torque.values, force.values, rtol=1e-12)
     seen, meant = (prepare(axis.loop, r).feedforward for r in (record, axis.record))

@@ -70,7 +70,9 @@ LAWS: list[tuple[str, Controller]] = [
 
 
 @pytest.mark.filterwarnings("ignore:stability_margins. Falling back")  # to a response, of polynomials of high order
-@pytest.mark.parametrize(("joint", "values"), [(FlexibleJoint(), dict(TABLE_2)), (RigidJoint(), RIGID)])
+@pytest.mark.parametrize(
+    ("joint", "values"), [(FlexibleJoint("prismatic"), dict(TABLE_2)), (RigidJoint("prismatic"), RIGID)]
+)
 @pytest.mark.parametrize(("name", "controller"), LAWS)
 def test_margins_are_those_of_python_control(
     joint: FlexibleJoint | RigidJoint, values: dict[str, float], name: str, controller: Controller
@@ -90,16 +92,16 @@ def test_margins_are_those_of_python_control(
 
 def test_the_response_is_that_of_python_control() -> None:
     law = CONTROLLERS["L19"].law(PERIOD)
-    seen = joint_set(FlexibleJoint(), [dict(TABLE_2)], law)
+    seen = joint_set(FlexibleJoint("prismatic"), [dict(TABLE_2)], law)
     some = slice(0, None, 50)
-    expected = other(FlexibleJoint(), dict(TABLE_2), law)(np.exp(2j * math.pi * seen.hertz[some] * PERIOD))
+    expected = other(FlexibleJoint("prismatic"), dict(TABLE_2), law)(np.exp(2j * math.pi * seen.hertz[some] * PERIOD))
     np.testing.assert_allclose(seen.response(law)[0, some], expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.25, 1.0, 1.75, 3.0])
 def test_a_delay_of_part_of_a_period_is_sampled_exactly(late: float) -> None:
     law = replace(CONTROLLERS["L19"], delay=late * PERIOD).law(PERIOD)
-    linear = linear_joints(FlexibleJoint(), [dict(TABLE_2)])
+    linear = linear_joints(FlexibleJoint("prismatic"), [dict(TABLE_2)])
     coarse = sample_joints(linear, law)
     fine = sample_joints(linear, replace(law, delay=0.0, period=PERIOD / 4))
     torque = np.random.default_rng(0).standard_normal(20)
@@ -154,7 +156,7 @@ def test_a_denser_grid_says_the_same() -> None:
 def test_positions_of_all_joints_at_once_are_those_solved_point_by_point(delay: float) -> None:
     chance = np.random.default_rng(4)
     several = [{name: v * 10 ** chance.uniform(-1, 1) for name, v in TABLE_2.items()} for _ in range(20)]
-    for joint, values in ((FlexibleJoint(), several), (RigidJoint(), [RIGID])):
+    for joint, values in ((FlexibleJoint("prismatic"), several), (RigidJoint("prismatic"), [RIGID])):
         linear = linear_joints(joint, values)
         drive = discretise(linear.A, linear.B, PERIOD, delay)
         hertz = grid(linear, PERIOD)
@@ -167,7 +169,7 @@ def test_positions_of_all_joints_at_once_are_those_solved_point_by_point(delay: 
 
 def test_a_loop_that_is_not_stable_has_no_margins() -> None:
     law = scale(CONTROLLERS["L19"].law(PERIOD), 20.0)
-    found = Margins(*joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0])
+    found = Margins(*joint_set(FlexibleJoint("prismatic"), [dict(TABLE_2)], law).margins(law)[0])
     assert not found.stable
     assert tuple(getattr(found, name) for name in NAMES) == (0.0,) * 5
 
@@ -178,26 +180,28 @@ def test_an_integral_of_no_weight_does_not_make_a_loop_unstable() -> None:
         PID(position_gain=8e5, derivative_gain=1.2e4, integral_gain=1e-3).law(PERIOD),
     )
     for one in (law, without):
-        assert Margins(*joint_set(RigidJoint(), [RIGID], one).margins(one)[0]).stable
+        assert Margins(*joint_set(RigidJoint("prismatic"), [RIGID], one).margins(one)[0]).stable
 
 
 def test_of_two_rates_stability_is_exact_and_margins_are_near() -> None:
     law = SERVO.law(PERIOD)
     assert law.phases == 8
-    linear = linear_joints(FlexibleJoint(), [dict(TABLE_2)])
-    gain = Margins(*joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0]).gain
+    linear = linear_joints(FlexibleJoint("prismatic"), [dict(TABLE_2)])
+    gain = Margins(*joint_set(FlexibleJoint("prismatic"), [dict(TABLE_2)], law).margins(law)[0]).gain
     sampled = sample_joints(linear, law)
     assert spectral_radius(scale(law, 0.9 * gain), sampled)[0] < 1 < spectral_radius(scale(law, 1.1 * gain), sampled)[0]
 
 
 def test_friction_that_differs_with_the_direction_is_taken_both_ways() -> None:
     ways = {"viscous_forwards": 50.0, "viscous_backwards": 4000.0, "coulomb_forwards": 20.0, "coulomb_backwards": 20.0}
-    joint = RigidJoint(friction=AsymmetricFriction())
+    joint = RigidJoint("prismatic", friction=AsymmetricFriction())
     law = Cascade(position_gain=50.0, velocity_gain=2e4).law(PERIOD)
     both = joint_set(joint, [{"inertia": 100.0, "offset": 0.0} | ways], law).margins(law)
     each = [
         joint_set(
-            RigidJoint(), [{"inertia": 100.0, "viscous": ways[f"viscous_{way}"], "coulomb": 0.0, "offset": 0.0}], law
+            RigidJoint("prismatic"),
+            [{"inertia": 100.0, "viscous": ways[f"viscous_{way}"], "coulomb": 0.0, "offset": 0.0}],
+            law,
         )
         for way in ("forwards", "backwards")
     ]
@@ -208,8 +212,10 @@ def test_a_rigid_joint_answers_as_one_over_its_impedance() -> None:
     hertz = np.array([0.1, 1.0, 10.0])
     s = 2j * math.pi * hertz
     velocity = 1 / (RIGID["inertia"] * s + RIGID["viscous"])
-    np.testing.assert_allclose(frequency_response(RigidJoint(), RIGID, hertz), velocity, rtol=1e-9)
-    np.testing.assert_allclose(frequency_response(RigidJoint(), RIGID, hertz, "load_position"), velocity / s, rtol=1e-9)
+    np.testing.assert_allclose(frequency_response(RigidJoint("prismatic"), RIGID, hertz), velocity, rtol=1e-9)
+    np.testing.assert_allclose(
+        frequency_response(RigidJoint("prismatic"), RIGID, hertz, "load_position"), velocity / s, rtol=1e-9
+    )
 
 
 def test_a_load_answers_through_spring_and_damper() -> None:
@@ -217,14 +223,16 @@ def test_a_load_answers_through_spring_and_damper() -> None:
     s = 2j * math.pi * hertz
     tied = v["damping"] * s + v["stiffness"]
     ratio = tied / (v["load_inertia"] * s**2 + (v["load_viscous"] + v["damping"]) * s + v["stiffness"])
-    motor = frequency_response(FlexibleJoint(), v, hertz, "motor_position")
-    np.testing.assert_allclose(frequency_response(FlexibleJoint(), v, hertz, "load_position"), ratio * motor, rtol=1e-9)
+    motor = frequency_response(FlexibleJoint("prismatic"), v, hertz, "motor_position")
+    np.testing.assert_allclose(
+        frequency_response(FlexibleJoint("prismatic"), v, hertz, "load_position"), ratio * motor, rtol=1e-9
+    )
 
 
 def test_a_response_needs_frequencies_and_an_output() -> None:
     for hertz, output in ((np.array([0.0]), "motor_velocity"), (np.array([1.0]), "torque")):
         with pytest.raises(MethodError, match="A frequency response is of motor_position"):
-            frequency_response(RigidJoint(), RIGID, hertz, output)  # type: ignore[arg-type]
+            frequency_response(RigidJoint("prismatic"), RIGID, hertz, output)  # type: ignore[arg-type]
 
 
 def test_a_crossing_above_minus_one_bears_nearly_a_turn_of_delay_and_one_outside_bounds_the_reduction() -> None:

@@ -22,7 +22,7 @@ from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.output.figures import draw
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import TABLE_2, twin
@@ -31,9 +31,8 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.interval import ellipsoid_radius, lowest_mode, possible_joints
 from jointid.tuning.margins import NAMES, joint_set
-from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.tuning.proposals import Tuning, with_gains
-from jointid.tuning.tune import tune
+from jointid.tuning.tune import compute_minimum_detectable_change, tune
 from jointid.tuning.tuned import Tuned
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
@@ -58,7 +57,7 @@ def tuned(estimate: Estimate) -> Tuned:
 
 def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | None = None) -> Estimate:
     """A rigid joint identified under a controller, with a little noise."""
-    loop = ClosedLoop(joint or RigidJoint(), controller)
+    loop = ClosedLoop(joint or RigidJoint("prismatic"), controller)
     force = 2.0 * np.random.default_rng(1).standard_normal(REFERENCE.size)
     record = simulated_record(loop, REFERENCE, RIGID, sample_time=PERIOD, disturbance=force)
     return identify(record.without("motor_position", "load_position"), loop)
@@ -88,7 +87,7 @@ def test_a_twin_bears_what_is_stated_of_it(tuned: Tuned) -> None:
     for loop in (tuned.present, tuned.proposed):
         assert loop is not None
         law = loop.controller.law(PERIOD)
-        true = joint_set(FlexibleJoint(), [truth], law).margins(law)[0]
+        true = joint_set(FlexibleJoint("prismatic"), [truth], law).margins(law)[0]
         assert np.all(true >= np.array([getattr(loop.worst, name) for name in NAMES]))
 
 
@@ -221,7 +220,7 @@ def test_feed_forward_leaves_nothing_to_the_feedback(ratio: float) -> None:
     proposed = {f.key: f.after for f in found.feedforward}
     errors = []
     for one in (controller, replace(controller, **proposed)):
-        run = simulated_record(ClosedLoop(RigidJoint(), one), REFERENCE, RIGID, sample_time=PERIOD)
+        run = simulated_record(ClosedLoop(RigidJoint("prismatic"), one), REFERENCE, RIGID, sample_time=PERIOD)
         assert run.motor_position is not None
         errors.append(float(np.std(run.motor_position.values - REFERENCE)))
     assert errors[1] < 0.1 * errors[0]
@@ -232,7 +231,7 @@ def test_feed_forward_is_told_in_the_drives_units() -> None:
     controller = Cascade(
         position_gain=20.0, velocity_gain=2000.0 / gear.torque("motor") ** 2, ratio=gear.torque("motor")
     )
-    estimate = rigid(controller, RigidJoint(transmission=gear))
+    estimate = rigid(controller, RigidJoint("prismatic", transmission=gear))
     found = {f.key: f for f in tune(estimate, drive=Drive(rated_torque=2.0, counts_per_turn=4096)).feedforward}
     motor = gear.torque("motor")  # N of the load per N m of the motor
     coulomb, inertia = found["coulomb_feedforward"], found["acceleration_feedforward"]
@@ -246,7 +245,7 @@ def test_feed_forward_is_told_in_the_drives_units() -> None:
 
 
 def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
-    joint = RigidJoint(friction=AsymmetricFriction())
+    joint = RigidJoint("prismatic", friction=AsymmetricFriction())
     values = {"inertia": 100.0, "viscous_forwards": 100.0, "viscous_backwards": 200.0, "offset": 0.0}
     values |= {"coulomb_forwards": 30.0, "coulomb_backwards": 20.0}
     loop = ClosedLoop(joint, Cascade(position_gain=20.0, velocity_gain=2000.0))
@@ -280,10 +279,10 @@ def test_of_a_state_space_law_only_margins_are_told() -> None:
 
 @pytest.mark.slow
 def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=20.0, velocity_gain=2000.0))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=20.0, velocity_gain=2000.0))
     record = simulated_record(loop, REFERENCE, RIGID, sample_time=PERIOD)
     with pytest.raises(MethodError, match=r"the controller of .* is not known"):
-        tune(identify(record, RigidJoint(), IDIM()))
+        tune(identify(record, RigidJoint("prismatic"), IDIM()))
     with pytest.raises(MethodError, match="need the deviations"):
         tune(amended(estimate, params={"correlation": np.zeros((0, 0))}))
     with pytest.raises(MethodError, match=r"received gain_margin = 0\.5, confidence = 1"):
@@ -404,5 +403,5 @@ def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: 
 
 def test_a_ripple_that_is_left_out_is_said(estimate: Estimate) -> None:
     rippled = replace(estimate.settings.joint, ripple=PositionHarmonics(0.02))
-    said = tune(amended(estimate, settings={"joint": rippled}), Tuning(notch=False)).notes
+    said = tune(amended(estimate, settings={"system": rippled}), Tuning(notch=False)).notes
     assert "the ripple over the position is left out of the loop and of the feed-forward" in said

@@ -29,15 +29,14 @@ import jointid as ji
 from jointid.apps.cli import main
 from jointid.apps.web import worker
 from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.export import export_rows
 from jointid.campaigns.folder import Results
-from jointid.campaigns.report import CampaignReport
+from jointid.campaigns.report import CampaignReport, export_rows
 from jointid.campaigns.run_case import run_case
 from jointid.config import load_joint
 from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.models.disturbances import Drift
 from jointid.models.linear import frequency_response
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.output.export import read_estimated
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES
@@ -47,6 +46,7 @@ from jointid.paper.reproduce import reproduce
 from jointid.planning.predict import planned_record, predict_test
 from jointid.records.resampling import Resampling
 from jointid.simulation.closed_loop import Initial, simulate_many
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from jointid.simulation.warm_up import warm_up
 from jointid.uncertainty.resampling import Bootstrapping
@@ -552,7 +552,7 @@ def _robot(answer: Json) -> Json:
         _name(name): {"value": number(row["value"]), "std": number(row["std"]), "unit": row["unit"]}
         for name, row in answer["parameters"].items()
     }
-    left = {key: numbers(answer[key]) for key in ("left", "nominal_left")}
+    left = {key: numbers(answer["robot"][key]) for key in ("left", "nominal_left")}
     return {"parameters": rows, "converged": answer["converged"], **left}
 
 
@@ -588,7 +588,7 @@ def campaign(folder: Path, name: str, tables: Json) -> Json:
     write_toml(path, tables)
     rows = tuple(run_case(one) for one in load_campaign(path).cases())
     export_rows(rows, table)
-    report = CampaignReport(Results(name, len(rows), rows, ())).document(details=True)
+    report = CampaignReport(Results(name, len(rows), rows, ())).to_document(details=True)
     with table.open(encoding="utf-8", newline="") as file:
         return {"rows": [_campaign_row(row) for row in csv.DictReader(file)], "report": text(report.markdown())}
 
@@ -1122,13 +1122,18 @@ def _bootstrap(drawn: Any) -> Json:
 KEYWORDS: Mapping[str, str] = {}
 """Keywords of the cases to those of today, where one was renamed since."""
 
-_LAWS = {"cascade": ji.Cascade, "pd": ji.PD, "pid": ji.PID, "state_space": ji.StateSpaceController}
+_LAWS = {
+    "cascade": ji.controller.Cascade,
+    "pd": ji.controller.PD,
+    "pid": ji.controller.PID,
+    "state_space": ji.controller.StateSpaceController,
+}
 _FILTERS = {
-    "digital": ji.filters.DigitalFilter,
-    "moving_average": ji.filters.MovingAverage,
-    "first_order": ji.filters.FirstOrder,
-    "second_order": ji.filters.SecondOrder,
-    "notch": ji.filters.Notch,
+    "digital": ji.controller.DigitalFilter,
+    "moving_average": ji.controller.MovingAverage,
+    "first_order": ji.controller.FirstOrder,
+    "second_order": ji.controller.SecondOrder,
+    "notch": ji.controller.Notch,
 }
 
 
@@ -1161,10 +1166,10 @@ def joint(
     made = ji.RigidJoint if model == "rigid" else ji.FlexibleJoint
     carried = None
     if gravity is not None:
-        carried = ji.Gravity(gravity, ji.Counterbalance(**_keywords(counterbalance or {})), angle=angle)
+        carried = ji.Gravity(gravity, ji.spring.Counterbalance(**_keywords(counterbalance or {})), angle=angle)
     return made(
         kind,
-        friction=ji.AsymmetricFriction() if asymmetric else ji.SymmetricFriction(),
+        friction=ji.friction.AsymmetricFriction() if asymmetric else ji.friction.SymmetricFriction(),
         torque_unit=torque_unit,
         transmission=None if gear is None else ji.Transmission(**_keywords(gear)),
         gravity=carried,
@@ -1291,9 +1296,7 @@ def learned(record: Any, **given: Any) -> Json:
 
 def run(driven: Any, record: Any, values: Mapping[str, float], initial: Sequence[float | None] | None = None) -> Json:
     """Simulate one candidate and return every signal of it."""
-    made = ji.simulate(
-        driven, ji.prepare(driven, record), _valued(values), None if initial is None else Initial(*initial)
-    )
+    made = ji.simulate(driven, prepare(driven, record), _valued(values), None if initial is None else Initial(*initial))
     return {
         "outcome": code(made.outcome.name.lower()),
         "finished": number(made.finished),
@@ -1310,7 +1313,7 @@ def run(driven: Any, record: Any, values: Mapping[str, float], initial: Sequence
 
 def run_many(driven: Any, record: Any, candidates: Sequence[Mapping[str, float]], workers: int | None) -> list[Json]:
     """Simulate many candidates for their torque."""
-    made = simulate_many(driven, ji.prepare(driven, record), [_valued(v) for v in candidates], workers=workers)
+    made = simulate_many(driven, prepare(driven, record), [_valued(v) for v in candidates], workers=workers)
     return [
         {
             "outcome": code(one.outcome.name.lower()),
@@ -1325,7 +1328,7 @@ def slopes(driven: Any, record: Any, values: Mapping[str, float], names: Sequenc
     """Simulate one candidate with its derivatives."""
     today = {then: now for now, then in NAMES.items()}
     asked = [today.get(name, name) for name in names]
-    made = simulate_sensitivities(driven, ji.prepare(driven, record), _valued(values), asked, **_keywords(given))
+    made = simulate_sensitivities(driven, prepare(driven, record), _valued(values), asked, **_keywords(given))
     return {
         "events": made.response.events,
         "torque": {name: signal(made.torque[:, i]) for i, name in enumerate(names)},
@@ -1425,7 +1428,7 @@ def write(record: Any, path: Path, **given: Any) -> Path:
 def written_and_read(record: Any, path: Path) -> Json:
     """Return a record that was written under the names of its channels and read back."""
     ji.write(record, path)
-    return recorded(ji.read(path, {name: name for name in record.channels}))
+    return recorded(ji.read(path, {name: name for name in record.channels}, kind="prismatic"))
 
 
 def by_profile(record: Any, path: Path, profile: str, columns: Mapping[str, str]) -> Json:
@@ -1438,7 +1441,7 @@ def by_profile(record: Any, path: Path, profile: str, columns: Mapping[str, str]
 def read_resampled(path: Path, sample_time: float, method: Any) -> Json:
     """Return a record with a clock that is not uniform, brought to one that is."""
     names = {"torque": "torque", "reference": "reference"}
-    return recorded(ji.read(path, names, resample=Resampling(sample_time, method)))
+    return recorded(ji.read(path, names, resample=Resampling(sample_time, method), kind="prismatic"))
 
 
 def behind_gear(path: Path, model: str, gear: Mapping[str, Any], numbers_of_law: Mapping[str, Any]) -> tuple[Any, Any]:

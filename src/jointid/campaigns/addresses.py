@@ -55,29 +55,29 @@ def fetch(address: str) -> Iterator[Path]:
 
 
 def list_addresses(pattern: str, folder: Path) -> dict[str, str]:
-    """List addresses that match a pattern with * and ?, with stamps.
-
-    Args:
-        pattern: a path, relative to the folder, or a URL.
-        folder: of the campaign file.
-    """
+    """List addresses that match a pattern with * and ?, with stamps."""
     if not is_remote(pattern):
         root = Path(pattern).anchor
         below = os.path.relpath(pattern, root) if root else pattern
         below = re.sub(r"\*+", "*", posixpath.normpath(below)).replace("[", "[[]")  # * is all that patterns have
         paths = sorted(os.path.normpath(path) for path in (Path(root) if root else folder).glob(below))
-        return {path: _try_stamp(Path(path)) for path in paths}
+        stamps = dict.fromkeys(paths, "")
+        for path in paths:
+            with contextlib.suppress(RecordError):  # which its case reports
+                stamps[path] = stamp_of(Path(path))
+        return stamps
     check_scheme(pattern)
     fsspec = extra("fsspec", "remote", "A record behind a URL")
     try:
-        system, path = fsspec.core.url_to_fs(pattern)
-        there: Mapping[str, Any] = system.glob(path, detail=True)
+        system, place = fsspec.core.url_to_fs(pattern)
+        there: Mapping[str, Any] = system.glob(place, detail=True)
         files = {name: about for name, about in sorted(there.items()) if about.get("type") == "file"}
-        return {
-            # A page that lists files says their names alone.
-            system.unstrip_protocol(name): _stamp(system.info(name) if about.get("size") is None else about)
-            for name, about in files.items()
-        }
+        stamps = {}
+        for name, listed in files.items():
+            about = system.info(name) if listed.get("size") is None else listed  # a page lists names alone
+            changed = next((about[key] for key in _CHANGED if key in about), "")
+            stamps[system.unstrip_protocol(name)] = f"{about.get('size')} {changed}"
+        return stamps
     except Exception as error:
         raise _refusal(pattern, error) from error
 
@@ -92,14 +92,6 @@ def stamp_of(path: Path) -> str:
     return f"{sum(one.st_size for one in about)} {max((one.st_mtime_ns for one in about), default=0) // 10**6}"
 
 
-def _try_stamp(path: Path) -> str:
-    """Stamp of a record; empty if it cannot be opened, which its case reports."""
-    try:
-        return stamp_of(path)
-    except RecordError:
-        return ""
-
-
 def digest(path: Path) -> str:
     """SHA-256 of a record's bytes, of a bag over its files in order."""
     made = hashlib.sha256()
@@ -111,11 +103,6 @@ def digest(path: Path) -> str:
     except OSError as error:
         raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     return made.hexdigest()
-
-
-def _stamp(about: Mapping[str, Any]) -> str:
-    changed = next((about[key] for key in _CHANGED if key in about), "")
-    return f"{about.get('size')} {changed}"
 
 
 def _reason(error: OSError) -> str:

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from jointid import DIDIM, JointFile
-from jointid.campaigns.campaign_tables import BootstrapTable, CampaignTable, MultistartTable
+from jointid import DIDIM
+from jointid.campaigns.campaign_tables import CampaignTable, MultistartTable
 from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
 from jointid.campaigns.fleet import FleetRecords, Logged, named_record
 from jointid.common.errors import JointFileError
 from jointid.common.text import join as in_a_row
-from jointid.config import loads
+from jointid.config import JointFile, loads
 from jointid.config.loading import parse_toml, read_text
 from jointid.config.table import faults_of
 
@@ -45,14 +45,22 @@ class Campaign:
                         one.joint, one.joint_file, one.address, one.stamp, one.day, changes, settings=one.settings
                     )
             elif self.table.monte_carlo is not None:
-                asked = self.table.monte_carlo
-                assert asked is not None
+                runs = self.table.monte_carlo
                 text, motion, values = self._run_once
-                for number in range(asked.runs):
-                    simulated = Simulated(values, asked.noise_force, asked.noise_log, asked.seed + number)
+                for number in range(runs.runs):
+                    simulated = Simulated(values, runs.noise_force, runs.noise_log, runs.seed + number)
                     yield Case(motion.joint, text, motion.address, motion.stamp, "", changes, simulated)
             elif self.table.bootstrap is not None:
-                yield from self._of_resamples(changes, self.table.bootstrap)
+                asked = self.table.bootstrap
+                logged = self._named_record(asked.joint, asked.record)
+                if not isinstance(loads(logged.joint_file), JointFile):
+                    raise JointFileError(
+                        f"[bootstrap] draws the error of a joint's record; {asked.joint} is a robot file: use [fleet] "
+                        "or [monte_carlo]."
+                    )
+                for number in range(asked.runs):
+                    drawn = Redrawn(asked.seed + number)
+                    yield Case(logged.joint, logged.joint_file, logged.address, logged.stamp, "", changes, drawn)
             elif self.table.multistart is not None:
                 yield from self._of_starts(changes, self.table.multistart)
 
@@ -96,16 +104,6 @@ class Campaign:
             raise JointFileError(faults)
         truth = tuple((name, float(value)) for name, value in known.items() if value is not None)
         return text, self._named_record(asked.joint, asked.record), truth
-
-    def _of_resamples(self, changes: tuple[str, ...], asked: BootstrapTable) -> Iterator[Case]:
-        logged = self._named_record(asked.joint, asked.record)
-        text = logged.joint_file
-        if not isinstance(loads(text), JointFile):
-            raise JointFileError(f"[bootstrap] draws the error of a joint's record; {asked.joint} is a robot file: use "
-                                 "[fleet] or [monte_carlo].")  # fmt: skip
-        for number in range(asked.runs):
-            drawn = Redrawn(asked.seed + number)
-            yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, drawn)
 
     def _of_starts(self, changes: tuple[str, ...], asked: MultistartTable) -> Iterator[Case]:
         logged = self._named_record(asked.joint, asked.record)

@@ -17,7 +17,7 @@ from jointid.config.table import Table, Text, dotted, keys_from
 KINDS = ("fleet", "monte_carlo", "bootstrap", "multistart")
 """Tables of which a campaign has one."""
 PLACEHOLDERS = {"joint": r"[^/]+", "day": r"\d{4}-?\d{2}-?\d{2}"}
-"""What stands in the place of a part of a path, and which part that may be."""
+"""Placeholders of a part of a path, with the pattern that each matches."""
 PLACEHOLDER = re.compile(r"\{(\w*)\}|(\*)|(\?)")
 
 
@@ -68,9 +68,6 @@ class Bootstrap:
     """Runs of one record with its residual resampled in blocks of time.
 
     The explained torque stays. Valid if the residual is independent of the motion and the other channels are exact.
-
-    The torque that the identified joint explains stays. Valid where what is left does not follow the motion, and where
-    the record's other channels are without error, as a reference is.
     """
 
     joint: str = field(metadata=declare("path of the joint file, from this file"))

@@ -99,12 +99,7 @@ def best_change(series: Series) -> Change | None:
 
 
 def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[Change, ...]:
-    """Best change of every series by significance, reported ones marked (Holm).
-
-    Args:
-        series: all quantities of all joints.
-        false_alarm: chance of any report without a change.
-    """
+    """Best change of every series by significance, reported ones marked (Holm)."""
     found = sorted((one for each in series if (one := best_change(each)) is not None), key=lambda one: one.p_value)
     named = 0
     while named < len(found) and found[named].p_value <= false_alarm / (len(found) - named):
@@ -197,12 +192,12 @@ class Series:
         )  # fmt: skip
 
 
-def list_monitored(names: Sequence[str]) -> tuple[str, ...]:
+def select_quantities(names: Sequence[str]) -> tuple[str, ...]:
     """Quantities monitored for drift: stiffness, and sums of frictions of both sides.
 
     Example:
-        >>> from jointid.campaigns.drift import list_monitored
-        >>> list_monitored(["inertia", "stiffness", "motor_coulomb", "load_coulomb", "total_coulomb", "viscous"])
+        >>> from jointid.campaigns.drift import select_quantities
+        >>> select_quantities(["inertia", "stiffness", "motor_coulomb", "load_coulomb", "total_coulomb", "viscous"])
         ('stiffness', 'total_coulomb', 'viscous')
     """
     summed = {name.removeprefix("total_") for name in names if name.startswith("total_")}
@@ -226,26 +221,15 @@ def series_of(rows: Sequence[Row]) -> Iterator[Series]:
     for (joint, changes), runs in joints.items():
         runs.sort(key=lambda row: row.place)
         names = list(dict.fromkeys(name for row in runs for name in row.found))
-        for quantity in list_monitored(names):
-            yield from _series(joint, changes, quantity, runs)
-
-
-def _series(joint: str, changes: tuple[str, ...], quantity: str, runs: Sequence[Row]) -> Iterator[Series]:
-    known = [(row, one) for row in runs if (one := row.found.get(quantity)) is not None and one.value is not None]
-    found = [(row, one.value, one.std, one.unit) for row, one in known if one.std]
-    if not found:
-        return
-    days = [_ordinal(row.day) for row, *_ in found]
-    if None in days:
-        days = [float(k) for k in range(len(found))]
-    values, stds = np.array([(value, std) for _, value, std, _ in found], np.float64).T
-    labels = tuple(row.day or row.record for row, *_ in found)
-    yield Series(joint, changes, quantity, found[0][3], np.array(days, np.float64), values, stds, labels)
-
-
-def _ordinal(day: str) -> float | None:
-    """Day as an ordinal; None if missing or invalid."""
-    try:
-        return float(datetime.date.fromisoformat(day).toordinal())
-    except ValueError:
-        return None
+        for quantity in select_quantities(names):
+            known = [(row, one) for row in runs if (one := row.found.get(quantity)) is not None]
+            found = [(row, one.value, one.std, one.unit) for row, one in known if one.value is not None and one.std]
+            if not found:
+                continue
+            try:
+                days = [float(datetime.date.fromisoformat(row.day).toordinal()) for row, *_ in found]
+            except ValueError:  # a day is missing or invalid
+                days = [float(k) for k in range(len(found))]
+            values, stds = np.array([(value, std) for _, value, std, _ in found], np.float64).T
+            labels = tuple(row.day or row.record for row, *_ in found)
+            yield Series(joint, changes, quantity, found[0][3], np.array(days, np.float64), values, stds, labels)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
 import os
 import posixpath
 import re
@@ -12,16 +13,16 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 
 from jointid.campaigns.addresses import is_remote, list_addresses, stamp_of
 from jointid.campaigns.campaign_tables import PLACEHOLDER, PLACEHOLDERS, FleetTable, unknown_placeholders
 from jointid.campaigns.fleet_table import FleetRow, RowFaults, read_fleet_table
-from jointid.campaigns.robot_cases import embed_model, record_of
 from jointid.common.errors import JointFileError, RecordError
 from jointid.common.text import join as in_a_row
 from jointid.common.text import pluralise
 from jointid.config import loads
-from jointid.config.loading import read_text
+from jointid.config.loading import parse_toml, read_text
 
 _NAMED = 5  # files or joints that a sentence names
 
@@ -67,7 +68,10 @@ class FleetRecords:
     @property
     def left_out(self) -> str:
         """Describe files without a date and joints without a record; empty if none."""
-        said, without = [], self._without
+        said, without = [], list[str]()
+        if self.asked.table is not None:
+            with_one = {one.joint for one in self.found}
+            without = [name for name in dict.fromkeys(row.name for row in self._table[0]) if name not in with_one]
         if self._undated:
             said.append(
                 f"{len(self._undated)} files have no date as 2026-11-23 or 20261123 where [fleet] says {{day}}, "
@@ -76,14 +80,6 @@ class FleetRecords:
         if without:
             said.append(f"{pluralise(len(without), 'joint')} of the table have no record yet: {_some(without)}.")
         return " ".join(said)
-
-    @property
-    def _without(self) -> list[str]:
-        """Joints of a table without a record."""
-        if self.asked.table is None:
-            return []
-        with_one = {one.joint for one in self.found}
-        return [name for name in dict.fromkeys(row.name for row in self._table[0]) if name not in with_one]
 
     @cached_property
     def _table(self) -> tuple[tuple[FleetRow, ...], RowFaults]:
@@ -148,7 +144,6 @@ class FleetRecords:
         return self.folder, self.asked.joint
 
     def _of_row(self, row: FleetRow, text: str, place: Path) -> list[Logged]:
-        """Return the records of a row of a table in a folder."""
         if row.record:
             return [Logged(row.name, text, *_single(row.record, place, row.day), row.settings)]
         folder, pattern = (place, row.records) if row.records else (self.folder, self.asked.records)
@@ -165,31 +160,45 @@ class FleetRecords:
     def _text(self, folder: Path, joint: str, name: str) -> str:
         path = folder / joint.replace("{joint}", name)
         if path not in self._texts:
-            self._texts[path] = embed_model(read_text(path), path.parent)
+            self._texts[path] = _embed_model(read_text(path), path.parent)
         return self._texts[path]
 
     def _match(self, pattern: str, folder: Path) -> Mapping[str, list[tuple[str, str, str]]]:
         """Address, stamp and day of matches, by joint."""
         if (pattern, folder) not in self._matched:
-            self._matched[pattern, folder] = dict[str, list[tuple[str, str, str]]]()
-            for joint, address, stamp, day in self._matches(pattern, folder):
-                self._matched[pattern, folder].setdefault(joint, []).append((address, stamp, day))
+            by_joint = self._matched[pattern, folder] = dict[str, list[tuple[str, str, str]]]()
+            plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
+            shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
+            stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
+            for address, stamp in list_addresses(stars, folder).items():
+                said = shape.search(address.replace(os.sep, "/"))
+                if said is None:
+                    self._undated.append(address)
+                    continue
+                parts = said.groupdict()
+                logged = address, stamp, _day(parts.get("day"), address, stamp)
+                by_joint.setdefault(parts.get("joint", "joint"), []).append(logged)
         matched = self._matched[pattern, folder]
         if not matched and self.asked.table is None:
             raise JointFileError(f'fleet.records is "{pattern}", and no file is of that form; correct the path.')
         return matched
 
-    def _matches(self, pattern: str, folder: Path) -> Iterator[tuple[str, str, str, str]]:
-        plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
-        shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
-        stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
-        for address, stamp in list_addresses(stars, folder).items():
-            said = shape.search(address.replace(os.sep, "/"))
-            if said is None:
-                self._undated.append(address)
-                continue
-            parts = said.groupdict()
-            yield parts.get("joint", "joint"), address, stamp, _day(parts.get("day"), address, stamp)
+
+def _embed_model(text: str, folder: Path) -> str:
+    """Return the text of a file for a case, with absolute path and digest of a robot's model."""
+    try:
+        tables = parse_toml(text)
+    except JointFileError:
+        return text  # whose fault loading it says
+    if "robot" not in tables:
+        return text
+    model = tables["robot"].get("model") if isinstance(tables["robot"], dict) else None
+    if not isinstance(model, str) or not (folder / model).is_file():
+        return text  # likewise
+    path = (folder / model).absolute()
+    tables["robot"]["model"] = str(path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return f"# the model's SHA-256: {digest}\n{tomli_w.dumps(tables)}"
 
 
 def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = ()) -> Logged:
@@ -201,8 +210,8 @@ def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = (
         settings: keys of the joint file that are set, possibly record.file.
     """
     path = joint.absolute()
-    text = embed_model(read_text(path), path.parent)
-    named = record_of(text, settings) if record is None else record
+    text = _embed_model(read_text(path), path.parent)
+    named = loads(text, changes=settings).source.file if record is None else record
     if named is None:
         raise JointFileError(f"{path} names no record; add file to its [record], or name records in this file.")
     place = path.parent / named
@@ -230,24 +239,20 @@ def _check_settings(texts: Mapping[FleetRow, str]) -> Iterator[tuple[FleetRow, t
     """
     alike = dict[tuple[str, ...], list[tuple[FleetRow, list[float]]]]()
     for row, text in texts.items():
-        numbers = [_number(one.partition("=")[2]) for one in row.settings]
-        kinds = (
-            one if number is None else one.partition("=")[0]
-            for one, number in zip(row.settings, numbers, strict=True)
-        )  # fmt: skip
-        alike.setdefault((text, *kinds), []).append((row, [one for one in numbers if one is not None]))
+        kinds, numbers = [], []
+        for setting in row.settings:
+            key, _, value = setting.partition("=")
+            try:
+                numbers.append(float(value))
+                kinds.append(key)
+            except ValueError:
+                kinds.append(setting)
+        alike.setdefault((text, *kinds), []).append((row, numbers))
     for (text, *_), members in alike.items():
-        rows, values = [row for row, _ in members], np.array([numbers for _, numbers in members])
+        rows, values = [row for row, _ in members], np.array([one for _, one in members])
         ends = {0, *map(int, values.argmin(axis=0)), *map(int, values.argmax(axis=0))} if values.size else {0}
         if any(_faults(text, rows[k].settings) for k in ends):
             yield from ((row, _faults(text, row.settings)) for row in rows)
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 @lru_cache(maxsize=1024)

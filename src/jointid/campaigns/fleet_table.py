@@ -58,7 +58,10 @@ class RowFaults:
     def raise_any(self) -> None:
         """Raise the collected faults, if any."""
         found = sorted(self._found.items(), key=lambda one: one[1])
-        said = [f"{self._path.name}, {_rows(numbers)}: {one}" for one, numbers in found]
+        said = []
+        for sentence, numbers in found:
+            named = [*map(str, numbers[:_NAMED]), *([f"{len(numbers) - _NAMED} more"] if len(numbers) > _NAMED else [])]
+            said.append(f"{self._path.name}, row{'s' if len(numbers) > 1 else ''} {join(named)}: {sentence}")
         if said:
             more = len(said) - _SENTENCES
             rest = [f"{self._path.name} has {pluralise(more, 'fault')} more; mend these first."] if more > 0 else []
@@ -93,13 +96,7 @@ def read_fleet_table(path: Path) -> tuple[tuple[FleetRow, ...], RowFaults]:
     return tuple(made), faults
 
 
-def _rows(numbers: Sequence[int]) -> str:
-    named = [*map(str, numbers[:_NAMED]), *([f"{len(numbers) - _NAMED} more"] if len(numbers) > _NAMED else [])]
-    return f"row{'s' if len(numbers) > 1 else ''} {join(named)}"
-
-
 def _faults(said: Mapping[str, str]) -> Iterator[str]:
-    """Yield the faults of a single row."""
     if not said["name"]:
         yield "name is empty; expected the joint's name: fill it in."
     if said.get("records") and said.get("record"):
@@ -125,7 +122,6 @@ def _value(key: str, cell: str) -> str:
 
 
 def _check_header(path: Path, header: Sequence[str]) -> None:
-    """Refuse an unclear header."""
     faults = [f"{path} has {count} columns {name}; leave one of them out." for name, count in Counter(header).items()
               if count > 1]  # fmt: skip
     if "name" not in header:

@@ -79,7 +79,7 @@ class Status(Documented):
             return None
         return (len(recent) - 1) / (recent[-1] - recent[0])
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Progress; with details every reason for refusal."""
         results, counts = self.results, self.results.counts()
         ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)

@@ -1,13 +1,15 @@
-"""Report of a campaign: drift of a fleet, scatter of repetitions, best of many starts."""
+"""Report of a campaign: drift of a fleet, scatter of repetitions, best of many starts; export of its results."""
 
 from __future__ import annotations
 
+import csv
+import io
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,21 +17,28 @@ from jointid.campaigns.cases import LOGGED, Outcome, Redrawn, Row, Simulated, St
 from jointid.campaigns.drift import FALSE_ALARM, Change, Series, judge, series_of
 from jointid.campaigns.folder import Results, describe_row, read_results
 from jointid.campaigns.run_groups import (
+    AgainstTruth,
     Repeated,
     SearchEnd,
+    against_truth,
     end_blocks,
     ends_of,
     repeat_blocks,
     repeats_of,
     summarise_ends,
     summarise_repeats,
+    summarise_truth,
     sweep_blocks,
+    truth_blocks,
 )
-from jointid.campaigns.truths import AgainstTruth, against_truth, summarise_truth, truth_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, RecordError, extra
+from jointid.common.files import beside, write_whole
 from jointid.common.text import format_signed, join, number, pluralise
+
+ENDINGS = (".csv", ".parquet")
+"""Suffixes of the files of an export."""
 
 _SHOWN = 10  # rows of a table without details
 _UNLIKE = 5.0  # robust deviations from the other joints
@@ -83,7 +92,14 @@ class CampaignReport(Documented):
             return f"{said} {more}", good and true
         if kind == Started.kind:
             return summarise_ends(self.ends)
-        return self._drift_sentence, None if not self.changes else not self.drifted
+        if not self.changes:
+            return "Drift was not tested: no joint has eight runs.", None
+        joints = list(dict.fromkeys(one.series.joint for one in self.drifted))
+        if joints:
+            named = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
+            return f"{pluralise(len(joints), 'joint')} drifted: {join(named)}.", False
+        watched = pluralise(len({one.series.joint for one in self.changes}), "joint")
+        return f"No stiffness and no friction drifted by more than its scatter ({watched} watched).", True
 
     @cached_property
     def changes(self) -> tuple[Change, ...]:
@@ -100,18 +116,7 @@ class CampaignReport(Documented):
         """The verdict in a line."""
         return self.verdict[0]
 
-    @property
-    def _drift_sentence(self) -> str:
-        joints = list(dict.fromkeys(one.series.joint for one in self.drifted))
-        if joints:
-            more = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
-            return f"{pluralise(len(joints), 'joint')} drifted: {join(more)}."
-        if not self.changes:
-            return "Drift was not tested: no joint has eight runs."
-        watched = len({one.series.joint for one in self.changes})
-        return f"No stiffness and no friction drifted by more than its scatter ({pluralise(watched, 'joint')} watched)."
-
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """The report; with details all rows of every table."""
         most = None if details else _SHOWN
         results, counts = self.results, self.results.counts()
@@ -149,7 +154,7 @@ class CampaignReport(Documented):
         )
 
     def _scatter_blocks(self) -> Iterator[Block]:
-        """Yield how the scatter between runs compares with the stated intervals."""
+        """Yield the scatter between runs over the stated standard deviations."""
         found: dict[str, list[float]] = {}
         for one in self.series:
             if one.enough:
@@ -183,12 +188,7 @@ class CampaignReport(Documented):
 
 
 def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
-    """Read the results of a campaign, also while it runs.
-
-    Args:
-        folder: of the results.
-        false_alarm: chance that any joint of a fleet without drift is reported.
-    """
+    """Read the results of a campaign, also while it runs."""
     if not 0 < false_alarm < 1:
         raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
     return CampaignReport(read_results(folder), false_alarm)
@@ -255,3 +255,70 @@ def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
     yield Listing(tuple(describe_row(row) for row in without[:most]))
     joints = Counter(row.joint for row in without).most_common(most)
     yield Table(("joint", "runs without an answer"), tuple((joint, str(count)) for joint, count in joints))
+
+
+def export_rows(rows: Sequence[Row], path: Path) -> None:
+    """Write results as CSV or Parquet, by file suffix."""
+    require_ending(path)
+    columns = table_of(rows)
+    if path.suffix.lower() == ".csv":
+        made = io.StringIO(newline="")
+        writer = csv.writer(made, lineterminator="\n")
+        writer.writerow(map(_quote_formula, columns))
+        writer.writerows(map(_quote_formula, row) for row in zip(*columns.values(), strict=True))
+        write_whole(path, made.getvalue())
+        return
+    pyarrow = extra("pyarrow", "logs", "A Parquet file")
+    parquet = extra("pyarrow.parquet", "logs", "A Parquet file")
+    with beside(path) as fresh:
+        parquet.write_table(pyarrow.table({name: pyarrow.array(column) for name, column in columns.items()}), fresh)
+
+
+def _quote_formula(cell: Any) -> Any:
+    """Quote a cell that a spreadsheet would take for a formula."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
+
+
+def require_ending(path: Path) -> None:
+    """Refuse unsupported file suffixes."""
+    if path.suffix.lower() not in ENDINGS:
+        raise RecordError(f"{path} ends in no known format; expected {' or '.join(ENDINGS)}: name it so.")
+    if path.suffix.lower() == ".parquet":
+        extra("pyarrow", "logs", "A Parquet file")
+
+
+def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
+    """Columns of results by name: case, answer, settings, hashes and versions.
+
+    A parameter has columns for value and standard deviation, with the unit in the name, and for the truth if simulated.
+    """
+    columns: dict[str, list[Any]] = {
+        "joint": [row.joint for row in rows],
+        "day": [row.day for row in rows],
+        "record": [row.record for row in rows],
+        "kind": [row.kind for row in rows],
+        "seed": [row.seed for row in rows],
+        "changes": ["; ".join(row.changes) for row in rows],
+        "settings": ["; ".join(row.settings) for row in rows],
+        "outcome": [str(row.outcome) for row in rows],
+        "sentence": [row.sentence for row in rows],
+        "trust": [row.trust for row in rows],
+        "converged": [row.converged for row in rows],
+        "error [%]": [row.error_percent for row in rows],
+        "simulations": [row.simulations for row in rows],
+    }
+    for name, unit in sorted({(name, one.unit) for row in rows for name, one in row.found.items()}):
+        found = [one if (one := row.found.get(name)) is not None and one.unit == unit else None for row in rows]
+        columns[f"{name} [{unit}]"] = [None if one is None else one.value for one in found]
+        columns[f"{name} std [{unit}]"] = [None if one is None else one.std for one in found]
+        truth = [None if one is None else row.truth.get(name) for row, one in zip(rows, found, strict=True)]
+        if any(value is not None for value in truth):
+            columns[f"{name} truth [{unit}]"] = truth
+    columns |= {
+        "case sha256": [row.content_hash for row in rows],
+        "record sha256": [row.record_sha256 for row in rows],
+        "joint file sha256": [row.joint_file_sha256 for row in rows],
+    }
+    for name in sorted({name for row in rows for name in row.versions}):
+        columns[name] = [row.versions.get(name, "") for row in rows]
+    return columns

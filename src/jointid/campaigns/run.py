@@ -98,7 +98,7 @@ def run_cases(
                         f"{'is' if len(affected) == 1 else 'are'} tried again, one at a time"
                     )
                 for case in (one for one in affected if not results.has_result(one.content_hash)):
-                    _run_alone(case, engine, results, carry, keep)
+                    _run_single(case, engine, results, carry, keep)
         finally:
             work.reach(left)
     return Ran(finished.total(), finished[True], made)
@@ -168,8 +168,8 @@ def _fill(under_way: _UnderWay, waiting: _Waiting, workers: Workers, carry: Carr
             return
 
 
-def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep: Keep) -> None:
-    """Execute a case alone, and set it aside after two deaths."""
+def _run_single(case: Case, engine: Engine, results: Results, carry: Carry, keep: Keep) -> None:
+    """Execute a case without others, and set it aside after two deaths."""
     while True:
         with engine.open(1) as workers:
             rows = _result(workers.executor.submit(on_one_core, carry, [case]), engine)

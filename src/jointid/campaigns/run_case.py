@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from importlib.metadata import version
@@ -13,13 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from jointid import Estimate, JointFile, Record, RobotFile, __version__, simulated_record
+from jointid import Estimate, Record, __version__, simulated_record
 from jointid.campaigns.addresses import digest, fetch
 from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started, finite
-from jointid.campaigns.robot_cases import identify_robot_case
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.config import loads, require_joint
+from jointid.config import JointFile, loads, require_joint
+from jointid.config.robot_file import RobotFile
+from jointid.simulation.simulated import require_success
+from jointid.simulation.synthesis import simulate
 from jointid.uncertainty.covariance import bandwidth
 from jointid.uncertainty.identifiability import Kind, Known
 from jointid.uncertainty.resampling import BANDWIDTHS
@@ -91,7 +93,7 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     changes = [f"parameters.{name}.start={value!r}" for name, value in starts]
     file = _file(case.joint_file, (*case.settings, *case.changes, *changes))
     if not isinstance(file, JointFile):
-        return identify_robot_case(case, file, path)
+        return _identify_robot(case, file, path)
     if file.runs:
         raise MethodError(
             f"The joint file of {case.joint} lists several [[records]], and a campaign identifies from one at a time; "
@@ -99,7 +101,7 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
         )
     record = file.record(path)
     if isinstance(case.varied, Simulated):
-        record = _simulate(file, record, case.varied)
+        record = _simulate_joint(file, record, case.varied)
     elif isinstance(case.varied, Redrawn):
         explained, left = _explain(case.joint_file, case.changes, path, record_sha256)
         length = min(BANDWIDTHS * bandwidth(left.size), left.size)
@@ -109,10 +111,16 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
         torque = replace(record.torque, values=explained + np.take(left, at, mode="wrap"))
         record = replace(record, torque=torque)
     estimate = file.identify(record)
+    found = {
+        p.name: Found(finite(p.value), finite(p.stderr) if p.free else None, p.unit)
+        for p in estimate.params.rows
+        if p.of_joint
+    }
+    found |= {name: Found(finite(one.value), finite(one.std), one.combination.unit) for name, one in _totals(estimate)}
     return {
         "outcome": Outcome.IDENTIFIED,
         "sentence": estimate.sentence,
-        "found": dict(_list_found(estimate)),
+        "found": found,
         "trust": str(estimate.answer.trust.code),
         "converged": bool(estimate.fit.converged),
         "error_percent": finite(100 * estimate.fit.filtered_error),
@@ -121,7 +129,7 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     }
 
 
-def _simulate(file: JointFile, motion: Record, asked: Simulated) -> Record:
+def _simulate_joint(file: JointFile, motion: Record, asked: Simulated) -> Record:
     """Return a simulated run of the motion of a record, with noise."""
     loop, reference = file.loop, motion.reference
     if loop is None or reference is None:
@@ -144,14 +152,6 @@ def _simulate(file: JointFile, motion: Record, asked: Simulated) -> Record:
     )  # fmt: skip
 
 
-def _list_found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
-    for p in estimate.params.rows:
-        if p.of_joint:
-            yield p.name, Found(finite(p.value), finite(p.stderr) if p.free else None, p.unit)
-    for name, one in _totals(estimate):
-        yield name, Found(finite(one.value), finite(one.std), one.combination.unit)
-
-
 def _truth(estimate: Estimate, asked: Simulated) -> Iterator[tuple[str, float]]:
     """Yield true values of the identified quantities, if the model is the simulated one."""
     values = dict(asked.values)
@@ -170,3 +170,48 @@ def _totals(estimate: Estimate) -> Iterator[tuple[str, Known]]:
     for one in () if known is None else known.physical:
         if one.combination.kind is Kind.SUM:
             yield f"total_{one.combination.quantity}", one
+
+
+def _identify_robot(case: Case, file: RobotFile, path: Path) -> dict[str, Any]:
+    """Return the entries of a row from the estimate of a robot."""
+    if case.varied is not None and not isinstance(case.varied, Simulated):
+        raise MethodError(
+            f"A robot's runs are logged or simulated; received one that is {case.varied.kind}: use [fleet] or "
+            "[monte_carlo]."
+        )
+    records = file.record(path) if case.varied is None else _simulate_robot(file, file.driving(path), case.varied)
+    estimate = file.identify(records)
+    rows = estimate.params.rows
+    return {
+        "outcome": Outcome.IDENTIFIED,
+        "sentence": estimate.sentence,
+        "found": {row.name: Found(finite(row.value), finite(row.stderr), row.unit) for row in rows},
+        "trust": str(estimate.answer.trust.code),
+        "converged": bool(estimate.fit.converged),
+        "error_percent": finite(100 * estimate.fit.filtered_error),
+        "simulations": int(estimate.fit.simulations),
+        "truth": {} if case.varied is None else dict(_robot_truth(estimate)),
+    }
+
+
+def _robot_truth(estimate: Estimate) -> Iterator[tuple[str, float]]:
+    """Yield the true identified combinations of a simulated robot; none where the method does not know them."""
+    part = estimate.require_robot()
+    values = part.parameters_of(part.model)
+    if values is not None:
+        named = zip(estimate.params.rows, map(float, values), strict=True)
+        yield from ((row.name, value) for row, value in named if row.of_joint)
+
+
+def _simulate_robot(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:
+    """Records of a simulated run, with noise relative to the torques."""
+    if asked.values or asked.noise_force:
+        raise MethodError(
+            "A robot's simulated runs have the numbers of its robot file and noise_log, of the joint with the largest "
+            "torque and of the others in proportion; leave values and noise_force out of [monte_carlo]."
+        )
+    run = require_success(simulate(file.loop, driven), f"The simulation of {file.robot.name}")
+    sizes = np.std(run.torque, axis=0)
+    noise = np.random.default_rng([asked.seed]).standard_normal(run.torque.shape)
+    torque = run.torque + asked.noise_log * noise * sizes / np.max(sizes)
+    return replace(run, torque=torque).records(driven)

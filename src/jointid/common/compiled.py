@@ -69,7 +69,7 @@ def inline_kernel(function: F) -> F:
     return _njit(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
-def _widen_vectors(_: Any) -> tuple[Any, Any]:
+def _prefer_wide_vectors(_: Any) -> tuple[Any, Any]:
     def lower(context: Any, builder: Any, *_: Any) -> Any:
         # A set whose own `add` knows the attributes without a value only, so call that of any set.
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
@@ -78,13 +78,9 @@ def _widen_vectors(_: Any) -> tuple[Any, Any]:
     return types.void(), lower
 
 
-def _nothing() -> None: ...
-
-
-wide_vectors = (
-    _nothing
-    if numba.config.DISABLE_JIT  # type: ignore[attr-defined]
-    else cast("Callable[[], None]", intrinsic(_widen_vectors))
+_intrinsic: Any = intrinsic  # its types know no function without arguments
+wide_vectors: Callable[[], None] = (
+    (lambda: None) if numba.config.DISABLE_JIT else _intrinsic(_prefer_wide_vectors)  # type: ignore[attr-defined]
 )
 """Let the function that calls this use all of the machine's vectors, as those it inlines must ask, too.
 

@@ -12,7 +12,7 @@ import re
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from html import escape
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -36,6 +36,26 @@ _CELL = 3800  # characters of HTML that a notebook's cell shows of a result, abo
 _TITLE = 200  # characters of its title
 _SENTENCE = 400  # and of the sentence below it; escaped, a character is six at most
 _ROWS, _ITEMS = 16, 4  # of a table and of a list there
+
+# Typography of a page:
+_THIN = "\u202f"  # a thin space at which no line ends
+_UNITS = r"(?:%|°|k?Hz|[mµ]?s|k?g|k?N|[mk]?m|m?rad|[mk]?A|[mk]?V|dB|σ|sigma)"
+_SMALL = 1e-3  # a smaller p-value is said to be smaller than this
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+_RULES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
+    (r"\+-", "±"),
+    (r"\bp (=|<) (\d[\d.]*(?:e-?\d+)?)", lambda found: f"p {_p_value(found[1], float(found[2].rstrip('.')))}"),
+    (r" >= ", " ≥ "),
+    (r" <= ", " ≤ "),
+    (r"(?<=[a-z])\^(-?\d)", lambda found: found[1].translate(_SUPERSCRIPTS)),
+    (r"(?<=\d)e([+-])0*(\d+)\b", lambda found: f"·10{(found[1].strip('+') + found[2]).translate(_SUPERSCRIPTS)}"),
+    (rf"(?<=\d) (?={_UNITS}(?![\w/]|\s*=))", _THIN),
+    (r"(?<=\d) (?=(?:N|kg|rad|m|A|V)(?:[ /](?:m|s|rad)\b|²))", _THIN),
+    (r"(?<=\bN) (?=m\b|s/)|(?<=\bN\u202fm) (?=s/)|(?<=\bkg) (?=m²)|(?<=\bA) (?=s/)|(?<=\bV) (?=s/)", _THIN),
+    (r"\bsigma\b", "σ"),
+    (r"(?<![\w.)\]⁻-])-(?=\d)", "−"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,12 +188,12 @@ class Documented(ABC):
     __slots__ = ()
 
     @abstractmethod
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the result as a document, with `details` on demand."""
 
     def summary(self, *, details: bool = False) -> str:
         """Return the document as text."""
-        return self.document(details=details).text()
+        return self.to_document(details=details).text()
 
     def __str__(self) -> str:
         """Summarise the result in the encoding of the standard output."""
@@ -186,7 +206,7 @@ class Documented(ABC):
 
     def _repr_html_(self) -> str:
         """Render the sentence and a shortened document for a notebook."""
-        return notebook_html(self.document(), self.sentence)
+        return notebook_html(self.to_document(), self.sentence)
 
 
 def notebook_html(document: Document, sentence: str = "") -> str:
@@ -201,7 +221,11 @@ def notebook_html(document: Document, sentence: str = "") -> str:
     for block in document.blocks:
         if isinstance(block, Picture):
             continue
-        fewer = _fewer(block)
+        fewer = block
+        if isinstance(block, Table):
+            fewer = replace(block, rows=block.rows[:_ROWS]) if len(block.rows) > _ROWS else block
+        elif isinstance(block, Listing):
+            fewer = Listing(block.items[:_ITEMS]) if len(block.items) > _ITEMS else block
         made = block_html(fewer)
         if len(made) > room:
             whole = False
@@ -212,15 +236,6 @@ def notebook_html(document: Document, sentence: str = "") -> str:
     if not whole:
         parts.append("<p>There is more: print it.</p>")
     return "\n".join(['<div class="jointid">', *parts, "</div>"])
-
-
-def _fewer(block: Block) -> Block:
-    """Truncate the rows of a block."""
-    if isinstance(block, Table) and len(block.rows) > _ROWS:
-        return replace(block, rows=block.rows[:_ROWS])
-    if isinstance(block, Listing) and len(block.items) > _ITEMS:
-        return Listing(block.items[:_ITEMS])
-    return block
 
 
 def data_frame(rows: Mapping[str, Mapping[str, object]], index: str) -> DataFrame:
@@ -261,7 +276,6 @@ def _verdict_text(asked: str, good: bool | None, reasons: Sequence[str], width: 
 
 
 def _table_text(block: Table, width: int) -> str:
-    """Render a table; wide rows continue below, indented."""
     table = [block.header, *block.rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(block.header))]
     parts, taken = [[0]], widths[0]
@@ -294,15 +308,13 @@ def _render_markdown(block: Block) -> str:
         return _add_caption(_plain(block.caption), f"{fence}\n{block.text.rstrip()}\n{fence}")
     if isinstance(block, Picture):
         return f"![{_plain(block.text)}]({block.name})\n\n*{_plain(block.text)}*"
-    return "\n".join(f"- {line}" for line in _points(block))
-
-
-def _points(block: Listing | Verdicts | Facts) -> list[str]:
     if isinstance(block, Listing):
-        return [_plain(item) for item in block.items]
-    if isinstance(block, Verdicts):
-        return [f"**{_ANSWERS[good]}** — {_plain(asked)} {_plain('; '.join(why))}" for asked, good, why in block.rows]
-    return [f"{_plain(name)}: {_plain(value)}" for name, value in block.pairs]
+        lines = [_plain(item) for item in block.items]
+    elif isinstance(block, Verdicts):
+        lines = [f"**{_ANSWERS[good]}** — {_plain(asked)} {_plain('; '.join(why))}" for asked, good, why in block.rows]
+    else:
+        lines = [f"{_plain(name)}: {_plain(value)}" for name, value in block.pairs]
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def _add_caption(caption: str, text: str) -> str:
@@ -397,3 +409,42 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def typeset(text: str) -> str:
+    """Typeset ±, minus signs, exponents, thin spaces before units, and p-values."""
+    for pattern, into in _RULES:
+        text = re.sub(pattern, into, text)
+    return text
+
+
+def p_value(value: float) -> str:
+    """Format a p-value to two digits, or as below 0.001."""
+    return f"< {_SMALL}" if value < _SMALL else f"{value:.2g}"
+
+
+def typeset_block(block: Block) -> Block:
+    """Typeset the texts of a block, except code and names with values."""
+    if isinstance(block, Code):
+        return block
+    if isinstance(block, Picture):
+        return replace(block, text=typeset(block.text))
+    if isinstance(block, Facts):  # hashes and names of files are among them
+        return block
+    if isinstance(block, Table):
+        rows = tuple(tuple(map(typeset, row)) for row in block.rows)
+        return replace(block, header=tuple(map(typeset, block.header)), rows=rows, caption=typeset(block.caption))
+    changed: dict[str, Any] = {one.name: _deep(getattr(block, one.name)) for one in fields(block)}
+    return replace(block, **changed)
+
+
+def _deep(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_deep, value))
+    return typeset(value) if isinstance(value, str) else value
+
+
+def _p_value(relation: str, value: float) -> str:
+    if value < _SMALL or (relation == "<" and value <= _SMALL):
+        return f"< {_SMALL}"
+    return f"{relation} {value:.2g}"

@@ -41,15 +41,13 @@ class FaultsError(JointidError):
 
     def __init__(self, faults: str | Iterable[str]) -> None:
         each = (faults,) if isinstance(faults, str) else tuple(faults)
-        self.faults: tuple[Fault, ...] = tuple(map(_fault, each))
+        kept = list[Fault]()
+        for fault in each:
+            said = printable(fault).replace("\n", "\\n")
+            said = said if len(said) <= _LONGEST else f"{said[: _LONGEST // 2]} ... {said[-_LONGEST // 2 :]}"
+            kept.append(Fault(said, fault.place, fault.code) if isinstance(fault, Fault) else Fault(said))
+        self.faults: tuple[Fault, ...] = tuple(kept)
         super().__init__("\n".join(self.faults))
-
-
-def _fault(fault: str) -> Fault:
-    """Return a fault on one line, of a length that can be read."""
-    said = printable(fault).replace("\n", "\\n")
-    said = said if len(said) <= _LONGEST else f"{said[: _LONGEST // 2]} ... {said[-_LONGEST // 2 :]}"
-    return Fault(said, fault.place, fault.code) if isinstance(fault, Fault) else Fault(said)
 
 
 class RecordError(FaultsError):

@@ -60,7 +60,7 @@ class Parameter:
     lower: float = -math.inf
     upper: float = math.inf
 
-    def fixed(self, value: float) -> Parameter:
+    def fix(self, value: float) -> Parameter:
         """Return this parameter kept at `value`."""
         return replace(self, free=False, start=float(value))
 
@@ -96,7 +96,7 @@ def adjust_parameters(parameters: Iterable[Parameter], changes: Mapping[str, Par
     if wrong:
         raise MethodError(
             f"A change of {', '.join(wrong)} is a Parameter; received {changes[wrong[0]]!r}: take the joint's own and "
-            "use its fixed(value), or dataclasses.replace."
+            "use its fix(value), or dataclasses.replace."
         )
     parameters = tuple(parameters)
     names = [parameter.name for parameter in parameters]
@@ -119,7 +119,7 @@ class Bounds:
         return cls(np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters]))
 
     @classmethod
-    def none(cls, size: int) -> Bounds:
+    def infinite(cls, size: int) -> Bounds:
         """Unbounded parameters."""
         anywhere = np.full(size, np.inf)
         return cls(-anywhere, anywhere)
@@ -128,7 +128,7 @@ class Bounds:
         """Return the nearest point within the bounds."""
         return np.minimum(np.maximum(x, self.lower), self.upper)
 
-    def reached(self, x: FloatArray, gap: float | FloatArray = 0.0) -> NDArray[np.bool_]:
+    def find_active(self, x: FloatArray, gap: float | FloatArray = 0.0) -> NDArray[np.bool_]:
         """Test which parameters are within `gap` of a bound."""
         return np.asarray((x <= self.lower + gap) | (x >= self.upper - gap))
 

@@ -9,7 +9,7 @@ import inspect
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from enum import StrEnum
 from functools import lru_cache
 from numbers import Integral, Real
@@ -110,15 +110,14 @@ class Declared:
     @property
     def says(self) -> Says:
         """Description of the expected value."""
-        return Says(self.setting.expected or self._expected, self.setting.negative)
-
-    @property
-    def _expected(self) -> str:
-        if self.choices:
-            return messages.either(self.choices)
-        if self.setting.only:
-            return " or ".join(map(str, self.setting.only))
-        return self._range if self.type in (int, float) else _WORDS.get(self.type, "a table")
+        expected = self.setting.expected
+        if not expected and self.choices:
+            expected = messages.either(self.choices)
+        elif not expected and self.setting.only:
+            expected = " or ".join(map(str, self.setting.only))
+        elif not expected:
+            expected = self._range if self.type in (int, float) else _WORDS.get(self.type, "a table")
+        return Says(expected, self.setting.negative)
 
     @property
     def _range(self) -> str:
@@ -180,16 +179,16 @@ _WORDS: Mapping[Any, str] = {
 @lru_cache(maxsize=256)
 def settings_of(owner: type) -> tuple[Declared, ...]:
     """Settings of a dataclass, in order."""
-    hints = get_type_hints(owner)
-    return tuple(_declare_field(one, hints[one.name]) for one in fields(owner) if _KEY in one.metadata)
-
-
-def _declare_field(one: Field[Any], hint: Any) -> Declared:
-    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    kept = [part for part in parts if part is not NoneType]
-    factory = None if one.default_factory is MISSING else one.default_factory
-    kind = kept[0] if len(kept) == 1 else hint
-    return Declared(one.name, kind, len(kept) < len(parts), one.default, one.metadata[_KEY], factory)
+    hints, found = get_type_hints(owner), list[Declared]()
+    for one in fields(owner):
+        if _KEY in one.metadata:
+            hint = hints[one.name]
+            parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+            kept = [part for part in parts if part is not NoneType]
+            factory = None if one.default_factory is MISSING else one.default_factory
+            kind = kept[0] if len(kept) == 1 else hint
+            found.append(Declared(one.name, kind, len(kept) < len(parts), one.default, one.metadata[_KEY], factory))
+    return tuple(found)
 
 
 def check_settings(owner: Any, error: type[JointidError] = MethodError, called: str = "") -> None:

@@ -65,7 +65,7 @@ class Transmission:
     Example:
         >>> import jointid as ji
         >>> screw = ji.Transmission(load="prismatic", lead=0.010)
-        >>> law = ji.Cascade(position_gain=25.0, velocity_gain=0.02, ratio=screw.torque("motor"))
+        >>> law = ji.controller.Cascade(position_gain=25.0, velocity_gain=0.02, ratio=screw.torque("motor"))
         >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic", transmission=screw), law)
         >>> print(screw)
         10 mm per turn, without loss (efficiency taken as 1); values are on the load side

@@ -85,7 +85,6 @@ def unit(name: str) -> Unit:
 
 
 def _known_instead(name: str) -> str:
-    """List known units as alternatives."""
     meant = nearest(name, _UNITS)
     return f"expected one of {', '.join(_UNITS)}" if meant is None else f'write "{meant}" if that is meant'
 
@@ -218,7 +217,7 @@ def parse_unit(text: str) -> Compound:
         tokens.append(token)
         at = token.end()
     try:
-        found = _read_quotient(tokens, text.strip())
+        found = _read_division(tokens, text.strip())
     except (OverflowError, ZeroDivisionError):
         raise UnitError(f'"{text.strip()}" is no unit; its factor is 0 or too large') from None
     if tokens:
@@ -228,8 +227,8 @@ def parse_unit(text: str) -> Compound:
     return found
 
 
-def _read_quotient(tokens: list[re.Match[str]], text: str) -> Compound:
-    """Parse tokens up to the end or a closing bracket; consumes them."""
+def _read_division(tokens: list[re.Match[str]], text: str) -> Compound:
+    """Parse tokens up to the end or a right bracket; consumes them."""
     found, divided = Compound(1.0, {}), False
     if not tokens or tokens[0]["mark"] == ")":
         raise UnitError(f'"{text}" is no unit; expected products and quotients of units, as A s/rad')
@@ -249,7 +248,7 @@ def _read_factor(tokens: list[re.Match[str]], text: str) -> Compound:
         raise UnitError(f'"{text}" is no unit; expected products and quotients of units, as A s/rad')
     token = tokens.pop(0)
     if token["mark"] == "(":
-        found = _read_quotient(tokens, text)
+        found = _read_division(tokens, text)
         if not tokens:
             raise UnitError(f'"{text}" has a bracket that is not closed or not opened')
         tokens.pop(0)

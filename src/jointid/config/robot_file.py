@@ -41,18 +41,15 @@ from jointid.config.schema import (
 )
 from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Source
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
+from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import ROBOT
-from jointid.estimation.robots.identify import fit_robot
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import (
-    RobotTorqueEstimate,
-)
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
-from jointid.models.springs import SPRINGS, ElasticLoad, spring_named
+from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
 from jointid.planning.limits import ROBOT_LIMITS, AxisLimits
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.formats import read_table
@@ -94,7 +91,7 @@ class JointSpringTable(Table):
 
     shorthand = "law"
 
-    law: Annotated[Text, accept_by(spring_named)] = Field(
+    law: Annotated[Text, accept_by(find_spring)] = Field(
         "linear", description="the spring's law", json_schema_extra={"enum": list(SPRINGS)}
     )
     stiffness: Positive | None = Field(
@@ -460,20 +457,21 @@ class RobotFile:
         return self._fed_forward(found) if self._simulates or (judged and whole) else found
 
     def identify(
-        self, records: Sequence[Record], progress: Progress = ignore_progress
-    ) -> RobotEstimate | RobotTorqueEstimate:
+        self, records: Sequence[Record], progress: Progress = ignore_progress, *, checks: bool = True
+    ) -> Estimate:
         """Identify the robot by the method and the filtering of the file.
 
         Args:
             records: of each joint, as `record` reads them.
             progress: is told how a search goes.
+            checks: whether to check the estimate.
 
         Raises:
             RecordError, MethodError: see `jointid.identify`.
         """
         self.robot.require_lines("An identification of a robot takes")
         self._require_free()
-        return fit_robot(records, self.closing, self.method, filtering=self.filtering, progress=progress)
+        return identify(records, self.closing, self.method, filtering=self.filtering, checks=checks, progress=progress)
 
     @property
     def closing(self) -> Robot | RobotLoop | RobotDriveSide:

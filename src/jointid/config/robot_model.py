@@ -21,7 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, MethodError, extra
 from jointid.common.text import short
 from jointid.common.units import Kind
-from jointid.models.robots.inertial import MassProperties, in_parent
+from jointid.models.robots.inertial import MassProperties, change_frame
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 
 _LARGEST = 2**23  # bytes
@@ -247,7 +247,7 @@ def _robot(mujoco: Any, model: Any, name: str, called: str) -> Robot:
         placed[number] = (carrier, rotation, origin)
         if carrier >= 0:
             here = links[carrier]
-            inertial = here.inertial + in_parent(_body(mujoco, model, number), rotation, origin)
+            inertial = here.inertial + change_frame(_body(mujoco, model, number), rotation, origin)
             links[carrier] = replace(here, inertial=inertial)
     if not 1 <= len(links) <= _MOST:
         raise JointFileError(

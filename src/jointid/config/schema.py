@@ -59,11 +59,10 @@ from jointid.models.controllers import (
     as_filter,
 )
 from jointid.models.disturbances import Drift, Effect
-from jointid.models.friction import FRICTIONS, friction_named
-from jointid.models.gravity import Counterbalance, Gravity
+from jointid.models.friction import FRICTIONS, find_friction
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
-from jointid.models.springs import SPRINGS, LinearSpring, spring_named
+from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
+from jointid.models.springs import SPRINGS, LinearSpring, find_spring
 from jointid.planning.limits import AxisLimits
 from jointid.records.drives import Drive
 from jointid.records.record import CHANNELS
@@ -93,10 +92,10 @@ class JointTable(Table):
 
     kind: units.Kind = Field(description="how the joint moves: m and N, or rad and N m")
     model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
-    friction: Annotated[Text, accept_by(friction_named)] = Field(
+    friction: Annotated[Text, accept_by(find_friction)] = Field(
         "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
     )
-    spring: Annotated[Text, accept_by(spring_named)] = Field(
+    spring: Annotated[Text, accept_by(find_spring)] = Field(
         "linear", description="the spring's law, of a flexible joint", json_schema_extra={"enum": list(SPRINGS)}
     )
     name: Text | None = Field(None, description="what reports call the joint")
@@ -132,10 +131,10 @@ class JointTable(Table):
         kind = self.kind if transmission is None else transmission.kind
         weight = None if gravity is None else gravity.gravity(transmission)
         common = (
-            kind, friction_named(self.friction), torque_unit, transmission, weight,
+            kind, find_friction(self.friction), torque_unit, transmission, weight,
             None if ripple is None else ripple.build(),
         )  # fmt: skip
-        return FlexibleJoint(*common, spring_named(self.spring)) if self.model == "flexible" else RigidJoint(*common)
+        return FlexibleJoint(*common, find_spring(self.spring)) if self.model == "flexible" else RigidJoint(*common)
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that a rigid joint has no spring, or why a joint cannot have its friction."""

@@ -20,9 +20,8 @@ from jointid.estimation.methods.registry import Method, method_of
 from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
 from jointid.models.disturbances import Drift, Effect
 from jointid.models.friction import FRICTIONS
-from jointid.models.gravity import Gravity
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.records.drives import Drive
 from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering

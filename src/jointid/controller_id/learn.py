@@ -61,7 +61,8 @@ def learn_controller(
 
     Example:
         >>> import jointid as ji, numpy as np
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=60.0, velocity_gain=500.0))
+        >>> law = ji.controller.Cascade(position_gain=60.0, velocity_gain=500.0)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
         >>> reference = ji.excitation.trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 2.0)
         >>> values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 0.0}
         >>> noise = 0.02 * np.random.default_rng(0).standard_normal(reference.size)
@@ -103,7 +104,6 @@ def _check_residual(task: Task, best: FittedLaw, most: float) -> None:
 
 
 def _require_significant(task: Task, best: FittedLaw, known: Covariance) -> None:
-    """Refuse insignificant gains and filter constants."""
     open_ones = [
         f"{name} {value:.3g} +- {2 * std:.2g}"
         for (name, value), std in zip(best.numbers.items(), known.std, strict=True)

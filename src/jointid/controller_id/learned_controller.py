@@ -180,7 +180,7 @@ class LearnedController(Documented):
         """Pandas data frame of the numbers, with standard errors."""
         return data_frame({n.name: {"value": n.value, "stderr": n.std} for n in self.numbers}, "number")
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Numbers, other structures and limitations."""
         del details
         facts = common_facts(self.resampled, None)

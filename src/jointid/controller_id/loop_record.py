@@ -122,7 +122,6 @@ class LoopRecord:
 
 
 def _delay_samples(signals: FloatArray, samples: int) -> FloatArray:
-    """Delay signals, (samples, ...), holding their first value."""
     return np.concatenate([np.repeat(signals[:1], samples, axis=0), signals[: len(signals) - samples]])
 
 
@@ -194,20 +193,16 @@ def _read_inputs(record: Record, period: float, samples: int, rate: int, filled:
     if record.reference_velocity is not None:
         velocity = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
     inputs = law_inputs(at_period(record.reference, own, periods, "reference", filled), velocity)
-    inputs[:, POSITION] = _interpolate(at_period(record.motor_position, period, samples, "position"), rate)
+    position = at_period(record.motor_position, period, samples, "position")
+    if rate > 1:  # a loop faster than the log sees a cubic spline through its positions
+        from scipy.interpolate import CubicSpline
+
+        at = np.minimum(np.arange(position.size * rate) / rate, position.size - 1.0)
+        position = np.asarray(CubicSpline(np.arange(position.size), position)(at))
+    inputs[:, POSITION] = position
     if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
         inputs[:, INJECTED] = at_period(record.injected.channel, own, periods, "injected")
     return inputs
-
-
-def _interpolate(position: FloatArray, rate: int) -> FloatArray:
-    """Interpolate a position by cubic splines, for a loop faster than the log."""
-    from scipy.interpolate import CubicSpline
-
-    if rate == 1:
-        return position
-    at = np.arange(position.size * rate) / rate
-    return np.asarray(CubicSpline(np.arange(position.size), position)(np.minimum(at, position.size - 1.0)))
 
 
 def _plateau(torque: FloatArray, added: FloatArray) -> float | None:

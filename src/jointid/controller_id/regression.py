@@ -252,7 +252,6 @@ def _smallest_scale(name: str, sample_time: float) -> float:
 
 
 def _whiten(X: FloatArray, weights: FloatArray) -> FloatArray:
-    """Whiten columns at the informative frequencies."""
     informative = weights > 0
     return _stack(np.fft.rfft(X, axis=0)[informative] * weights[informative, np.newaxis])
 

@@ -15,12 +15,17 @@ from jointid.common.messages import Progress, Work, describe_time, follow, ignor
 from jointid.controller_id.fitting import FittedLaw, Task, fit
 from jointid.controller_id.noise import Noise
 from jointid.controller_id.ranking import (
+    FRAMES,
+    LAWS,
     MATERIAL,
     Rival,
     drop_failures,
     much_simpler,
     rank,
+    rank_candidates,
     score,
+    screen_frames,
+    start_law,
     torque_difference,
     unique_structures,
 )
@@ -32,7 +37,6 @@ from jointid.controller_id.regression import (
     law_numbers,
     regression,
 )
-from jointid.controller_id.screening import FRAMES, LAWS, rank_candidates, screen_frames, start_law
 from jointid.controller_id.structure_moves import list_neighbours, list_simpler, remove_part
 from jointid.controller_id.structures import (
     LONGEST,
@@ -340,7 +344,6 @@ def _add_limit(data: _SearchData, best: FittedLaw) -> tuple[_SearchData, FittedL
 def _judge_on_whole_record(
     data: _SearchData, best: FittedLaw, others: list[FittedLaw], progress: Progress
 ) -> tuple[FittedLaw, tuple[Rival, ...]]:
-    """Rank the remaining structures on the whole record."""
     errors: dict[Structure, float] = {}
     decided = False
     # What an integral holds at the first sample is another number here, and no noise is known before it.
@@ -376,7 +379,6 @@ def _judge_on_whole_record(
 
 
 def _refit_under_own_noise(task: Task, best: FittedLaw) -> FittedLaw:
-    """Return a structure fitted under its own noise."""
     for _ in range(2):
         noise = task.noise(best.structure, best.numbers)
         best = _prune(task, fit(task, best.structure, best.numbers, noise) or best)

@@ -107,6 +107,7 @@ def check_loop(
         MethodError: the estimate did not simulate a loop, is of another record, or has a parameter that is not
             identifiable.
     """
+    estimate.require_joint()
     if estimate.settings.loop is None:
         raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
     for p in estimate.params.rows:
@@ -407,12 +408,6 @@ def _list_rates_left_open(
     """Return the faster laws that neither a fault nor another rate excludes.
 
     There are none if a rate was found that already shifts the requested parameter out of its interval.
-
-    Args:
-        faster: tests of the faster laws.
-        first: tests of the faults of the declared loop.
-        findings: faults found, of which one may be a faster law.
-        law: the first law that was found; it excludes a rate that is far less likely.
     """
     found = next((one for one in findings if one.test.fault is PERIOD), None)
     if found is not None and _size_of_change(found)[0] > _INTERVAL:

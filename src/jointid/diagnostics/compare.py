@@ -173,7 +173,12 @@ def _compare_laws(
                 end = _search(solved, record, other, wanted, tolerance, history)
             fitted, squares = judge(end, name, of_law, parts, line)
             line = (fitted, squares) if law == simple else line
-            found.append((fitted if law is None else replace(fitted, words=_describe(law, of_law, fitted)), squares))
+            if isinstance(law, Spring):
+                fitted = replace(fitted, words=law.describe(fitted.intervals))
+            elif law is not None:
+                words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
+                fitted = replace(fitted, words=words)
+            found.append((fitted, squares))
         except (JointidError, np.linalg.LinAlgError) as error:
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
             if law == simple:
@@ -220,12 +225,6 @@ def _parameters(joint: Joint, law: Spring | Friction) -> tuple[Parameter, ...]:
     return tuple(p for side in sides for p in law.parameters(*side))
 
 
-def _describe(law: Spring | Friction, of_law: tuple[Parameter, ...], fitted: JudgedLaw) -> str:
-    if isinstance(law, Spring):
-        return law.describe(fitted.intervals)
-    return ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
-
-
 def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> dict[str, Parameter]:
     """Return the parameter changes that hold for another law than the declared one.
 
@@ -254,7 +253,7 @@ def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, h
             continue
         sides = [name for side in ("motor", "load") if (name := f"{side}_{p.name}") in known]
         sums[p.name] = of_whole(p, values)
-        own.append(p if any(known[name].free for name in sides) else p.fixed(sums[p.name]))
+        own.append(p if any(known[name].free for name in sides) else p.fix(sums[p.name]))
     beside = problem.parameters[len(flexible.parameters) :]
     rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)
     return history.solve(rigid, least_squares(rigid, tolerance), rigid.vector(values | sums))

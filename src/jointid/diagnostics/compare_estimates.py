@@ -160,7 +160,7 @@ class EstimateComparison(Documented):
         keys = ("symbol", "before", "after", "difference", "std", "p_value", "unit", "reason")
         return data_frame({row.name: {key: getattr(row, key) for key in keys} for row in self.rows}, "quantity")
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")
@@ -182,11 +182,6 @@ class EstimateComparison(Documented):
 
 def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:
     """Compare two estimates of the same joint.
-
-    Args:
-        before: the first, from `jointid.output.json.read_report`.
-        after: the second.
-        level: of the tests of all quantities together.
 
     Raises:
         MethodError: they are not of the same model, on the same side and in the same units, or the level is no

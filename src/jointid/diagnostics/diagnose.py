@@ -10,8 +10,6 @@ from jointid.diagnostics.check_loop import LoopTests, check_loop
 from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.records.record import Record
@@ -25,7 +23,7 @@ def diagnose(
 
 @overload
 def diagnose(
-    estimate: RobotEstimate | RobotTorqueEstimate,
+    estimate: Estimate,
     record: Sequence[Record],
     *,
     controllers: Sequence[Controller | None] = (),
@@ -34,7 +32,7 @@ def diagnose(
 
 
 def diagnose(
-    estimate: Estimate | RobotEstimate | RobotTorqueEstimate,
+    estimate: Estimate,
     record: Record | Sequence[Record],
     *,
     tests: LoopTests | None = None,
@@ -72,7 +70,7 @@ def diagnose(
         >>> ji.diagnose(estimate, record).as_declared
         True
     """
-    if isinstance(estimate, Estimate):
+    if estimate.robot is None:
         if isinstance(record, Sequence):
             raise MethodError("The estimate of a joint is diagnosed on its own record; give that one alone.")
         return check_loop(estimate, record, tests, shown=shown)

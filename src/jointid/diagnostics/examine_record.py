@@ -152,7 +152,7 @@ class Examination(Documented):
             return f"Nothing that is wrong with {self.record} spoils its answer; see what is marked."
         return f"Nothing is wrong with {self.record}."
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the answers, the parameters and what to change; there are no further details."""
         del details
         blocks: list[Block] = []

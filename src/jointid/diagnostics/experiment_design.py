@@ -124,7 +124,7 @@ class Advice(Documented):
             f"to +- {number(2 * after, 2)} {self.units[name]}"
         )
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return a table for sensors, one for tests, and a sentence each; there are no further details."""
         del details
         where = {
@@ -244,6 +244,7 @@ def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[Closed
     Raises:
         MethodError: it is not of a simulated loop as it was declared, or of another record.
     """
+    estimate.require_joint()
     if estimate.settings.loop is None:
         raise MethodError("A prediction needs an estimate by DIDIM, which simulates its loop; this one is by IDIM.")
     another = (

@@ -61,12 +61,7 @@ Filter: TypeAlias = Callable[[FloatArray], FloatArray]
 def compute_signatures(
     problem: ClosedLoopProblem, x: FloatArray
 ) -> tuple[FloatArray, FloatArray, tuple[FaultSignature, ...]]:
-    """Return the residual, the columns of the free parameters, (rows, free), and the signatures of all faults.
-
-    Args:
-        problem: solved; its free parameters are no faults.
-        x: its parameters.
-    """
+    """Return the residual, the columns of the free parameters, (rows, free), and the signatures of all faults."""
     taken = {p.name for p in problem.free}
     numbers = numbers_of(problem.loop.controller).items()  # a gain of 0 is a choice, not a fault
     own_signature = {fault.name for fault in FAULTS if fault.vary}
@@ -167,9 +162,6 @@ def fit_whitener(residual: FloatArray) -> Filter:
 
     It is the prediction error of an autoregressive model of order 16, by Yule and Walker, of the residual with 1 % of
     its variance added as white noise.
-
-    Args:
-        residual: (rows,), in the order of time.
     """
     from scipy.linalg import solve_toeplitz
     from scipy.signal import lfilter

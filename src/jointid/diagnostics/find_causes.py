@@ -127,7 +127,7 @@ class Causes(Documented):
     def _names(self) -> list[str]:
         return [one.fault.name for one in self.tried]
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the causes, and the table of all that were tried; there are no further details."""
         del details
         rows = tuple((one.words, f"{number(100 * one.error, 2)} %") for one in self.tried)
@@ -193,13 +193,7 @@ def find_causes(
 
 
 def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
-    """Return the declared drive, and a hypothesis for every fault that this record and controller can have.
-
-    Args:
-        record: with torque and reference.
-        loop: as declared.
-        filtering: resolved.
-    """
+    """Return the declared drive, and a hypothesis for every fault that this record and controller can have."""
     declared = Hypothesis(None, record, (loop,), filtering)
     corrected = (replace(one, fault=f) for f in FAULTS if f.correct is not None for one in f.correct(declared))
     return (declared, *corrected)

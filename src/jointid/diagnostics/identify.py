@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import overload
 
-from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.run_checks import run_checks
@@ -15,9 +13,6 @@ from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.assemble import CheckResults, assemble
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.identify import fit_robot
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -28,35 +23,6 @@ from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Subject, skip_test
-
-
-@overload
-def identify(
-    record: Record | Sequence[Record] | LongRecord,
-    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop],
-    method: Method | None = None,
-    *,
-    filtering: Filtering | None = None,
-    parameters: Mapping[str, Parameter] | None = None,
-    several: SeveralRecords | None = None,
-    windows: Windowing | None = None,
-    checks: bool = True,
-    shown: Sequence[DriveNumber] = (),
-    torque_constant: str = "",
-    unchecked: Callable[[Estimate], None] | None = None,
-    progress: Progress = ignore_progress,
-) -> Estimate: ...
-
-
-@overload
-def identify(
-    record: Sequence[Record],
-    model: Robot | RobotLoop | RobotDriveSide,
-    method: Method | None = None,
-    *,
-    filtering: Filtering | None = None,
-    progress: Progress = ignore_progress,
-) -> RobotEstimate | RobotTorqueEstimate: ...
 
 
 def identify(
@@ -73,7 +39,7 @@ def identify(
     torque_constant: str = "",
     unchecked: Callable[[Estimate], None] | None = None,
     progress: Progress = ignore_progress,
-) -> Estimate | RobotEstimate | RobotTorqueEstimate:
+) -> Estimate:
     """Identify a joint, or a robot, from what its drives logged.
 
     Args:
@@ -115,7 +81,8 @@ def identify(
 
     Example:
         >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+        >>> law = ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
@@ -138,18 +105,12 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    if isinstance(model, Robot | RobotLoop | RobotDriveSide):
-        if not isinstance(record, Sequence) or parameters or several or windows:
-            raise MethodError(
-                "A robot is identified from the records of its joints, without parameters, SeveralRecords or windows; "
-                "give the records alone."
-            )
-        return fit_robot(record, model, method, filtering=filtering, progress=progress)
     fit = fit_records(
         record, model, method, filtering=filtering, parameters=parameters, several=several, windows=windows,
         progress=progress,
     )  # fmt: skip
-    to_check = fit.record is not None and fit.problem is not None and (method is None or method.tells_of_its_loop)
+    of_joint = fit.record is not None and fit.problem is not None
+    to_check = fit.robot is not None or (of_joint and (method is None or method.tells_of_its_loop))
     if not to_check:
         return assemble(fit, torque_constant=torque_constant)
     if not checks:

@@ -54,11 +54,11 @@ class Intervals(Documented):
     transmission: Transmission | None = None
     parabolic: tuple[str, ...] = ()
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return profiles and bootstraps one after the other; there are no further details."""
         del details
         blocks = Facts(common_facts(None, self.transmission)), Listing(tuple(map(str, self.profiles)))
-        drawn = [one.document() for one in (self.over_time, self.over_place) if one is not None]
+        drawn = [one.to_document() for one in (self.over_time, self.over_place) if one is not None]
         parts = (block for each in drawn for block in (Heading(each.title), *each.blocks))
         return Document("Intervals, by other ways than the covariance", (*blocks, *parts))
 
@@ -165,12 +165,7 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
 
 
 def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
-    """Raise a `MethodError` for a quantity that no estimate of this loop can have, free or not.
-
-    Args:
-        quantities: see `intervals`.
-        loop: joint and controller.
-    """
+    """Raise a `MethodError` for a quantity that no estimate of this loop can have, free or not."""
     known = [p.name for p in loop.joint.parameters]
     for quantity in quantities:
         if quantity == "compliance" and "stiffness" in known:

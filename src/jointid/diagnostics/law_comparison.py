@@ -122,7 +122,7 @@ class LawComparison(Documented):
         """The answer as a sentence."""
         return f"{self.answer}."
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the answer and the table of laws; there are no further details."""
         del details
         rows = []
@@ -344,11 +344,7 @@ def _format_interval(p: Parameter, value: float, std: float | None, unit: str, u
 
 
 def rank(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLaw, ...]:
-    """Return laws with `worse` and `error` relative to the best one.
-
-    Args:
-        found: each with its squared error in the parts, (parts,); None if it was not identified.
-    """
+    """Return laws with `worse` and `error` relative to the best one."""
     known = [squares for _, squares in found if squares is not None]
     best = min(known, key=lambda one: float(np.mean(np.log(one))))
     stated = []

@@ -25,7 +25,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method, methods
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.models.friction import friction_named
+from jointid.models.friction import find_friction
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record
 from jointid.records.record import Record
@@ -95,7 +95,7 @@ class MethodComparison(Documented):
                     rows.setdefault(p.name, {"unit": p.unit}).update({name: p.value, f"{name} stderr": p.stderr})
         return data_frame(rows, "parameter")
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the table, the channels of each method, and the disagreements; there are no further details."""
         del details
         found = self.estimates
@@ -134,14 +134,6 @@ def compare_methods(
 ) -> MethodComparison:
     """Identify a joint by every method that the record and the model allow.
 
-    Args:
-        record: to identify from.
-        model: the loop (joint and controller), or the joint alone when the controller is not known.
-        filtering: of every method; see `Filtering`.
-        parameters: changes to the joint's parameters by name; with the other friction law, those that it has too.
-        didim: settings of DIDIM.
-        progress: called with each method's name.
-
     Raises:
         RecordError: the record contradicts its description; a method that lacks a channel is part of the result.
     """
@@ -178,7 +170,7 @@ def _list_methods(model: ClosedLoop | Joint, didim: DIDIM | None) -> Iterator[tu
         yield label, model, method
     if joint.gravity is not None and joint.gravity.load == "constant":  # not identifiable beside the other law
         return
-    other = friction_named(joint.friction.contrast)
+    other = find_friction(joint.friction.contrast)
     turned = replace(joint, friction=other)
     variant = ClosedLoop(turned, model.controller) if isinstance(model, ClosedLoop) else turned
     for (label, method), *_ in runs:

@@ -26,7 +26,7 @@ from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import ProfileInterval

@@ -11,17 +11,20 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
-from jointid.common.messages import Progress, ignore_progress
+from jointid.common.messages import Message, Progress, ignore_progress
+from jointid.common.text import join
 from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.faults.record import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit
+from jointid.diagnostics.robots.diagnose import diagnose_robot
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.assemble import CheckResults, FitResult, Widening, assemble
+from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint
-from jointid.uncertainty.verdict import Status, Subject, Verdict, skip_test
+from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, skip_test
 
 
 def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequence[DriveNumber] = ()) -> CheckResults:
@@ -36,6 +39,8 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
         progress: called with each step in a sentence.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
     """
+    if fit.robot is not None:
+        return _check_robot(fit, fit.robot, progress)
     record, problem, x = fit.record, fit.problem, fit.x
     if record is None or problem is None or x is None:
         return CheckResults()
@@ -77,6 +82,32 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     return CheckResults((follows, verdict), tuple(widenings), check)
 
 
+def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> CheckResults:
+    """Return the checks of a robot's fit: the controllers that it simulated, and the residual of each joint."""
+    progress("checking controllers and torques")
+    try:
+        found = diagnose_robot(fit, fit.records)
+    except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
+        return CheckResults((skip_test(Subject.LOOP, f"not checked: {error}"),))
+    residual = Verdict(
+        Subject.REPEATABLE,
+        Status.PASSED,
+        (Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little"),),
+    )
+    if bad := [joint.name for joint in found.joints if not joint.explained]:
+        said = f"what the model leaves of the torque of {join(bad)} is no noise"
+        residual = Verdict(Subject.REPEATABLE, Status.FAILED, (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),))
+    loop = skip_test(Subject.LOOP, "no motor position and reference of a declared controller were logged")
+    if found.as_declared:
+        said = "the declared controllers make the logged torques of the logged positions"
+        loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
+    elif found.as_declared is False:
+        wrong = join([joint.name for joint in found.joints if joint.law_holds is False])
+        said = f"the declared controller of {wrong} does not make the logged torque of the logged positions"
+        loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
+    return CheckResults((residual, loop) if part.has_controllers else (residual,), loop=found)
+
+
 def widen_for_faults(check: LoopCheck) -> list[Widening]:
     """Return the shifts of parameters by the faults of the mechanics that a check found; none without any.
 
@@ -96,11 +127,6 @@ def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedRes
     A part of the torque of that norm, with the shape that shifts a parameter most, shifts it by its norm times the
     deviation of the parameter under unit noise (the inequality of Cauchy and Schwarz). The part that the parameters
     have absorbed is assumed as large as the residual one.
-
-    Args:
-        problem: solved, with the faults that were found corrected.
-        x: (free,) its parameters.
-        rest: see `predict_residual`.
     """
     # The largest shift is two deviations.
     moved = worst_shift(problem, x, 0.5 * rest.share * problem.size)

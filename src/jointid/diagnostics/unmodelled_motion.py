@@ -66,12 +66,7 @@ class PredictedResidual:
 
 
 def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResidual | None:
-    """Return the part of the residual of a flexible joint that its motion predicts; None for too few rows.
-
-    Args:
-        problem: solved.
-        x: (free,) its solution.
-    """
+    """Return the part of the residual of a flexible joint that its motion predicts; None for too few rows."""
     run = problem.simulate(x)
     if run.load_position is None or run.torque.size != problem.measured.size:
         return None

@@ -37,7 +37,7 @@ from jointid.estimation.result.estimate import (
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import ClosedLoop
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.closed_loop import Initial, Simulation
@@ -52,8 +52,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from jointid.diagnostics.robots.validation import RobotValidation
-    from jointid.estimation.robots.idim import RobotEstimate
-    from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 
 _LAGS = 40  # of the residual's autocorrelation
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
@@ -179,7 +177,7 @@ class Validation(Documented):
         frame: DataFrame = pandas.DataFrame(columns, index=time)
         return frame
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the answer, errors and whiteness as a document; there are no further details."""
         del details
         left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
@@ -212,12 +210,10 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation
 
 
 @overload
-def validate(estimate: RobotEstimate | RobotTorqueEstimate, record: Sequence[Record]) -> RobotValidation: ...
+def validate(estimate: Estimate | IdentifiedJoint, record: Sequence[Record]) -> RobotValidation: ...
 
 
-def validate(
-    estimate: Estimate | IdentifiedJoint | RobotEstimate | RobotTorqueEstimate, record: Record | Sequence[Record]
-) -> Validation | RobotValidation:
+def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Record]) -> Validation | RobotValidation:
     """Compare an identified joint or robot with a record.
 
     Args:
@@ -230,7 +226,7 @@ def validate(
         MethodError: the loop cannot be simulated on this record, the estimate of a joint is of the drive side or the
             open loop, or the record is the own one of a robot's estimate.
     """
-    if not isinstance(estimate, Estimate | IdentifiedJoint):
+    if isinstance(estimate, Estimate) and estimate.robot is not None:
         from jointid.diagnostics.robots.validation import validate_robot
 
         if not isinstance(record, Sequence):
@@ -266,7 +262,7 @@ def _validate_inverse_model(identified: IdentifiedJoint, record: Record) -> Vali
 def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: Record) -> Validation:
     assert record.torque is not None
     record.require(loop.channels, "Validation of a DIDIM estimate")
-    fixed = tuple(p.fixed(identified.values[p.name]) for p in loop.joint.parameters)
+    fixed = tuple(p.fix(identified.values[p.name]) for p in loop.joint.parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
     around = with_torque(INITIAL_STATE, experiment, measured)

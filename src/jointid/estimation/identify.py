@@ -11,21 +11,29 @@ from jointid.common.parameters import Parameter
 from jointid.estimation.identify_log import identify_log
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.identify_several import identify_several
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.swapped_gains import ask_about_gains
 from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.robots.robot import Robot
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robots import RobotLoop
 
 
 def fit(
     record: Record | Sequence[Record] | LongRecord,
-    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop],
+    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -34,7 +42,14 @@ def fit(
     windows: Windowing | None = None,
     progress: Progress = ignore_progress,
 ) -> FitResult:
-    """Return the fit of a joint, without the checks; see `jointid.identify`."""
+    """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
+    if isinstance(model, Robot | RobotLoop | RobotDriveSide):
+        if not isinstance(record, Sequence) or parameters or several or windows:
+            raise MethodError(
+                "A robot is identified from the records of its joints, without parameters, SeveralRecords or windows; "
+                "give the records alone."
+            )
+        return fit_robot(record, model, method, filtering=filtering, progress=progress)
     if isinstance(record, Sequence):
         if windows is not None:
             raise MethodError("Several records are identified whole; give one record or log, or leave out windows.")
@@ -57,3 +72,32 @@ def fit(
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
     source = InMemory(record) if isinstance(record, Record) else record
     return identify_log(source, model, windows or Windowing(), method, filtering, parameters, progress)
+
+
+def fit_robot(
+    records: Sequence[Record],
+    model: Robot | RobotLoop | RobotDriveSide,
+    method: Method | None = None,
+    *,
+    filtering: Filtering | None = None,
+    progress: Progress = ignore_progress,
+) -> FitResult:
+    """Return the fit of a robot, without the checks; see `jointid.identify`.
+
+    Raises:
+        MethodError: the method does not fit the model.
+    """
+    if method is not None:
+        method.require_settings_of("robot")
+    if isinstance(method, IDIM) and method.effects:
+        raise MethodError("IDIM.effects are of a joint, and this is a robot; leave them out.")
+    if isinstance(model, RobotDriveSide) and isinstance(method, DriveSideFit | None):
+        return identify_simulated_robot(model, records, method, filtering=filtering, progress=progress)
+    if isinstance(model, RobotLoop) and isinstance(method, DIDIM | None):
+        return identify_simulated_robot(model, records, method, filtering=filtering, progress=progress)
+    if isinstance(model, Robot | RobotLoop) and isinstance(method, IDIM | None):
+        return identify_robot(model, records, method, filtering=filtering)
+    raise MethodError(
+        f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
+        "RobotLoop, or DriveSideFit for a RobotDriveSide."
+    )

@@ -318,7 +318,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
         settings=Settings(
             "didim",
             "DIDIM in windows",
-            joint=window.joint,
+            system=window.joint,
             loop=loop,
             filtering=window.filtering,
             delay=loop.controller.law(sample_time).delay,

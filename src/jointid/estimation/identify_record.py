@@ -50,7 +50,7 @@ def identify_record(
         excess.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
         progress(excess[-1])
         bounds[p.name] = p.lower if value < p.lower else p.upper
-        wanted = tuple(p.fixed(bounds[p.name]) if q.name == p.name else q for q in wanted)
+        wanted = tuple(p.fix(bounds[p.name]) if q.name == p.name else q for q in wanted)
     both_encoders = {"motor_position", "load_position"} <= set(fit.data.channels)
     return replace(
         fit,

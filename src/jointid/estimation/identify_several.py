@@ -351,7 +351,7 @@ def _build_result(solved: _Solved, simulations: int, weighting: str, about: tupl
         settings=Settings(
             "didim",
             "DIDIM by least squares",
-            joint=problem.joint,
+            system=problem.joint,
             loop=layout.loops[0],
             filtering=problem.filtering,
             weighting=weighting,

@@ -18,7 +18,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.transmission import Side
 from jointid.models.joints import Joint
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 
 
 class Effect(Protocol):
@@ -89,7 +89,7 @@ class EncoderOffset:
 
 
 def require_effects(effects: Sequence[Effect], joint: Joint) -> None:
-    """Raise a `MethodError` if effects do not fit a joint, or cannot be told apart by name."""
+    """Raise a `MethodError` if effects do not fit a joint, or share a name."""
     if joint.model == "rigid" and any(effect.side == "load" for effect in effects):
         raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
     if joint.model == "rigid" and any(isinstance(effect, EncoderOffset) for effect in effects):

@@ -37,7 +37,7 @@ DIRECTIONS: tuple[Direction, ...] = ("forwards", "backwards")
 
 _QUANTITY: Mapping[Part, Quantity] = {"viscous": Quantity.VISCOUS, "coulomb": Quantity.FORCE}
 
-# exp(-x^2) by straight lines between these points, and 0 beyond: within 0.0042 of it (found by linear programming).
+# exp(-x^2) by straight lines between these points, and 0 above: within 0.0042 of it (found by linear programming).
 _KNOTS = (
     (0.0, 1.0), (0.148, 0.9822), (0.338, 0.8961), (0.575, 0.7206), (0.982, 0.3774), (1.247, 0.207), (1.514, 0.0973),
     (1.836, 0.0308), (2.375, 0.0),
@@ -78,7 +78,7 @@ class Coefficient:
 
 
 class Band(NamedTuple):
-    """Speeds, from `low` to `high`, in which friction is one line in each direction, and that line."""
+    """A range of speed with one line of friction in each direction."""
 
     low: float
     high: float
@@ -87,7 +87,7 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MotionSize:
-    """How large a motion is in which a law of friction is looked for.
+    """Size of the motion in a record, for starting values of a friction law.
 
     Attributes:
         speed: the largest, m/s or rad/s.
@@ -105,19 +105,23 @@ class MotionSize:
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """A friction law; it is frozen, as a joint is looked up by what it is made of.
+    """A friction law; frozen, so that a joint can be a key.
 
     Attributes:
         name: in the joint file, the JSON answers and on the command line.
         label: on the web page.
-        contrast: name of the law it is compared with when methods are held side by side.
+        contrast: name of the law that it is compared with, and whose lines it has where it `adds` anything to lines.
         coefficients: its parameters, in their order; each part has at most one in each direction.
     """
 
     name: ClassVar[str]
     label: ClassVar[str]
-    contrast: ClassVar[str]
-    coefficients: ClassVar[tuple[Coefficient, ...]]
+    contrast: ClassVar[str] = "symmetric"
+    coefficients: ClassVar[tuple[Coefficient, ...]] = (
+        Coefficient("viscous", "Fv", "viscous"), Coefficient("coulomb", "Fc", "coulomb"),
+    )  # fmt: skip
+    stepped: ClassVar[bool] = False
+    """True if it is smooth, so that the simulation goes in steps of a stated error."""
     softens: ClassVar[bool] = False
     """True if without it a spring is found that is much too soft."""
     follows_time: ClassVar[bool] = False
@@ -127,13 +131,13 @@ class Friction:
     instead: ClassVar[str] = ""
     """What its lines are, where only lines are written, in words."""
 
-    def named(self, part: Part, direction: Direction) -> str | None:
-        """Return the name of a coefficient, None where the law has none there (it is 0)."""
+    def coefficient_name(self, part: Part, direction: Direction) -> str | None:
+        """Return the name of a coefficient; None if the law has none, so that it is 0."""
         return next((c.name for c in self.coefficients if c.part == part and direction in c.directions), None)
 
     def depends_on_direction(self, part: Part) -> bool:
         """Return True if the forwards and backwards coefficients of this part are different parameters."""
-        return self.named(part, "forwards") != self.named(part, "backwards")
+        return self.coefficient_name(part, "forwards") != self.coefficient_name(part, "backwards")
 
     @property
     def offset_identifiable(self) -> bool:
@@ -152,10 +156,16 @@ class Friction:
 
     def columns(self, velocity: FloatArray) -> FloatArray:
         """Return the regressor of the law's parameters, shape (samples, parameters)."""
-        return np.stack([_column(c, velocity) for c in self.coefficients]).T
+        columns = []
+        for one in self.coefficients:
+            moving, sign = np.ones(velocity.shape, dtype=np.bool_), np.sign(velocity)
+            if len(one.directions) == 1:
+                moving = velocity > 0 if one.directions == ("forwards",) else velocity < 0
+            columns.append((velocity if one.part == "viscous" else sign) * moving)
+        return np.stack(columns).T
 
     def directions(self, values: Mapping[str, float], prefix: str = "") -> Directions:
-        """Return the coefficients for both directions of motion, 0 where the law has none."""
+        """Return the coefficients for both directions of motion."""
         a, b, c, d = _slots(self)
         return (
             values[prefix + a] if a else 0.0,
@@ -166,26 +176,21 @@ class Friction:
 
     @property
     def lines(self) -> Friction:
-        """The law of one line in each direction that this one is, or has beside its pieces."""
-        return self
+        """The law of one line in each direction that this one is, or adds to."""
+        return FRICTIONS[self.contrast]() if self.adds else self
 
     @property
     def linear(self) -> bool:
         """True if the law is one line in each direction, and so linear in its parameters."""
-        return self.lines == self
-
-    @property
-    def stepped(self) -> bool:
-        """True if it is smooth, so that the simulation goes in steps of a stated error."""
-        return False
+        return not self.adds
 
     @property
     def of_whole(self) -> Friction:
-        """The law of a joint without a spring that has this one where it has a spring."""
+        """The corresponding law of a rigid joint."""
         return self
 
     def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
-        """Return what the law has beside its lines."""
+        """Return the numbers of the smooth law beside the lines."""
         return SmoothFriction()
 
     def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
@@ -206,7 +211,7 @@ class Friction:
         return np.asarray(np.where(forwards, viscous, viscous_back) * velocity + held)
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
-        """Yield values, from which a search may begin, of what a law has beside its lines."""
+        """Yield starting values of the parameters beside the lines."""
         yield {}
 
     def mean(self, part: Part, prefix: str = "") -> dict[str, float]:
@@ -223,16 +228,7 @@ class Friction:
 @cache
 def _slots(law: Friction) -> tuple[str | None, ...]:
     """Return the names of a law's coefficients, in the order of `Directions`; every simulation asks for them."""
-    return tuple(law.named(part, direction) for part in PARTS for direction in DIRECTIONS)
-
-
-def _column(one: Coefficient, velocity: FloatArray) -> FloatArray:
-    """Return the regressor column of a coefficient, (samples,)."""
-    if len(one.directions) == 2:
-        return velocity if one.part == "viscous" else np.sign(velocity)
-    forwards = one.directions == ("forwards",)
-    moving = velocity > 0 if forwards else velocity < 0
-    return np.asarray((velocity if one.part == "viscous" else 1.0 if forwards else -1.0) * moving)
+    return tuple(law.coefficient_name(part, direction) for part in PARTS for direction in DIRECTIONS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +238,6 @@ class SymmetricFriction(Friction):
     name = "symmetric"
     label = "the same in both directions"
     contrast = "asymmetric"
-    coefficients = (Coefficient("viscous", "Fv", "viscous"), Coefficient("coulomb", "Fc", "coulomb"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +249,6 @@ class AsymmetricFriction(Friction):
 
     name = "asymmetric"
     label = "different in the two directions"
-    contrast = "symmetric"
     coefficients = (
         Coefficient("viscous_forwards", "Fv", "viscous", ("forwards",), "+"),
         Coefficient("coulomb_forwards", "Fc", "coulomb", ("forwards",), "+"),
@@ -274,14 +268,7 @@ class StribeckFriction(Friction):
 
     name = "stribeck"
     label = "the same, another at low speed"
-    contrast = "symmetric"
-    coefficients: ClassVar[tuple[Coefficient, ...]] = SymmetricFriction.coefficients
-    adds, instead = "the change of friction towards standstill", "what it is beyond low speed"
-
-    @property
-    def lines(self) -> Friction:
-        """Viscous and Coulomb friction, as they are beyond low speed."""
-        return SymmetricFriction()
+    adds, instead = "the change of friction towards standstill", "what it is above low speed"
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return Fv and Fc, then the change towards standstill and the speed below which it is."""
@@ -292,7 +279,7 @@ class StribeckFriction(Friction):
         )
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
-        """Return a band between each two of the points of the exponential, and one beyond the last."""
+        """Return a band between each two of the points of the exponential, and one above the last."""
         viscous, viscous_back, coulomb, coulomb_back = self.directions(values, prefix)
         change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
         speed = speed or (math.nan if change else 1.0)  # below no speed there is no change
@@ -321,32 +308,9 @@ class AsymmetricStribeckFriction(StribeckFriction):
     contrast = "asymmetric"
     coefficients = AsymmetricFriction.coefficients
 
-    @property
-    def lines(self) -> Friction:
-        """Viscous and Coulomb friction of both directions, as they are beyond low speed."""
-        return AsymmetricFriction()
-
 
 @dataclass(frozen=True, slots=True)
-class _SteppedFriction(Friction):
-    """Common base of symmetric frictions that have more than their lines, and are simulated in steps."""
-
-    coefficients: ClassVar[tuple[Coefficient, ...]] = SymmetricFriction.coefficients
-    contrast: ClassVar[str] = "symmetric"
-
-    @property
-    def lines(self) -> Friction:
-        """Viscous and Coulomb friction, as they are without what is added."""
-        return SymmetricFriction()
-
-    @property
-    def stepped(self) -> bool:
-        """True: it is smooth."""
-        return True
-
-
-@dataclass(frozen=True, slots=True)
-class PreslidingFriction(_SteppedFriction):
+class PreslidingFriction(Friction):
     """Symmetric friction whose Coulomb force winds up over a displacement after each reversal, as P. R. Dahl's.
 
     ``dF/dx = (Fc / s) (1 - F sign(v) / Fc)``, Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976:
@@ -355,6 +319,7 @@ class PreslidingFriction(_SteppedFriction):
     """
 
     name = "presliding"
+    stepped = True
     label = "the same, wound up at reversals"
     softens = True
     adds, instead = "the displacement over which friction winds up", "the Coulomb force that it winds up to"
@@ -375,7 +340,7 @@ class PreslidingFriction(_SteppedFriction):
 
 
 @dataclass(frozen=True, slots=True)
-class LoadDependentFriction(_SteppedFriction):
+class LoadDependentFriction(Friction):
     """Symmetric friction, that of the load larger by a share of the torque through the spring: ``Fc2 + mu |T12|``.
 
     A gear loses so the more, the more torque goes through it; T12 is the torque of spring and damper. Valid where the
@@ -383,12 +348,13 @@ class LoadDependentFriction(_SteppedFriction):
     """
 
     name = "load-dependent"
+    stepped = True
     label = "the same, more under load"
     adds, instead = "the friction that grows with the spring's torque", "what it is without one"
 
     @property
     def of_whole(self) -> Friction:
-        """Its lines: without a spring nothing says which torque passes through the gear."""
+        """Its lines, since a rigid joint has no torque through a spring."""
         return SymmetricFriction()
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
@@ -431,7 +397,7 @@ class WoundLoadDependentFriction(PreslidingFriction):
 
     @property
     def of_whole(self) -> Friction:
-        """What winds up: without a spring nothing says which torque passes through the gear."""
+        """Presliding friction alone, since a rigid joint has no torque through a spring."""
         return PreslidingFriction()
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
@@ -457,13 +423,14 @@ class WoundLoadDependentFriction(PreslidingFriction):
 
 
 @dataclass(frozen=True, slots=True)
-class DriftingFriction(_SteppedFriction):
+class DriftingFriction(Friction):
     """Symmetric friction that changes steadily with time, as oil grows warm: ``(Fv + dFv t) v + (Fc + dFc t) sign(v)``.
 
     The time counts from the first sample. A change that goes on for much longer than a record is nearly steady in it.
     """
 
     name = "drifting"
+    stepped = True
     label = "the same, changing with time"
     follows_time = True
     adds, instead = "the change of friction with time", "what it is at the first sample"
@@ -495,7 +462,7 @@ FRICTIONS: Mapping[str, type[Friction]] = {
 """Every friction law by its name in the joint file."""
 
 
-def friction_named(name: str) -> Friction:
+def find_friction(name: str) -> Friction:
     """Return the friction law of that name.
 
     Raises:

@@ -10,8 +10,8 @@ Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
 
 where ``K12 q2`` may be the torque of another spring, and the friction another law: see `springs`, `friction`. Gravity,
-where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): see `gravity`; a ripple adds to the
-equation of its side what follows the position there: see `ripple`.
+where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): a ripple adds to the equation
+of its side what follows the position there: see `position_forces`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,7 @@ from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.models.controllers import Controller
 from jointid.models.friction import FRICTIONS, Band, Friction, SymmetricFriction
-from jointid.models.gravity import Gravity
-from jointid.models.motion import Motion
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Gravity, Motion, PositionHarmonics
 from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring, smooth_laws
 from jointid.models.springs import SPRINGS, LinearSpring, Spring
 
@@ -50,7 +48,7 @@ class _JointBase:
     model: ClassVar[str]
     """Name of the model, as files say it."""
 
-    kind: Kind = "prismatic"
+    kind: Kind
     friction: Friction = field(default_factory=SymmetricFriction)
     torque_unit: str | None = None
     transmission: Transmission | None = None
@@ -145,7 +143,7 @@ class _JointBase:
         offset, gravity = Parameter("offset", "offset", Quantity.FORCE), self.gravity
         identifiable = self.friction.offset_identifiable and (gravity is None or gravity.load != "constant")
         weight, ripple = (() if one is None else one.parameters for one in (gravity, self.ripple))
-        return (offset if identifiable else offset.fixed(0.0), *weight, *ripple)
+        return (offset if identifiable else offset.fix(0.0), *weight, *ripple)
 
     def _gravity_columns(self, position: FloatArray) -> FloatArray:
         return np.zeros((position.size, 0)) if self.gravity is None else self.gravity.columns(position)
@@ -208,7 +206,7 @@ class RigidJoint(_JointBase):
         return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
 
     def smooth(self, values: Mapping[str, float]) -> SmoothLaws | None:
-        """Return what its laws have beside their lines; None where it is not simulated in steps."""
+        """Return the numbers of its smooth laws; None without any."""
         return smooth_laws(self.friction.smooth(values), SmoothFriction(), SmoothSpring()) if self.stepped else None
 
     def segments(self, values: Mapping[str, float]) -> FloatArray | None:
@@ -285,7 +283,7 @@ class FlexibleJoint(_JointBase):
         return self.friction.stepped or self.spring.stepped or self.ripple is not None
 
     def smooth(self, values: Mapping[str, float]) -> SmoothLaws | None:
-        """Return what its laws have beside their lines; None where it is not simulated in steps."""
+        """Return the numbers of its smooth laws; None without any."""
         if not self.stepped:
             return None
         motor, load = (self.friction.smooth(values, side) for side in ("motor_", "load_"))
@@ -447,17 +445,14 @@ def _segments(
 ) -> FloatArray:
     """Return the segments of a drive, (segments, 23): each piece of the spring with each band of both frictions.
 
-    Args:
-        drive: (14,) its coefficients.
-        spring: where each piece begins and ends, its stiffness and damping, and its torque at no deflection.
-        motor: bands of the friction on its side.
-        load: the same on the other one.
+    A piece of `spring` is where it begins and ends, its stiffness and damping, and its torque at no deflection.
     """
     steps = np.array([len(motor) * len(load), len(load), 1])
     count = len(spring) * steps[0]
     pieces = np.repeat(np.array(spring), steps[0], axis=0)
-    of_motor = np.tile(np.repeat(_rows(motor), steps[1], axis=0), (len(spring), 1))
-    of_load = np.tile(_rows(load), (len(spring) * len(motor), 1))
+    own, other = (np.array([(one.low, one.high, *one.directions) for one in bands]) for bands in (motor, load))
+    of_motor = np.tile(np.repeat(own, steps[1], axis=0), (len(spring), 1))
+    of_load = np.tile(other, (len(spring) * len(motor), 1))
     held = pieces[:, 4:] * np.array([-1.0, 1.0])
     inertias, offsets = np.tile(drive[:2], (count, 1)), drive[12:] + held
     boxes = [pieces[:, :2], of_motor[:, :2], of_load[:, :2]]
@@ -466,21 +461,16 @@ def _segments(
     ])  # fmt: skip
 
 
-def _rows(bands: Sequence[Band]) -> FloatArray:
-    """Return bands as rows: where each begins and ends, and its line in each direction."""
-    return np.array([(band.low, band.high, *band.directions) for band in bands])
-
-
 Joint: TypeAlias = RigidJoint | FlexibleJoint
 
 
 def frictions_beside(joint: Joint) -> tuple[Friction, ...]:
-    """Return the laws of friction that a joint may have, with all else that it has."""
+    """Return the friction laws that can be simulated in this joint."""
     return tuple(law() for law in FRICTIONS.values() if _may_have(joint, friction=law()))
 
 
 def springs_beside(joint: FlexibleJoint) -> tuple[Spring, ...]:
-    """Return the springs that a joint may have, with all else that it has."""
+    """Return the springs that can be simulated in this joint."""
     return tuple(law() for law in SPRINGS.values() if _may_have(joint, spring=law()))
 
 

@@ -7,7 +7,8 @@ While neither velocity changes its sign Coulomb friction is a constant, and what
 
 A rigid joint has the first line alone, without the spring; of an elastic load (`springs.ElasticLoad`) a part of ZZ2 is
 a third mass. `rate` is of a spring that carries the load
-(`models.gravity`), which stands on the motor's line where the joint is rigid; a weight that turns is not linear.
+(`models.position_forces`), which stands on the motor's line where the joint is rigid; a weight that turns is not
+linear.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.smooth import SmoothLaws, SmoothSpring
+from jointid.models.smooth import SmoothSpring
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]
@@ -109,7 +110,7 @@ def state_response(A: FloatArray, B: ComplexArray, points: ComplexArray) -> Comp
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledDrive:
-    """A drive under a torque that is held for a period and acts (m + f) periods after its sample, f below 1.
+    """A drive under a held torque that acts (m + f) periods after its sample, f below 1.
 
     Exact (Astrom and Wittenmark, Computer-Controlled Systems, section 2.3; Franklin, Powell and Workman, Digital
     Control of Dynamic Systems, section 4.3), with Phi(t) = exp(A t) and G(t) the integral of Phi B until t::
@@ -156,7 +157,7 @@ def discretise(A: FloatArray, B: FloatArray, period: float, delay: float) -> Sam
 
 
 def sampled_position(drive: SampledDrive, turned: ComplexArray) -> ComplexArray:
-    """Return what the positions of drives answer to the torque of whole periods before, (drives, points).
+    """Return the response of drives' positions to the torque of whole periods before, (drives, points).
 
     With p = z - 1 and M = Phi - I it is ``adj(p I - M) (new + old / z) / det(p I - M)``: both polynomials of p, from
     Faddeev and Leverrier's recursion, for all points at once, where solving point by point takes ten times as long.
@@ -220,19 +221,15 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
     """
     ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)  # forwards, backwards
     masses = 2 if isinstance(joint, FlexibleJoint) else 1
-    made = [
-        drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3], swings=swings)
-        for values in candidates
-        for c, swings in [(joint.coefficients(values), _swinging(joint.smooth(values)))]
-        for way in ways
-    ]
+    made = []
+    for values in candidates:
+        c, laws = joint.coefficients(values), joint.smooth(values)
+        spring = SmoothSpring() if laws is None else laws.spring
+        swings = spring.swing_share, spring.swing_stiffness, spring.swing_damping
+        for way in ways:
+            viscous = (c[4 + way], c[8 + way])[:masses]
+            made.append(drive_matrices((c[0], c[1])[:masses], viscous, c[2], c[3], swings=swings))
     return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))
-
-
-def _swinging(laws: SmoothLaws | None) -> tuple[float, float, float]:
-    """Return share, stiffness and damping of what swings on a load; zeros of one that is rigid."""
-    spring = SmoothSpring() if laws is None else laws.spring
-    return spring.swing_share, spring.swing_stiffness, spring.swing_damping
 
 
 def frequency_response(
@@ -256,7 +253,7 @@ def frequency_response(
         >>> import numpy as np, jointid as ji
         >>> from jointid.models.linear import frequency_response
         >>> values = {"inertia": 2.0, "viscous": 0.0, "coulomb": 1.0, "offset": 0.0}
-        >>> response = frequency_response(ji.RigidJoint(), values, np.array([1.0]))
+        >>> response = frequency_response(ji.RigidJoint("prismatic"), values, np.array([1.0]))
         >>> print(round(float(abs(response[0])), 6))  # 1 / (2 pi f J)
         0.079577
     """

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class SmoothFriction(NamedTuple):
-    """What the friction of one side has beside its lines; 0 where it has nothing.
+    """Numbers of a smooth friction law on one side, beside its lines.
 
     Attributes:
         presliding: the displacement over which the Coulomb force winds up, m or rad; 0 of one that sticks.
@@ -26,7 +26,7 @@ class SmoothFriction(NamedTuple):
 
 
 class SmoothSpring(NamedTuple):
-    """What a spring has beside its line; 0 where it has nothing.
+    """Numbers of a smooth spring, beside its line.
 
     Attributes:
         cubic: torque per cube of the deflection.
@@ -46,7 +46,7 @@ class SmoothSpring(NamedTuple):
 
 
 class SmoothLaws(NamedTuple):
-    """What the laws of a joint have beside their lines.
+    """Numbers of the smooth laws of a joint.
 
     Attributes:
         motor: friction of the motor's side.

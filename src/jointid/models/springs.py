@@ -26,6 +26,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.models.smooth import SmoothSpring
 
+_STIFFNESS = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
 _DAMPING = Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0)
 _SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for half the gap begins
 _NEWTON = 50  # steps to the deflection of a smooth spring
@@ -46,7 +47,7 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Spring:
-    """The law of a joint's spring; it is frozen, as a joint is looked up by what it is made of.
+    """The law of a joint's spring, linear unless overridden; frozen, so that a joint can be a key.
 
     Each has the parameters ``stiffness``, of its first piece that has one, and ``damping``, of the damper beside it.
 
@@ -61,6 +62,8 @@ class Spring:
     """What a smooth spring has beside its line, in words."""
     instead: ClassVar[str] = ""
     """What its line is, where only that is written, in words."""
+    stepped: ClassVar[bool] = False
+    """True if it is smooth, so that the simulation goes in steps of a stated error."""
 
     @property
     def linear(self) -> bool:
@@ -70,11 +73,11 @@ class Spring:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness first, damping last."""
-        raise NotImplementedError
+        return (_STIFFNESS, _DAMPING)
 
     def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
         """Return the pieces of one side, by rising deflection; the first begins at 0, with no torque."""
-        raise NotImplementedError
+        return (Piece(0.0, 0.0, values["stiffness"], values["damping"]),)
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield values of all but the damping from which a search may begin, beside those with a linear spring.
@@ -83,11 +86,11 @@ class Spring:
             linear: values of the joint with the linear spring that fits best.
             windup: the largest deflection of that.
         """
-        raise NotImplementedError
+        yield {"stiffness": linear["stiffness"]}
 
     def describe(self, shown: Mapping[str, str]) -> str:
         """Return the spring in words, from what is shown of all its parameters but the damping."""
-        raise NotImplementedError
+        return shown["stiffness"]
 
     def deflection(self, values: Mapping[str, float], torque: float) -> float:
         """Return the deflection under a constant torque; 0 under none."""
@@ -99,13 +102,8 @@ class Spring:
                 found = piece.deflection + ((size - piece.torque) / piece.stiffness if piece.stiffness > 0.0 else 0.0)
         return math.copysign(found, torque)
 
-    @property
-    def stepped(self) -> bool:
-        """True if it is smooth, so that the simulation goes in steps of a stated error."""
-        return False
-
     def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
-        """Return what the spring has beside its stiffness and damping."""
+        """Return the numbers of the smooth law beside stiffness and damping."""
         return SmoothSpring()
 
     def torque(self, values: Mapping[str, float], deflection: FloatArray, velocity: FloatArray) -> FloatArray:
@@ -122,23 +120,6 @@ class LinearSpring(Spring):
 
     name = "linear"
     label = "linear"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness and damping."""
-        return (Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0), _DAMPING)
-
-    def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
-        """Return the one piece there is."""
-        return (Piece(0.0, 0.0, values["stiffness"], values["damping"]),)
-
-    def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
-        """Yield the stiffness itself."""
-        yield {"stiffness": linear["stiffness"]}
-
-    def describe(self, shown: Mapping[str, str]) -> str:
-        """Return the stiffness."""
-        return shown["stiffness"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +156,7 @@ class PiecewiseSpring(Spring):
         return tuple(found)
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
-        """Yield a spring that grows stiffer, and one that grows softer, in equal parts of the largest torque."""
+        """Yield a stiffening and a softening spring, in equal parts of the largest torque."""
         stiffness = linear["stiffness"]
         names = [p.name for p in self.parameters[:-1]]
         torques = [stiffness * windup * i / self.count for i in range(1, self.count)]
@@ -222,8 +203,7 @@ class Backlash(Spring):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness in contact, gap, damping."""
-        stiffness = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
-        return (stiffness, Parameter("gap", "gap", Quantity.POSITION, lower=0.0), _DAMPING)
+        return (_STIFFNESS, Parameter("gap", "gap", Quantity.POSITION, lower=0.0), _DAMPING)
 
     def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
         """Return the gap and the spring behind it."""
@@ -240,42 +220,28 @@ class Backlash(Spring):
 
 
 @dataclass(frozen=True, slots=True)
-class _SteppedSpring(Spring):
-    """Common base of smooth springs, which are simulated in steps."""
-
-    @property
-    def stepped(self) -> bool:
-        """True: it is smooth."""
-        return True
-
-    def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
-        """Return its line: what it is for small deflections, or beside what it has more."""
-        return (Piece(0.0, 0.0, values["stiffness"], values["damping"]),)
-
-
-@dataclass(frozen=True, slots=True)
-class CubicSpring(_SteppedSpring):
+class CubicSpring(Spring):
     """A spring that grows stiffer, or softer, smoothly: ``K12 e + K3 e^3`` (the spring of G. Duffing's oscillator).
 
-    A softening one pulls less and less beyond the deflection of ``(K12 / 3 |K3|)^0.5``: valid below that.
+    A softening one pulls less and less above the deflection of ``(K12 / 3 |K3|)^0.5``: valid below that.
     """
 
     name = "cubic"
+    stepped = True
     label = "stiffer as it winds up"
     adds, instead = "the cube in the spring's torque", "its stiffness for small deflections"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness without a deflection, cubic stiffness, damping."""
-        stiffness = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
-        return (stiffness, Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS), _DAMPING)
+        return (_STIFFNESS, Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS), _DAMPING)
 
     def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
         """Return the cubic stiffness."""
         return SmoothSpring(cubic=values["cubic_stiffness"])
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
-        """Yield a spring that is stiffer, and one that is softer, at the largest deflection."""
+        """Yield a stiffening and a softening spring, for the largest deflection."""
         stiffness = linear["stiffness"]
         for first, last in ((_SOFTER, _STIFFER), (_STIFFER, _SOFTER)):
             yield {"stiffness": first * stiffness, "cubic_stiffness": (last - first) * stiffness / windup**2}
@@ -299,7 +265,7 @@ class CubicSpring(_SteppedSpring):
 
 
 @dataclass(frozen=True, slots=True)
-class HystereticSpring(_SteppedSpring):
+class HystereticSpring(Spring):
     """A linear spring beside one that slips: the torque on the way up is another than on the way down.
 
     ``K12 e + h``, where h winds up from each reversal with the stiffness Kh to the limit Th, as friction inside a gear
@@ -309,6 +275,7 @@ class HystereticSpring(_SteppedSpring):
     """
 
     name = "hysteretic"
+    stepped = True
     label = "linear, with hysteresis"
     adds, instead = "the slider beside the spring", "the stiffness where that slips"
 
@@ -316,7 +283,7 @@ class HystereticSpring(_SteppedSpring):
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness where the slider slips, stiffness and limit of the slider, damping."""
         return (
-            Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0),
+            _STIFFNESS,
             Parameter("hysteresis_stiffness", "Kh", Quantity.STIFFNESS, lower=0.0),
             Parameter("hysteresis_torque", "Th", Quantity.FORCE, lower=_LEAST),
             _DAMPING,
@@ -339,13 +306,9 @@ class HystereticSpring(_SteppedSpring):
         slider = f"{shown['hysteresis_stiffness']} that slips at {shown['hysteresis_torque']}"
         return f"{shown['stiffness']}, beside {slider}"
 
-    def deflection(self, values: Mapping[str, float], torque: float) -> float:
-        """Return the deflection under a constant torque, the slider not wound up."""
-        return torque / values["stiffness"]
-
 
 @dataclass(frozen=True, slots=True)
-class ElasticLoad(_SteppedSpring):
+class ElasticLoad(Spring):
     """A linear spring, and a part of the load on a second one: three masses, with a second elastic mode.
 
     The load's inertia ZZ2 is all of it. A share r3 of that swings on K23 and F23, without friction; the load's friction
@@ -354,6 +317,7 @@ class ElasticLoad(_SteppedSpring):
     """
 
     name = "elastic-load"
+    stepped = True
     label = "linear, and the load elastic"
     adds, instead = "the part of the load that swings on a spring of its own", "the whole load on the first spring"
 
@@ -361,7 +325,7 @@ class ElasticLoad(_SteppedSpring):
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, share of the load that swings, stiffness and damping of its spring, damping."""
         return (
-            Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0),
+            _STIFFNESS,
             Parameter("swinging_share", "r3", Quantity.RATIO, lower=0.0, upper=_WHOLE),
             Parameter("swinging_stiffness", "K23", Quantity.STIFFNESS, lower=0.0),
             Parameter("swinging_damping", "F23", Quantity.VISCOUS, lower=0.0),
@@ -380,7 +344,7 @@ class ElasticLoad(_SteppedSpring):
             yield self.start(linear, share, times)
 
     def start(self, linear: Mapping[str, float], share: float, times: float) -> dict[str, float]:
-        """Return a part of the load that swings at some times the first mode, damped as that; both springs as stiff."""
+        """Return a swinging part with a multiple of the first mode's frequency; both springs as stiff together."""
         stiffness, load = linear["stiffness"], linear["load_inertia"]
         first = stiffness * (1 / linear["motor_inertia"] + 1 / load)  # rad2/s2
         second = share * (1 - share) * load * times**2 * first
@@ -390,13 +354,9 @@ class ElasticLoad(_SteppedSpring):
         return {"stiffness": 1 / left if left > 0.0 else _STIFFER * stiffness} | swings
 
     def describe(self, shown: Mapping[str, str]) -> str:
-        """Return the stiffness, and what part of the load is on which second one."""
+        """Return the stiffness, the swinging share and its stiffness."""
         share = shown["swinging_share"].removesuffix(" 1")  # the unit of a share
         return f"{shown['stiffness']}, and a share of {share} of the load on {shown['swinging_stiffness']}"
-
-    def deflection(self, values: Mapping[str, float], torque: float) -> float:
-        """Return the deflection of the first spring under a constant torque."""
-        return torque / values["stiffness"]
 
 
 SPRINGS: Mapping[str, type[Spring]] = {
@@ -408,7 +368,7 @@ SPRINGS: Mapping[str, type[Spring]] = {
 """Every law of a spring by its name in the joint file."""
 
 
-def spring_named(name: str) -> Spring:
+def find_spring(name: str) -> Spring:
     """Return the law of a spring of that name.
 
     Raises:

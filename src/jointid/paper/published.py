@@ -9,11 +9,13 @@ the paper's Fv12, the damping between the masses, is F12.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
+from importlib.resources import files
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from jointid import FlexibleJoint, RigidJoint
 
@@ -22,12 +24,15 @@ Cell: TypeAlias = tuple[str, str]
 """The column and the parameter of a printed number."""
 
 SYMBOLS: Mapping[str, str] = MappingProxyType(
-    {parameter.name: parameter.symbol for joint in (RigidJoint(), FlexibleJoint()) for parameter in joint.parameters}
+    {
+        parameter.name: parameter.symbol
+        for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic"))
+        for parameter in joint.parameters
+    }
 )
 """The symbol of every parameter, as the tables below spell it."""
 
 _NAMES = {symbol: name for name, symbol in SYMBOLS.items()}
-_IDENTIFIED = ("value", "two_sigma", "relative_percent")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +40,6 @@ class PublishedTable:
     """One table of the paper.
 
     Attributes:
-        section: of the paper, that presents it.
         columns: names of the numbers in a row: value, two_sigma and relative_percent (100 sigma / value) in Tables 1
             to 5; a method in Table 6; a test in Table 7.
         rows: by parameter, one number per column; kg, N s/m, N, N/m in Tables 1 to 6, % in Table 7.
@@ -47,7 +51,6 @@ class PublishedTable:
     """
 
     number: int
-    section: str
     caption: str
     columns: tuple[str, ...]
     rows: PrintedRows
@@ -78,158 +81,40 @@ class PublishedSettings:
     """Settings of the experiment, as the text of section V gives them."""
 
     sample_rate: float = 1000.0  # Hz, V.A
-    encoder_counts: int = 100_000  # per revolution, V.A
     natural_frequency: float = 30.0  # Hz, stated as confirmed with the output blocked, V.A
     bandwidth: float = 30.0  # Hz, of the position loop, V.A
     condition_number: float = 30.0  # of W, its scaling not stated, V.A
     rigid_cutoff: float = 5.0  # Hz, of the filters for the rigid model, V.B
     flexible_cutoff: float = 60.0  # Hz, of those for the flexible model, V.C
     decimation: int = 12  # one sample in so many is kept, V.C
-    butterworth_order: int = 4  # of the filter on the positions, V.C
     added_mass: float = 10.0  # kg, on the load in the second test, V.D
 
 
 EXPERIMENT = PublishedSettings()
 
 
-def _parse_rows(text: str) -> PrintedRows:
-    """Read lines of a symbol and its numbers."""
-    lines = [line.split() for line in text.strip().splitlines()]
-    return MappingProxyType({_NAMES[symbol]: tuple(map(Decimal, numbers)) for symbol, *numbers in lines})
+def _read_table(stated: dict[str, Any]) -> PublishedTable:
+    rows = (line.split() for line in stated["rows"].splitlines())
+    numbers = {
+        key: Decimal(stated[key]) for key in ("frequency", "residual_percent", "simulated_percent") if key in stated
+    }
+    return PublishedTable(
+        stated["number"],
+        stated["caption"],
+        tuple(stated["columns"]),
+        MappingProxyType({_NAMES[symbol]: tuple(map(Decimal, printed)) for symbol, *printed in rows}),
+        sums=MappingProxyType({name: Decimal(printed) for name, printed in stated.get("sums", {}).items()}),
+        iterations=MappingProxyType(stated.get("iterations", {})),
+        **numbers,
+    )
 
 
-def _parse_sums(inertia: str, viscous: str, coulomb: str) -> Mapping[str, Decimal]:
-    return MappingProxyType({"inertia": Decimal(inertia), "viscous": Decimal(viscous), "coulomb": Decimal(coulomb)})
-
-
-_TABLES = (
-    PublishedTable(
-        number=1,
-        section="V.B",
-        caption="rigid joint by DIDIM",
-        columns=_IDENTIFIED,
-        rows=_parse_rows("""
-            ZZ   106    0.44  0.21
-            Fv   208    3.5   0.84
-            Fc   20.0   0.35  0.88
-        """),
-        iterations=MappingProxyType({"text": 2}),
-    ),
-    PublishedTable(
-        number=2,
-        section="V.C",
-        caption="flexible joint by IDIM",
-        columns=_IDENTIFIED,
-        rows=_parse_rows("""
-            ZZ1   70.2   0.20   0.14
-            Fv1   92.0   1.89   1.03
-            Fc1   10.0   0.47   2.35
-            K12   8.0e5  3.0e3  0.19
-            F12  126.0  36.0   14.3
-            ZZ2   34.8   0.19   0.27
-            Fv2  110.0   1.69   0.76
-            Fc2   10.4   0.15   0.72
-        """),
-        frequency=Decimal("29.0"),
-        residual_percent=Decimal(8),
-        simulated_percent=Decimal(8),
-        sums=_parse_sums("105", "202", "20.4"),
-    ),
-    PublishedTable(
-        number=3,
-        section="V.C",
-        caption="flexible joint by DIDIM",
-        columns=_IDENTIFIED,
-        rows=_parse_rows("""
-            ZZ1   69.6   0.18   0.13
-            Fv1  127.0   1.86   0.73
-            Fc1   10.0   0.45   2.25
-            K12   8.1e5  3.0e3  0.18
-            F12  136.0  35.0   12.86
-            ZZ2   35.5   0.19   0.26
-            Fv2   76.0   1.67   1.09
-            Fc2   10.0   0.15   0.75
-        """),
-        frequency=Decimal("29.0"),
-        simulated_percent=Decimal(9),
-        sums=_parse_sums("105.1", "203", "20.0"),
-        iterations=MappingProxyType({"caption": 10, "text": 25, "conclusion": 25}),
-    ),
-    PublishedTable(
-        number=4,
-        section="V.D",
-        caption="flexible joint by IDIM, 10 kg added to the load",
-        columns=_IDENTIFIED,
-        rows=_parse_rows("""
-            ZZ1   70.1   0.22   0.15
-            Fv1   95.0   1.90   1.0
-            Fc1   10.0   0.46   2.3
-            K12   8.2e5  3.0e3  0.18
-            F12  210.0  40.0    9.5
-            ZZ2   45.0   0.20   0.22
-            Fv2  110.0   1.67   0.76
-            Fc2   10.0   0.16   0.80
-        """),
-        frequency=Decimal("27.0"),
-        residual_percent=Decimal(8),
-        simulated_percent=Decimal(8),
-        sums=_parse_sums("115.1", "205", "20.0"),
-    ),
-    PublishedTable(
-        number=5,
-        section="V.D",
-        caption="flexible joint by DIDIM, 10 kg added to the load",
-        columns=_IDENTIFIED,
-        rows=_parse_rows("""
-            ZZ1   68.5   0.20   0.14
-            Fv1  128.0   1.90   0.74
-            Fc1   11.0   0.45   2.0
-            K12   8.2e5  3.0e3  0.18
-            F12   50.0  20.00  20.0
-            ZZ2   45.7   0.18   0.24
-            Fv2   80.0   1.67   1.04
-            Fc2   10.0   0.15   0.75
-        """),
-        frequency=Decimal("27.0"),
-        simulated_percent=Decimal(9),
-        sums=_parse_sums("114.2", "208", "21.0"),
-        iterations=MappingProxyType({"text": 25}),
-    ),
-    PublishedTable(
-        number=6,
-        section="V.D",
-        caption="change of each parameter with the 10 kg",
-        columns=("IDIM", "DIDIM"),
-        rows=_parse_rows("""
-            ZZ1  -0.2    -1.1
-            Fv1   3.0     1.0
-            Fc1   0.0    -1.0
-            K12   0.1e5  -0.1e5
-            F12  84.0   -86.0
-            ZZ2   9.8    10.2
-            Fv2   0.0     4.0
-            Fc2  -0.4     0
-        """),
-    ),
-    PublishedTable(
-        number=7,
-        section="V.C",
-        caption="relative errors between IDIM and DIDIM",
-        columns=("first test", "second test"),
-        rows=_parse_rows("""
-            ZZ1   1.0    2.3
-            Fv1  38.0   35.0
-            Fc1   0.0    0.0
-            K12   1.28   0.0
-            F12   9.0   76.0
-            ZZ2   2.0    1.6
-            Fv2  31.0   27.3
-            Fc2   4.0    0.0
-        """),
-    ),
+TABLES: Mapping[int, PublishedTable] = MappingProxyType(
+    {
+        stated["number"]: _read_table(stated)
+        for stated in tomllib.loads(files("jointid.paper").joinpath("tables.toml").read_text(encoding="utf-8"))["table"]
+    }
 )
-
-TABLES: Mapping[int, PublishedTable] = MappingProxyType({table.number: table for table in _TABLES})
 """The tables of the paper, by number."""
 
 REGRESSOR = (

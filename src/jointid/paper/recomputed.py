@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import ROUND_DOWN, Decimal
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
-from jointid import Filtering, FlexibleJoint, RigidJoint
+from jointid import FlexibleJoint, RigidJoint
 from jointid.common.document import Table
 from jointid.common.text import align, number
-from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, PublishedTable
+from jointid.paper.published import SYMBOLS, TABLES, Cell, PublishedTable
 
 Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
 
@@ -25,13 +24,9 @@ TESTS = ((TABLES[2], TABLES[3]), (TABLES[4], TABLES[5]))
 METHODS = MappingProxyType({"IDIM": (TABLES[2], TABLES[4]), "DIDIM": (TABLES[3], TABLES[5])})
 """The first and the second test of each method."""
 
-REGRESSOR_OF_2 = (
-    ("a1", "v1", "sign(v1)", "-q2", "-v2", "0", "0", "0"),
-    ("0", "0", "0", "q2", "v2", "a12", "v12", "sign(v12)"),
-)
-"""The regressor of (2), in the letters of `models.joints` and in the order of the parameters of Table 2."""
-
-_UNITS = {p.name: joint.unit(p) for joint in (RigidJoint(), FlexibleJoint()) for p in joint.parameters}
+_UNITS = {
+    p.name: joint.unit(p) for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic")) for p in joint.parameters
+}
 
 
 def sum_sides(table: PublishedTable) -> dict[str, float]:
@@ -51,40 +46,12 @@ def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[st
     return {name: end[name] - start[name] for name in start}
 
 
-def compute_shifts(before: PublishedTable, after: PublishedTable) -> dict[str, float]:
-    """Change of each parameter in standard deviations, for independent tables."""
-    one, other = before.column("two_sigma"), after.column("two_sigma")
-    return {
-        name: 2 * float(change) / math.hypot(one[name], other[name])
-        for name, change in compute_variations(before, after).items()
-    }
-
-
 def compute_relative_errors(
     idim: PublishedTable, didim: PublishedTable, denominator: Denominator = "DIDIM"
 ) -> dict[str, Decimal]:
     """A column of Table 7 in %, by (15) relative to DIDIM, or to IDIM."""
     of = (didim if denominator == "DIDIM" else idim).column("value")
     return {name: 100 * abs(change / of[name]) for name, change in compute_variations(idim, didim).items()}
-
-
-def find_largest_decimation(cutoff: float, sample_rate: float) -> int:
-    """Largest decimation factor that a filter at `cutoff` Hz allows."""
-    thinned = Filtering(cutoff=cutoff).resolve(1 / sample_rate).decimation
-    assert thinned is not None
-    return thinned
-
-
-def compute_stiffness(motor_inertia: float, load_inertia: float, free_free: float) -> float:
-    """Return ``K12 = mu (2 pi f)^2``, ``mu = ZZ1 ZZ2 / (ZZ1 + ZZ2)``, f free-free in Hz."""
-    reduced = motor_inertia * load_inertia / (motor_inertia + load_inertia)
-    return reduced * (2 * math.pi * free_free) ** 2
-
-
-def stops(before: float, after: float, tolerance: float, *, absolute: bool = True) -> bool:
-    """Test the stopping rule under (12); print takes no absolute value."""
-    change = (after - before) / before
-    return (abs(change) if absolute else change) <= tolerance
 
 
 def agrees(printed: Decimal, recomputed: Decimal | float, rounding: str | None = None) -> bool:
@@ -119,25 +86,15 @@ def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:
     return tuple(
         (column, name)
         for (column, name), candidates in recompute_cells(table).items()
-        if not any(_follows(table.cell((column, name)), candidate) for candidate in candidates)
+        if not any(_matches_print(table.cell((column, name)), candidate) for candidate in candidates)
     )
 
 
-def _follows(printed: Decimal, recomputed: Decimal) -> bool:
+def _matches_print(printed: Decimal, recomputed: Decimal) -> bool:
     if agrees(printed, recomputed) or agrees(printed, recomputed, ROUND_DOWN):
         return True
     whole = printed.to_integral_value()
     return whole == printed and agrees(whole, recomputed)
-
-
-def find_wrong_entries() -> tuple[tuple[int, str, str], ...]:
-    """Regressor entries that contradict (2): column, printed, correct."""
-    return tuple(
-        (column, old, new)
-        for rows in zip(REGRESSOR, REGRESSOR_OF_2, strict=True)
-        for column, (old, new) in enumerate(zip(*rows, strict=True), 1)
-        if old != new
-    )
 
 
 # Tables for reports: printed, and recomputed from print
@@ -188,7 +145,7 @@ def format_as_print(value: Decimal) -> str:
     return f"{value:f}" if exponent <= 0 else f"{value.scaleb(-exponent - 1)}e{exponent + 1}"
 
 
-def format_recomputed(value: Decimal) -> str:
+def format_digits(value: Decimal) -> str:
     """Format a recomputed number with three significant digits."""
     return number(float(value), 3)
 
@@ -202,14 +159,12 @@ def compare_table(table: PublishedTable) -> TableComparison:
     elif table.number == 7:
         recomputed = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in printed)
         texts = {
-            name: tuple(
-                format_recomputed(found[test, name][way]) for way in range(len(DENOMINATORS)) for test in printed
-            )
+            name: tuple(format_digits(found[test, name][way]) for way in range(len(DENOMINATORS)) for test in printed)
             for name in table.rows
         }
     else:
         printed, recomputed = ("value", "2 sigma", "%"), ("value", "%")
-        texts = {name: ("-", format_recomputed(found["relative_percent", name][0])) for name in table.rows}
+        texts = {name: ("-", format_digits(found["relative_percent", name][0])) for name in table.rows}
     units = dict.fromkeys(table.rows, "%") if table.number == 7 else _UNITS
     rows = tuple(
         ComparisonRow(name, f"{SYMBOLS[name]} ({units[name]})", _format_cells(numbers), texts[name])

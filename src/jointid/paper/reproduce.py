@@ -23,13 +23,13 @@ from jointid import (
     FlexibleJoint,
     Record,
     RigidJoint,
-    Validation,
     identify,
     validate,
 )
 from jointid.common.document import Block, Document, Heading, Paragraph, Picture, Table
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
+from jointid.diagnostics.validation import Validation
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import SYMBOLS, TABLES
 from jointid.paper.recomputed import DENOMINATORS, Denominator, compare_table
@@ -101,24 +101,19 @@ class Reproduction:
 
 
 def reproduce(seed: int = 1, progress: Progress = ignore_progress) -> Reproduction:
-    """Run the paper on its twin; a minute on two cores.
-
-    Args:
-        seed: of the noise of the first run; the others follow.
-        progress: called with each step.
-    """
+    """Run the paper on its twin; a minute on two cores."""
     axis, heavy = twin(seed=seed), twin(seed=seed + 1, added_mass=True)
     others = twin(seed=seed + 2, pulses_seed=1), twin(seed=seed + 3, added_mass=True, pulses_seed=1)
     progress("Table 1: the rigid joint, below 5 Hz")
-    rigid_loop = ClosedLoop(RigidJoint(), axis.loop.controller)
+    rigid_loop = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
     rigid = identify(
         keep_torque_only(axis), rigid_loop, DIDIM("residual"), filtering=Filtering(cutoff=5.0), checks=False
     )
-    first = _reproduce_experiment(axis, others[0], "Tables 2 and 3", progress)
-    second = _reproduce_experiment(heavy, others[1], "Tables 4 and 5, with 10 kg on the load", progress)
+    first = _identify_axis(axis, others[0], "Tables 2 and 3", progress)
+    second = _identify_axis(heavy, others[1], "Tables 4 and 5, with 10 kg on the load", progress)
     progress("The test of F12")
     damping = next(p for p in axis.loop.joint.parameters if p.name == "damping")
-    fixed = {"damping": damping.fixed(0.0)}
+    fixed = {"damping": damping.fix(0.0)}
     without_damping = identify(keep_torque_only(axis), axis.loop, DIDIM(), parameters=fixed, checks=False)
     return Reproduction(seed, rigid, first, second, without_damping)
 
@@ -128,7 +123,7 @@ def keep_torque_only(axis: Twin) -> Record:
     return axis.record.without("motor_position", "load_position")
 
 
-def _reproduce_experiment(axis: Twin, other: Twin, tables: str, progress: Progress) -> ReproducedExperiment:
+def _identify_axis(axis: Twin, other: Twin, tables: str, progress: Progress) -> ReproducedExperiment:
     progress(f"{tables}: IDIM")
     idim = identify(axis.record, axis.loop, IDIM())
     progress(f"{tables}: DIDIM by Nelder-Mead")
@@ -151,13 +146,8 @@ Cells = Mapping[str, tuple[str, ...]]
 """The recomputed value of each row of a table, by the row's name."""
 
 
-def reproduction_document(run: Reproduction, draw: Callable[[Validation], bytes]) -> Document:
-    """Report of a reproduction, beside the printed and recomputed values.
-
-    Args:
-        run: the reproduction.
-        draw: returns the torque of a validation as a picture, PNG.
-    """
+def report_reproduction(run: Reproduction, draw: Callable[[Validation], bytes]) -> Document:
+    """Report of a reproduction, beside the printed and recomputed values."""
     blocks: list[Block] = [
         Paragraph(
             "M. Gautier, A. Janot, A. Jubien, P.-O. Vandanjon, Joint stiffness identification from only motor "
@@ -174,32 +164,38 @@ def reproduction_document(run: Reproduction, draw: Callable[[Validation], bytes]
     fit = run.rigid.fit
     blocks += [
         Heading("Table 1: the rigid joint"),
-        compare_table(TABLES[1]).beside(("value", "2 sigma", "%"), _parameters(run.rigid)),
+        compare_table(TABLES[1]).beside(("value", "2 sigma", "%"), _format_parameters(run.rigid)),
         Paragraph(f"{fit.iterations} iterations, {fit.simulations} simulations; {fit.stop}."),
     ]
     for numbers, part in (((2, 3), run.first), ((4, 5), run.second)):
-        blocks += _experiment(numbers, part)
-    blocks += _variations(run) + _relative_errors(run) + _validation(run, draw) + _excitation(run) + _damping(run)
-    blocks += _errata()
+        blocks += _tabulate_axis(numbers, part)
+    blocks += (
+        _list_variations(run)
+        + _list_relative_errors(run)
+        + _list_validations(run, draw)
+        + _list_conditioning(run)
+        + _list_damping(run)
+    )
+    blocks += _list_errata()
     return Document("The paper, reproduced", tuple(blocks))
 
 
-def _experiment(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Block]:
+def _tabulate_axis(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Block]:
     mass = " with 10 kg on the load" if numbers[0] != 2 else ""
     idim, didim = numbers
-    simulated = {"simulated": (_percent(part.idim_simulated.filtered_error), "-", "-", "-")}
-    residual = {"residual": (_percent(part.idim.fit.filtered_error), "-", "-", "-")}
-    direct = {"simulated": (_percent(part.didim.fit.filtered_error), "-", "-", "-")}
-    by_idim, by_didim = (_beside(_parameters(e), part.axis.truth) for e in (part.idim, part.didim))
+    simulated = {"simulated": (_format_share(part.idim_simulated.filtered_error), "-", "-", "-")}
+    residual = {"residual": (_format_share(part.idim.fit.filtered_error), "-", "-", "-")}
+    direct = {"simulated": (_format_share(part.didim.fit.filtered_error), "-", "-", "-")}
+    by_idim, by_didim = (_add_truth(_format_parameters(e), part.axis.truth) for e in (part.idim, part.didim))
     return [
         Heading(f"Table {idim}: IDIM{mass}"),
-        compare_table(TABLES[idim]).beside(_RUN, by_idim | _below(part.idim) | simulated | residual),
+        compare_table(TABLES[idim]).beside(_RUN, by_idim | _format_sums(part.idim) | simulated | residual),
         Paragraph(
             f"Standard deviations {part.idim.params.basis}. Nor is the noise in the measured motions: the disturbance "
             "acts inside the loop, so IDIM's regressor is correlated with its error, and ZZ1 most of all is off."
         ),
         Heading(f"Table {didim}: DIDIM{mass}"),
-        compare_table(TABLES[didim]).beside(_RUN, by_didim | _below(part.didim) | direct),
+        compare_table(TABLES[didim]).beside(_RUN, by_didim | _format_sums(part.didim) | direct),
         Paragraph(
             f"{part.didim.fit.stop}. In all {part.didim.fit.iterations} iterations and "
             f"{part.didim.fit.simulations} simulations; "
@@ -210,7 +206,7 @@ def _experiment(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Bl
             ("", "value", "2 sigma", "%", "truth"),
             tuple(
                 (SYMBOLS.get(name, name), *cells)
-                for name, cells in _beside(_parameters(part.best), part.axis.truth).items()
+                for name, cells in _add_truth(_format_parameters(part.best), part.axis.truth).items()
             ),
             "The same criterion by least squares, with the deviations of the output sensitivities",
         ),
@@ -219,7 +215,7 @@ def _experiment(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Bl
     ]
 
 
-def _variations(run: Reproduction) -> list[Block]:
+def _list_variations(run: Reproduction) -> list[Block]:
     idim, didim = run.variations("idim"), run.variations("didim")
     cells: Cells = {name: (number(idim[name], 3), number(didim[name], 3)) for name in idim}
     return [
@@ -227,19 +223,19 @@ def _variations(run: Reproduction) -> list[Block]:
         compare_table(TABLES[6]).beside(("IDIM", "DIDIM"), cells),
         Paragraph(
             "The twin's own changes are those from Table 2 to Table 4. Fv1 and Fv2 move against each other with their "
-            "sum kept: torque alone does not tell them apart."
+            "sum kept: torque alone does not distinguish them."
         ),
     ]
 
 
-def _relative_errors(run: Reproduction) -> list[Block]:
+def _list_relative_errors(run: Reproduction) -> list[Block]:
     ways = [run.relative_errors(denominator) for denominator in DENOMINATORS]
     cells = {name: tuple(number(test[name], 3) for way in ways for test in way) for name in ways[0][0]}
     headings = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in ("first", "second"))
     return [Heading("Table 7: IDIM against DIDIM"), compare_table(TABLES[7]).beside(headings, cells)]
 
 
-def _validation(run: Reproduction, draw: Callable[[Validation], bytes]) -> list[Block]:
+def _list_validations(run: Reproduction, draw: Callable[[Validation], bytes]) -> list[Block]:
     blocks: list[Block] = [Heading("Figures 4 and 5: cross test and direct validation")]
     for name, validation, words in (
         (
@@ -252,14 +248,14 @@ def _validation(run: Reproduction, draw: Callable[[Validation], bytes]) -> list[
         blocks.append(Picture(f"{name}.png", partial(bytes, draw(validation)), words))
         blocks.append(
             Paragraph(
-                f"Torque error {_percent(validation.relative_error)} % raw, "
-                f"{_percent(validation.filtered_error)} % filtered."
+                f"Torque error {_format_share(validation.relative_error)} % raw, "
+                f"{_format_share(validation.filtered_error)} % filtered."
             )
         )
     return blocks
 
 
-def _excitation(run: Reproduction) -> list[Block]:
+def _list_conditioning(run: Reproduction) -> list[Block]:
     found = run.first.idim.fit.conditioning
     assert found is not None
     return [
@@ -272,7 +268,7 @@ def _excitation(run: Reproduction) -> list[Block]:
     ]
 
 
-def _damping(run: Reproduction) -> list[Block]:
+def _list_damping(run: Reproduction) -> list[Block]:
     rows = tuple((SYMBOLS.get(name, name), f"{100 * shift:+.2f}") for name, shift in run.damping_shifts.items())
     return [
         Heading("The test of F12"),
@@ -284,7 +280,7 @@ def _damping(run: Reproduction) -> list[Block]:
     ]
 
 
-def _errata() -> list[Block]:
+def _list_errata() -> list[Block]:
     blocks: list[Block] = [Heading("What we found in the paper")]
     for i, found in enumerate(ERRATA, 1):
         blocks += [
@@ -296,7 +292,7 @@ def _errata() -> list[Block]:
     return blocks
 
 
-def _parameters(estimate: Estimate) -> dict[str, tuple[str, ...]]:
+def _format_parameters(estimate: Estimate) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = {}
     for p in estimate.params.rows:
         if p.of_joint and p.value is not None and p.stderr is not None:
@@ -305,11 +301,11 @@ def _parameters(estimate: Estimate) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def _beside(cells: Cells, truth: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
+def _add_truth(cells: Cells, truth: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
     return {name: (*texts, number(truth[name], 4)) for name, texts in cells.items()}
 
 
-def _below(estimate: Estimate) -> dict[str, tuple[str, ...]]:
+def _format_sums(estimate: Estimate) -> dict[str, tuple[str, ...]]:
     rows: dict[str, tuple[str, ...]] = {
         name: (f"{hertz:.2f}", "-", "-", "-") for name, hertz in FlexibleJoint.frequencies(estimate.values).items()
     }
@@ -319,5 +315,5 @@ def _below(estimate: Estimate) -> dict[str, tuple[str, ...]]:
     return rows
 
 
-def _percent(ratio: float) -> str:
+def _format_share(ratio: float) -> str:
     return f"{100 * ratio:.2f}"

@@ -15,14 +15,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from importlib.resources import files
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from jointid import Cascade, ClosedLoop, Filtering, FlexibleJoint, Record, excitation, simulated_record
+from jointid import ClosedLoop, Filtering, FlexibleJoint, Record, excitation, simulated_record
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.controller import Cascade
 from jointid.paper.published import TABLES
 
 SAMPLE_TIME = 1e-3
@@ -57,39 +59,7 @@ CONTROLLERS = MappingProxyType(
 """The two loops: L19 of the public benchmark, L30 as the paper describes its own."""
 
 
-JOINT_FILE = """\
-# The digital twin of the paper's flexible axis under its loop L19, identified from motor force and reference alone.
-# A record for it: jointid simulate --twin L19 --out record.csv
-
-[joint]
-kind = "prismatic"
-model = "flexible"               # or "rigid", with a cutoff of 5 Hz
-torque_constant = "35.15065188 N/V"   # of the twin's drive: the torque is logged in N, the controller speaks V
-
-[record]
-file = "record.csv"
-time = "t"
-
-[record.channels]
-torque = { column = "torque", unit = "N", timing = "held", tap = "command" }
-reference = { column = "reference", unit = "m" }
-motor_position = { column = "motor_position", unit = "m", optional = true }    # DIDIM does not read it
-load_position = { column = "load_position", unit = "m", optional = true }
-injected = { column = "injected", unit = "N", at = "after_limit", in_torque = true, optional = true }    # the pulses
-
-[controller]
-law = "cascade"                  # velocity_gain (position_gain (reference - position) - velocity)
-position_gain = "160.18 1/s"
-velocity_gain = "243.45 V s/m"
-velocity_filter = [0.5, 0.5]     # the velocity is the mean of two differences
-limit = "1000 V"                 # never reached
-
-[filtering]
-cutoff = 60.0                    # Hz, twice the resonance
-
-[method]
-frequency = 30.0                 # Hz, about the resonance; leave it out to have a grid of starts tried
-"""
+JOINT_FILE = files("jointid.paper").joinpath("twin.toml").read_text(encoding="utf-8")
 """The joint file that identifies a run of loop L19 from torque alone; `examples/twin/joint.toml` is the same."""
 
 
@@ -141,7 +111,7 @@ def twin(
         raise MethodError(f"A spring is made stiffer by a positive factor; received {stiffer}.")
     truth = dict(TABLE_4 if added_mass else TABLE_2)
     truth |= {"stiffness": stiffer * truth["stiffness"], "damping": math.sqrt(stiffer) * truth["damping"]}
-    closed = ClosedLoop(FlexibleJoint(), CONTROLLERS[loop])
+    closed = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS[loop])
     reference = excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=DURATION)
     known = excitation.pulses(reference.size, SAMPLE_TIME, height=150.0, width=0.02, every=0.4, seed=pulses_seed)
     white = np.random.default_rng(seed).standard_normal(reference.size)

@@ -12,8 +12,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.joints import ClosedLoop
 from jointid.models.robots.robot import Robot
 from jointid.planning.joint_design import Design, design_joint_test
@@ -28,7 +26,7 @@ _DURATION, _SAMPLE_TIME = 10.0, 1e-3  # s, of a robot's test where no record sta
 
 
 @overload
-def design(
+def design(  # type: ignore[overload-overlap]  # of one estimate the record says which
     model: Estimate | ClosedLoop,
     record: Record | None = None,
     *,
@@ -53,7 +51,7 @@ def design(
 
 @overload
 def design(
-    model: RobotEstimate | RobotTorqueEstimate | Robot | RobotLoop,
+    model: Estimate | Robot | RobotLoop,
     record: Sequence[Record] | None = None,
     *,
     noise: Sequence[float] | FloatArray | None = None,
@@ -71,7 +69,7 @@ def design(
 
 
 def design(
-    model: Estimate | ClosedLoop | RobotEstimate | RobotTorqueEstimate | Robot | RobotLoop,
+    model: Estimate | ClosedLoop | Robot | RobotLoop,
     record: Record | Sequence[Record] | None = None,
     *,
     values: Mapping[str, float] | None = None,
@@ -143,7 +141,7 @@ def design(
     """
     asked: dict[str, Any] = {"filtering": filtering, "seconds": seconds, "seed": seed, "progress": progress}
     asked |= {"duration": duration, "sample_time": sample_time, "noise": noise, "limits": limits, "motion": motion}
-    if isinstance(model, Estimate | ClosedLoop):
+    if isinstance(model, ClosedLoop) or (isinstance(model, Estimate) and model.robot is None):
         if any(isinstance(one, Sequence) for one in (record, limits, motion)) or not isinstance(noise, Noise | None):
             raise MethodError("The test of a joint has one record, AxisLimits, one motion and a Noise; give each so.")
         asked |= {"present": record, "goal": goal, "encoder": encoder}
@@ -172,7 +170,7 @@ def _read_estimate(estimate: Estimate, record: Record | None, noise: Noise | Non
         "values": estimate.values,
         "noise": noise or Noise.of(estimate, record),
         "covariance": estimate.params.covariance[np.ix_(own, own)],
-        "parameters": {p.name: p.fixed(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free},
+        "parameters": {p.name: p.fix(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free},
         "tap": record.tap,
         "filtering": estimate.settings.filtering,
         "name": estimate.data.record,
@@ -180,23 +178,24 @@ def _read_estimate(estimate: Estimate, record: Record | None, noise: Noise | Non
 
 
 def _read_robot(
-    model: RobotEstimate | RobotTorqueEstimate | Robot | RobotLoop,
+    model: Estimate | Robot | RobotLoop,
     records: Sequence[Record] | None,
     motion: Sequence[Record] | None,
     loop: RobotLoop | None,
     asked: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Prior knowledge of a robot for the design of its test: nominal numbers, controllers and a first record."""
-    robot = model if isinstance(model, Robot) else model.robot
+    known = model.require_robot().closing if isinstance(model, Estimate) else model
+    robot = known if isinstance(known, Robot) else known.robot
     found: dict[str, Any] = {"sample_time": _SAMPLE_TIME, "duration": _DURATION, "limits": [AxisLimits()] * len(robot)}
-    if isinstance(model, RobotEstimate | RobotTorqueEstimate):
+    if isinstance(model, Estimate):
         if records is None:
             raise MethodError("A test is designed from the estimate of a robot and its records; give both.")
         first = first_record(model, records)
         found |= {"sample_time": first.sample_time, "duration": first.duration, "noise": first.noise}
         found["present"] = first.motion
-        if isinstance(model, RobotTorqueEstimate) and isinstance(model.closing, RobotLoop):
-            loop = loop or model.closing
+        if model.settings.method == "didim" and isinstance(known, RobotLoop):
+            loop = loop or known
     elif records is not None:
         raise MethodError("The records of a robot are read with its estimate; give the estimate in place of the robot.")
     elif isinstance(model, RobotLoop):

@@ -149,7 +149,7 @@ class Design(Charted, Documented):
         }
         return {name: prediction for name, prediction in found.items() if prediction is not None}
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Intervals side by side, the test, and its maxima."""
         del details
         tests, proposed = self.tests, self.proposed
@@ -258,7 +258,7 @@ class Design(Charted, Documented):
             "Then `jointid examine joint.toml --record RECORD`, and `jointid identify joint.toml --record RECORD`."
         )
         numbered = "\n".join(f"{i}. {step}" for i, step in enumerate(steps, 1))
-        return f"# A test of this joint\n\n{self.description}.\n\n{numbered}\n\n{self.document().markdown()}\n"
+        return f"# A test of this joint\n\n{self.description}.\n\n{numbered}\n\n{self.to_document().markdown()}\n"
 
 
 def design_joint_test(

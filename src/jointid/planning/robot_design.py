@@ -34,12 +34,12 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import join, number
 from jointid.diagnostics.robots.torques import torques_of
+from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.robots.consistent import mass_matrix_at
-from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.regression import motion_of_robot
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate, parameter_units
+from jointid.estimation.robots.simulated import parameter_units
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import Friction, friction_columns, friction_terms
 from jointid.models.robots.robot import Robot
@@ -48,7 +48,6 @@ from jointid.planning.robot_motions import Motions, complete
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
-from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import (
     RobotLoop,
@@ -159,7 +158,7 @@ class RobotDesign(Charted, Documented):
         over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
         return f"{stated}.{over}"
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return what is told, the limits, and the intervals that are foretold; there are no further details."""
         del details
         header: tuple[str, ...] = ("parameter", "about", "2 sigma foretold", "of the present motion", "unit")
@@ -334,7 +333,7 @@ class FirstRecord:
         return len(self.motion[0]) * self.sample_time
 
 
-def first_record(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequence[Record]) -> FirstRecord:
+def first_record(estimate: EstimateParts, records: Sequence[Record]) -> FirstRecord:
     """Summarise a record and its estimate for the next test.
 
     Args:
@@ -344,15 +343,15 @@ def first_record(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequenc
     Raises:
         RecordError, MethodError: as of the identification.
     """
-    torques = torques_of(estimate, records)
+    torques, robot = torques_of(estimate, records), estimate.require_robot().model
     left = np.array([np.sqrt(np.mean(e[s] ** 2)) for e, s in zip(torques.error, torques.seen, strict=True)])
-    if isinstance(estimate, RobotEstimate) or isinstance(estimate.closing, RobotDriveSide):
-        found = motion_of_robot(estimate.robot, records, estimate.filtering)
+    if estimate.settings.method != "didim":
+        found = motion_of_robot(robot, records, estimate.settings.filtering)
         motion, sample_time = (found.q, found.v, found.a), found.sample_time
     else:
         references = [record.reference for record in records if record.reference is not None]
         sample_time = references[0].sample_time
-        q = np.column_stack([one.values for one in references]) @ np.linalg.inv(estimate.robot.coupling).T
+        q = np.column_stack([one.values for one in references]) @ np.linalg.inv(robot.coupling).T
         v = np.gradient(q, sample_time, axis=0)
         motion = q, v, np.gradient(v, sample_time, axis=0)
     # White noise has in the band the share 2 cutoff / rate of its power.

@@ -13,7 +13,6 @@ from jointid.common.errors import RecordError
 from jointid.common.text import number
 from jointid.common.units import unit, units_of
 from jointid.records.columns import finite_faults
-from jointid.records.hunting import find_hunting
 from jointid.records.record import Channel, InjectionPoint, Record, Tap
 from jointid.records.resampling import update_interval
 from jointid.records.signals.filtering import lowpass
@@ -28,10 +27,7 @@ _AT_LIMIT = 1e-3  # as a share of the limit, the distance that counts as at it: 
 _FASTEST, _SHARE_OF_FAST_SAMPLES = {"m": 50.0, "rad": 1e5}, 0.01
 _LONGEST = {"m": 1e3}  # travel that no joint has; a revolute joint may turn for ever
 _FOLLOWS = 0.95  # correlation from which one signal is taken to follow another, so that their ratio means something
-_RATIO_BAND = (
-    0.5,
-    2.0,
-)  # of motor position to reference, that a controller can explain; outside, one is scaled wrongly
+_RATIO_BAND = (0.5, 2.0)  # of motor position to reference, that a controller can explain; outside, one is mis-scaled
 _RATIO_TOLERANCE = 0.1  # relative distance of a ratio from a unit's factor within which that unit is named
 _GEAR_TOLERANCE = 0.02  # likewise of a gear's ratio
 _ROUNDING = 0.01  # of a torque's rms, that its rounding may be: the EMPS axis leaves 4 % for other reasons
@@ -47,6 +43,15 @@ _FEWEST_SAMPLES = 100
 # Ranges of a channel's largest number, in SI, and of its sample time: wider than any sensor's, and far from where a sum
 # of their squares ends.
 _NUMBERS, _TIMES = (1e-30, 1e30), (1e-9, 1e6)
+
+# Of hunting:
+_RESTS = 1e-3  # of the greatest speed
+_SETTLED = 0.3  # s after a stop
+_LONGEST_MEAN = 0.02  # s that the torque is averaged over
+_SWING = 0.25  # of the torque's scatter, that it turns by: noise and the ringing of a stop turn by less
+_FEWEST = 4  # turning points in one rest
+_SLOWEST = 0.05  # s between two: what turns faster is an oscillation of the loop
+_LASTS = 0.6  # of the first half's swings, that those of the second are at least
 
 
 def check_record(record: Record, *, limit: float | None = None, side: str | None = None, ratio: float = 1.0) -> None:
@@ -138,7 +143,6 @@ def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
 
 
 def _magnitude_faults(name: str, channel: Channel) -> list[str]:
-    """Faults of values or times of implausible magnitude."""
     largest = float(np.max(np.abs(channel.values), initial=0.0))
     time = channel.sample_time
     if largest and not _NUMBERS[0] <= largest <= _NUMBERS[1]:
@@ -155,7 +159,6 @@ def _magnitude_faults(name: str, channel: Channel) -> list[str]:
 
 
 def _size_faults(name: str, position: Channel) -> list[str]:
-    """Faults of a position that moves too fast or too far."""
     if len(position) < 2:
         return []
     steps = np.abs(np.diff(position.values))
@@ -171,7 +174,6 @@ def _size_faults(name: str, position: Channel) -> list[str]:
 
 
 def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, gear: float = 1.0) -> list[str]:
-    """Faults of two related signals that differ in sign or scale."""
     x, y = np.interp(channel.time, other.time, other.values), channel.values
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return []
@@ -184,16 +186,11 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, 
     if ratio < 0:
         faults.append(f"{name} runs against {other_name}; give one of them sign = -1.")
     if not _RATIO_BAND[0] <= abs(ratio) <= _RATIO_BAND[1]:
-        hint = _gear_hint(abs(ratio), gear) or _unit_hint(abs(ratio), name, other_name, channel.unit)
+        hint = _unit_hint(abs(ratio), name, other_name, channel.unit)
+        if gear != 1.0 and any(abs(abs(ratio) / one - 1) < _GEAR_TOLERANCE for one in (gear, 1 / gear)):
+            hint = f", as if one of them were of the other side of the {gear:g}:1 gear; give its channel side"
         faults.append(f"{name} is {abs(ratio):.4g} times {other_name}, and should equal it{hint}.")
     return faults
-
-
-def _gear_hint(ratio: float, gear: float) -> str:
-    """Suggest the other side of the gear if the ratio matches; else nothing."""
-    if gear == 1.0 or not any(abs(ratio / one - 1) < _GEAR_TOLERANCE for one in (gear, 1 / gear)):
-        return ""
-    return f", as if one of them were of the other side of the {gear:g}:1 gear; give its channel side"
 
 
 def _unit_hint(ratio: float, name: str, other_name: str, declared: str) -> str:
@@ -271,8 +268,64 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
     return EncoderLag(late, early, abs(lag), share)
 
 
+@dataclass(frozen=True, slots=True)
+class Hunting:
+    """Sawtooth torque: its two levels, and the period in seconds."""
+
+    low: float
+    high: float
+    period: float
+
+
+def find_hunting(record: Record) -> Hunting | None:
+    """Detect hunting in the longest rest: a limit cycle of integral action against stiction; None without it.
+
+    While the axis sticks, the integral ramps the torque up until the friction gives way; the axis overshoots, and the
+    ramp reverses (B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30, 1994). Turning points are counted
+    in the longest rest of the reference: far apart, large against the torque in motion, and not decaying as ringing
+    does. Cycles longer than half of that rest are not detected. A record without torque and reference, or with an
+    injection, gives None.
+    """
+    torque, reference = record.torque, record.reference
+    if torque is None or reference is None or record.injected is not None or len(reference) < 2:
+        return None
+    speed = np.abs(np.gradient(reference.values, reference.sample_time))
+    still = np.interp(torque.time, reference.time, (speed > _RESTS * np.max(speed)).astype(float)) == 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    first, last = max(edges.reshape(-1, 2), key=lambda ends: ends[1] - ends[0], default=(0, 0))
+    first += math.ceil(_SETTLED / torque.sample_time)
+    over = max(round(_LONGEST_MEAN / torque.sample_time), 1)
+    if last - first < over:
+        return None
+    seen = np.convolve(torque.values[first:last], np.full(over, 1.0 / over), mode="valid")
+    turns = _turns(seen, _SWING * float(np.std(torque.values)))
+    if len(turns) < _FEWEST:
+        return None
+    swings = np.abs(np.diff(seen[turns]))
+    half = swings.size // 2
+    apart = float(np.mean(np.diff(turns))) * torque.sample_time
+    if apart < _SLOWEST or np.mean(swings[-half:]) < _LASTS * np.mean(swings[:half]):
+        return None
+    return Hunting(float(np.min(seen[turns])), float(np.max(seen[turns])), 2 * apart)
+
+
+def _turns(values: FloatArray, swing: float) -> list[int]:
+    """Indices at which values (samples,) turn by more than a swing."""
+    found: list[int] = []
+    low = high = sense = 0
+    for k, value in enumerate(values):
+        low, high = (k if value < values[low] else low), (k if value > values[high] else high)
+        if sense >= 0 and values[high] - value > swing:
+            found.append(high)
+            low, sense = k, -1
+        elif sense <= 0 and value - values[low] > swing:
+            found.append(low)
+            high, sense = k, 1
+    return found[1:]
+
+
 def hunting_warnings(record: Record) -> Iterator[str]:
-    """Yield that the axis hunts at rest, where it does."""
+    """Yield a warning of hunting at rest."""
     found = find_hunting(record)
     if found is not None and record.torque is not None:
         yield (

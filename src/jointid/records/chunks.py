@@ -41,12 +41,10 @@ class LongRecord(Protocol):
     @property
     def name(self) -> str:
         """Name of the record in reports."""
-        ...
 
     @property
     def sample_time(self) -> float:
         """Of every channel, in seconds."""
-        ...
 
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
         """Yield every `every`-th chunk.
@@ -58,7 +56,6 @@ class LongRecord(Protocol):
             overlap: further samples, `length` at most.
             every: 1 yields all chunks.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +113,18 @@ class Log:
         reader, sample_time = self._reader, self.sample_time
         for number, table, last in self._tables(length, overlap, every):
             try:
-                record = _set_rate(reader.build_record(table, self.name), sample_time, number * length)
+                record = reader.build_record(table, self.name)
+                own = _require_one_rate(record)
+                if not is_same_rate(own, sample_time):
+                    raise RecordError(
+                        f"the sample time is {own:g} s here and {sample_time:g} s at the beginning; cut it there."
+                    )
             except RecordError as error:
                 raise RecordError(
                     [f"{Path(self.path).name}, rows from {number * length + 1} on: {fault}" for fault in error.faults]
                 ) from None
-            yield Chunk(number, record, last)
+            begin = number * length * sample_time
+            yield Chunk(number, _map_channels(record, lambda c: replace(c, sample_time=sample_time), begin), last)
 
     @property
     def _reader(self) -> RecordReader:
@@ -166,7 +169,6 @@ class InMemory:
 
 
 def _require_one_rate(record: Record) -> float:
-    """Return the sample time of all channels of a record."""
     times = {name: channel.sample_time for name, channel in record.items()}
     first = next(iter(times.values()))
     if not all(is_same_rate(time, first) for time in times.values()):
@@ -175,14 +177,6 @@ def _require_one_rate(record: Record) -> float:
             f"A record that is read in chunks has one sample time ({listed}); log all channels at one rate."
         )
     return first
-
-
-def _set_rate(record: Record, sample_time: float, first: int) -> Record:
-    """Set a chunk's sample time and first sample."""
-    own = _require_one_rate(record)
-    if not is_same_rate(own, sample_time):
-        raise RecordError(f"the sample time is {own:g} s here and {sample_time:g} s at the beginning; cut it there.")
-    return _map_channels(record, lambda c: replace(c, sample_time=sample_time), first * sample_time)
 
 
 def _cut(record: Record, first: int, end: int) -> Record:

@@ -96,7 +96,13 @@ def _stamped_clock(
     wrong = clock_faults(stamps, tolerance, f'The time column "{column}"')
     if wrong:
         return Clock(), wrong
-    period = measure_irregularity(stamps).sample_time if tolerance is None else _period(stamps)
+    first, count = float(stamps[1] - stamps[0]), stamps.size - 1
+    if tolerance is None:
+        period = measure_irregularity(stamps).sample_time
+    elif np.array_equal(stamps[0] + np.arange(stamps.size) * first, stamps):
+        period = first  # stamps that were computed give their sample time back to the last bit
+    else:  # the mean over the record is better than any one step; its thirteenth digit is rounding
+        period = float(f"{(stamps[-1] - stamps[0]) / count:.12g}")
     if sample_time is not None and not is_same_rate(sample_time, period):
         wrong = [
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
@@ -165,15 +171,6 @@ def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
     return "", [f"{table.source} has {fact}; give sample_time, or the name of the time column as time."]
 
 
-def _period(stamps: FloatArray) -> float:
-    """Sample time [s] of checked stamps."""
-    index, first = np.arange(stamps.size), float(stamps[1] - stamps[0])
-    if np.array_equal(stamps[0] + index * first, stamps):
-        return first  # stamps that were computed give their sample time back to the last bit
-    # The mean over the record is better than any one step; its thirteenth digit is rounding.
-    return float(f"{(stamps[-1] - stamps[0]) / index[-1]:.12g}")
-
-
 def measure_irregularity(stamps: FloatArray) -> Irregularity:
     """Measure the deviation of stamps [s], (samples,), from a uniform clock.
 
@@ -232,9 +229,12 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
     jumped = error > max(_JUMP, tolerance)
     if jumped.any():
         first = int(np.argmax(jumped))
+        step, lost = float(steps[first]), round(float(steps[first]) / sample_time) - 1
+        late = f"leaves out {pluralise(lost, 'sample')}" if lost > 0 else "steps early"
+        found = f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"
         faults.append(
             f"{name} jumps {pluralise(int(jumped.sum()), 'time')}: after sample {first}"
-            f"{format_instant(stamps, first)} it {_jump(float(steps[first]), sample_time)}; cut the record there, or "
+            f"{format_instant(stamps, first)} it {found if step else 'repeats its stamp'}; cut the record there, or "
             "give sample_time without time if only the stamps are wrong."
         )
     jitter = np.where(jumped, 0.0, error)
@@ -247,12 +247,3 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
             "if only the stamps jitter."
         )
     return faults
-
-
-def _jump(step: float, sample_time: float) -> str:
-    """Describe a jump of the clock."""
-    if step == 0:
-        return "repeats its stamp"
-    lost = round(step / sample_time) - 1
-    late = f"leaves out {pluralise(lost, 'sample')}" if lost > 0 else "steps early"
-    return f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"

@@ -80,7 +80,7 @@ class Inspection(Charted, Documented):
     scalars: Mapping[str, float]
     passed: Mapping[str, str]
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Table of channels, scalars, skipped content and clocks.
 
         Only the first 1,000 channels are listed.
@@ -167,7 +167,14 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     outlines = {name: made.build() for name, made in outlining.items()}
     of_time = units.units_of("time")
     stated = {name: unit for name in outlines if (unit := stated.get(name) or unit_in_name(name, of_time))}
-    clocks = {name: o for name, o in outlines.items() if _is_clock(name, o, stated.get(name))}
+    clocks = {
+        name: outline
+        for name, outline in outlines.items()
+        if _TIME.fullmatch(name)
+        and (name not in stated or units.normalise_unit(stated[name]) in of_time)
+        and outline.rises
+        and outline.rows > 1
+    }
     nearest, channels = _Clocks(clocks), []
     for name, outline in outlines.items():
         channel = InspectedChannel(name, stated.get(name), outline)
@@ -180,11 +187,6 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     size = sum(file.stat().st_size for file in files)
     return Inspection(path.name, format_of(path).name, size, tuple(channels), scalars, passed)
-
-
-def _is_clock(name: str, outline: Outline, unit: str | None) -> bool:
-    of_time = unit is None or units.normalise_unit(unit) in units.units_of("time")
-    return bool(_TIME.fullmatch(name)) and of_time and outline.rises and outline.rows > 1
 
 
 class _Clocks:

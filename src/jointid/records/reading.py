@@ -33,7 +33,7 @@ def read(
     time: str | None = None,
     time_unit: str | None = None,
     sample_time: float | None = None,
-    kind: str = "prismatic",
+    kind: str = "revolute",
     transmission: Transmission | None = None,
     name: str | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
@@ -53,7 +53,7 @@ def read(
         time: name of the time column.
         time_unit: unit of the time column; None takes the one in its name, or else s.
         sample_time: time between samples [s]; it must agree with `time`.
-        kind: "prismatic" (m, m/s, N unless a column says otherwise) or "revolute" (rad, rad/s, N m).
+        kind: "revolute" (rad, rad/s, N m unless a column says otherwise) or "prismatic" (m, m/s, N).
         transmission: between motor and load; it sets both kinds and refers every channel to its `side`.
         name: of the record in reports; None takes the file's name without suffix.
         clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
@@ -87,7 +87,7 @@ class RecordReader:
     time: str | None = None
     time_unit: str | None = None
     sample_time: float | None = None
-    kind: str = "prismatic"
+    kind: str = "revolute"
     transmission: Transmission | None = None
     name: str | None = None
     clock_tolerance: float = CLOCK_TOLERANCE
@@ -134,7 +134,6 @@ class RecordReader:
         return record
 
     def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
-        """Determine the clocks of the columns, and append faults."""
         time = self.time
         if time is None and self.sample_time is None and self.drive.traces is not None:
             time = self.drive.traces.time_column(table.columns)

@@ -258,7 +258,7 @@ class Record(Charted, Documented):
         rates = join([*dict.fromkeys(f"{1e3 * channel.sample_time:.6g} ms" for _, channel in self.items())])
         return f"{names[0].upper()}{names[1:]}, {self.duration:.6g} s, a sample every {rates}."
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Table of the channels."""
         del details
         rows = tuple(

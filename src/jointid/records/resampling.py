@@ -93,7 +93,11 @@ def resample_together(logged: Mapping[str, Stamped], how: Resampling) -> tuple[d
     faults += [f for name, one in logged.items() for f in _rate_faults(name, one, clocks, how)]
     if faults:
         raise RecordError(faults)
-    ready = {name: _drop_repeats(one) for name, one in logged.items()}
+    ready = {}
+    for name, one in logged.items():
+        stamps, values = one.stamps, one.channel.values
+        kept = np.concatenate([[True], (np.diff(stamps) != 0) | (np.diff(values) != 0)])
+        ready[name] = replace(one, channel=replace(one.channel, values=values[kept]), stamps=stamps[kept])
     repeats = [name for name, one in ready.items() if np.any(np.diff(one.stamps) <= 0)]
     if repeats:
         said = " and ".join(repeats)
@@ -152,15 +156,6 @@ def _rate_faults(name: str, one: Stamped, clocks: Mapping[str, Irregularity], ho
     ]
 
 
-def _drop_repeats(one: Stamped) -> Stamped:
-    """Drop samples with repeated stamp and value."""
-    again = (np.diff(one.stamps) == 0) & (np.diff(one.channel.values) == 0)
-    if not again.any():
-        return one
-    kept = np.concatenate([[True], ~again])
-    return replace(one, channel=replace(one.channel, values=one.channel.values[kept]), stamps=one.stamps[kept])
-
-
 def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
     """First instant from `first` on at the latest phase of held stamps.
 
@@ -176,7 +171,6 @@ def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
 
 
 def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> FloatArray:
-    """Interpolate a channel at the instants of the grid."""
     stamps, values = one.stamps, one.channel.values
     if method == "hold":
         behind = np.searchsorted(stamps, grid + _ONE_INSTANT * T, side="right") - 1
@@ -206,7 +200,7 @@ class _Rhythm:
         new = abs(samples - sample) < _SAME * max(sample, 1) and (sample - self.phase) % self.every == 0
         return sample if new else None
 
-    def thin(self, first: int) -> Channel:
+    def decimate(self, first: int) -> Channel:
         """Decimate a channel to its own rate, from a refreshed sample on."""
         one = self.channel
         return replace(one, values=one.values[first :: self.every], sample_time=one.sample_time * self.every)
@@ -235,7 +229,7 @@ def align_updates(
         time = (slowest.phase + count * slowest.every) * slowest.channel.sample_time
         first = {name: rhythm.begins(time) for name, rhythm in rhythms.items()}
         if all(sample is not None for sample in first.values()):
-            return {name: rhythm.thin(first[name] or 0) for name, rhythm in rhythms.items()}, time
+            return {name: rhythm.decimate(first[name] or 0) for name, rhythm in rhythms.items()}, time
         if time > min(channel.duration for channel in logged.values()):
             break
     slow = ", ".join(f"{n} every {r.every} samples from sample {r.phase} on" for n, r in rhythms.items() if r.every > 1)

@@ -36,7 +36,7 @@ def write(
     time: str | None = None,
     time_unit: str | None = None,
     sample_time: float | None = None,
-    kind: str = "prismatic",
+    kind: str = "revolute",
     transmission: Transmission | None = None,
     **options: object,
 ) -> None:
@@ -53,7 +53,7 @@ def write(
         time: name of the time column; None is "t", or no column where the sample time is given.
         time_unit: unit of the time column; None takes the one in its name, or else s.
         sample_time: time between samples for reading [s].
-        kind: "prismatic" or "revolute".
+        kind: "revolute" or "prismatic".
         transmission: between motor and load; every channel is written on its own side.
         options: of the format's reader; see `jointid.records.formats.Csv`.
 
@@ -82,7 +82,7 @@ def columns_to_write(
     time: str | None = None,
     time_unit: str | None = None,
     sample_time: float | None = None,
-    kind: str = "prismatic",
+    kind: str = "revolute",
     transmission: Transmission | None = None,
 ) -> dict[str, FloatArray]:
     """Return the columns that `write` writes, by name; arguments as there."""
@@ -229,7 +229,13 @@ def convert(
     table = _read_columns(source, columns, reading or {})
     names = _choose_names(list(table.columns), writer)
     notes = [f'Renamed for {writer.name}: "{show(old)}" is "{show(new)}".' for old, new in names.items() if old != new]
-    write_table(target, _fit_table(_rename_columns(table, names), writer, notes), **(writing or {}))
+    table = replace(
+        table,
+        columns={names[name]: values for name, values in table.columns.items()},
+        units={names[name]: unit for name, unit in table.units.items()},
+        clocks={names[name]: names[time] for name, time in table.clocks.items() if {name, time} <= names.keys()},
+    )
+    write_table(target, _fit_table(table, writer, notes), **(writing or {}))
     return Conversion(source.name, target.name, (format_of(source).name, writer.name), names, tuple(notes))
 
 
@@ -249,7 +255,6 @@ def _read_columns(source: Path, columns: Sequence[str] | None, options: Mapping[
 
 
 def _choose_names(names: list[str], writer: Format) -> dict[str, str]:
-    """Choose unique legal names for all columns."""
     made = {name: name for name in names if writer.legal_name(name, names) == name}
     taken = set(made)
     for name in names:
@@ -295,13 +300,6 @@ def _fit_table(table: Table, writer: Format, notes: list[str]) -> Table:
         )
     notes += [f"Not read: {show(name)} ({show(why)})." for name, why in table.passed.items()]
     return table
-
-
-def _rename_columns(table: Table, names: Mapping[str, str]) -> Table:
-    columns = {names[name]: values for name, values in table.columns.items()}
-    units = {names[name]: unit for name, unit in table.units.items()}
-    clocks = {names[name]: names[time] for name, time in table.clocks.items() if {name, time} <= names.keys()}
-    return replace(table, columns=columns, units=units, clocks=clocks)
 
 
 def _list_names(texts: list[str]) -> str:

@@ -17,7 +17,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
 from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.models.smooth import SmoothLaws
 from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
 from jointid.simulation.simulated import FINISHED
@@ -153,7 +153,7 @@ class ClosedLoopRun:
 
     @property
     def trace(self) -> Trace:
-        """What the run left, as the kernels filled it."""
+        """The kernels' output arrays."""
         from jointid.simulation.kernels.drive import Trace
 
         return Trace(
@@ -427,11 +427,10 @@ def simulate_many(
     loop: ClosedLoop,
     experiment: LoopInput,
     candidates: Sequence[Mapping[str, float]],
-    initial: Initial | None = None,
     workers: int | None = None,
 ) -> list[Response]:
     """Simulate many candidates in parallel threads, in order."""
-    return in_threads(lambda values: simulate_torque(loop, experiment, values, initial), candidates, workers)
+    return in_threads(lambda values: simulate_torque(loop, experiment, values), candidates, workers)
 
 
 def in_threads(function: Callable[[T], R], items: Sequence[T], workers: int | None = None) -> list[R]:

@@ -47,7 +47,8 @@ def trapezoids(
             "Trapezoids need positive speeds, acceleration, travel and sample time, and a rest of 0 or more; received "
             f"{list(speeds)}, {acceleration}, {travel}, {sample_time} and {rest}."
         )
-    ways = [_way(speed, acceleration, travel) for speed in speeds for _ in range(2)]
+    peaks = [min(speed, math.sqrt(acceleration * travel)) for speed in speeds for _ in range(2)]
+    ways = [(peak, peak / acceleration, peak / acceleration + travel / peak) for peak in peaks]
     lengths = np.array([rest + length for _, _, length in ways])
     total = float(lengths.sum())
     samples = math.floor((duration or total) / sample_time + 1e-9)
@@ -66,13 +67,6 @@ def trapezoids(
         )
         position[chosen] = moved if i % 2 == 0 else travel - moved
     return position
-
-
-def _way(speed: float, acceleration: float, travel: float) -> tuple[float, float, float]:
-    """Return the speed reached on one way, and how long its ramp and the whole take."""
-    peak = min(speed, math.sqrt(acceleration * travel))
-    ramp = peak / acceleration
-    return peak, ramp, ramp + travel / peak
 
 
 def pulses(samples: int, sample_time: float, height: float, width: float, every: float, seed: int) -> FloatArray:
@@ -101,9 +95,7 @@ def pulses(samples: int, sample_time: float, height: float, width: float, every:
     return signal
 
 
-def chirp(
-    samples: int, sample_time: float, amplitude: float, lowest: float, highest: float, *, rest: float = 0.0
-) -> FloatArray:
+def chirp(samples: int, sample_time: float, amplitude: float, lowest: float, highest: float) -> FloatArray:
     """Sine with logarithmic frequency sweep, which begins and ends at 0.
 
     Args:
@@ -112,7 +104,6 @@ def chirp(
         amplitude: of the sine.
         lowest: frequency at the beginning, Hz.
         highest: at the end, Hz.
-        rest: seconds without it at the beginning and at the end.
 
     Returns:
         Shape (samples,).
@@ -121,20 +112,17 @@ def chirp(
         MethodError: the frequencies are not positive and rising, or the highest is no signal of that sample time.
     """
     _require_band(lowest, highest, sample_time)
-    signal, quiet = np.zeros(samples), round(rest / sample_time)
-    count = samples - 2 * quiet
-    if count < 2:
-        return signal
-    time, length = np.arange(count) * sample_time, count * sample_time
+    if samples < 2:
+        return np.zeros(samples)
+    time, length = np.arange(samples) * sample_time, samples * sample_time
     grows = math.log(highest / lowest) or 1e-12
     turns = lowest * length / grows * np.expm1(grows * time / length)
     # It fades in and out over a period each, so that no step rings the joint.
     into, out = (
         np.clip(at * sample_time * f, 0.0, 1.0)
-        for at, f in ((np.arange(count), lowest), (np.arange(count)[::-1], highest))
+        for at, f in ((np.arange(samples), lowest), (np.arange(samples)[::-1], highest))
     )
-    signal[quiet : quiet + count] = amplitude * into * out * np.sin(2 * math.pi * turns)
-    return signal
+    return np.asarray(amplitude * into * out * np.sin(2 * math.pi * turns))
 
 
 def multisine(
@@ -146,9 +134,8 @@ def multisine(
     *,
     lines: int = 20,
     tilt: float = 0.0,
-    period: float | None = None,
 ) -> FloatArray:
-    """Sum of sines at harmonics of one period, with Schroeder's phases.
+    """Sum of sines at harmonics of the whole length, with Schroeder's phases.
 
     Args:
         samples: how many.
@@ -159,7 +146,6 @@ def multisine(
         lines: how many frequencies at most, evenly apart on a logarithmic scale.
         tilt: exponent of the frequency by which the amplitudes of the sines fall: 0 all alike, 2 those of a position
             whose accelerations are alike.
-        period: seconds after which it repeats; the whole length when None.
 
     Returns:
         Shape (samples,), beginning and ending at 0.
@@ -168,16 +154,13 @@ def multisine(
         MethodError: see `chirp`.
     """
     _require_band(lowest, highest, sample_time)
-    length = period or samples * sample_time
+    length = samples * sample_time
     wanted = np.geomspace(max(lowest, 1 / length), highest, max(lines, 1))
     harmonics = np.unique(np.maximum(np.round(wanted * length), 1.0))
     frequencies = harmonics / length
     sizes = frequencies**-tilt
-    shares = sizes**2 / np.sum(sizes**2)
-    phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares) if harmonics.size > 1 else np.zeros(1)
-    time = np.arange(samples) * sample_time
-    signal = np.sin(2 * math.pi * np.outer(time, frequencies) + phases) @ sizes
-    signal = (signal - signal[0]) * _fade(samples, min(1 / lowest, 0.1 * length) / sample_time)
+    signal = _sum_sines(samples, sample_time, frequencies, sizes)
+    signal = (signal - signal[0]) * _ramp_ends(samples, min(1 / lowest, 0.1 * length) / sample_time)
     largest = float(np.max(np.abs(signal)))
     return np.asarray(amplitude * signal / largest) if largest > 0 else signal
 
@@ -196,11 +179,7 @@ def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplit
     """
     f, sizes = np.asarray(frequencies, dtype=np.float64), np.asarray(amplitudes, dtype=np.float64)
     _require_band(float(f.min()), float(f.max()), sample_time)
-    shares = sizes**2 / np.sum(sizes**2)
-    phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares)
-    time = np.arange(samples) * sample_time
-    faded = _fade(samples, 1 / (float(f.min()) * sample_time))
-    return np.asarray(faded * (np.sin(2 * math.pi * np.outer(time, f) + phases) @ sizes))
+    return _ramp_ends(samples, 1 / (float(f.min()) * sample_time)) * _sum_sines(samples, sample_time, f, sizes)
 
 
 def fourier_series(
@@ -245,7 +224,14 @@ def smooth(reference: FloatArray, sample_time: float, seconds: float) -> FloatAr
     return np.asarray((summed[width:] - summed[:-width]) / width)
 
 
-def _fade(samples: int, over: float) -> FloatArray:
+def _sum_sines(samples: int, sample_time: float, frequencies: FloatArray, sizes: FloatArray) -> FloatArray:
+    shares = sizes**2 / np.sum(sizes**2)
+    schroeder = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares)
+    time = np.arange(samples) * sample_time
+    return np.asarray(np.sin(2 * math.pi * np.outer(time, frequencies) + schroeder) @ sizes)
+
+
+def _ramp_ends(samples: int, over: float) -> FloatArray:
     """Factor that fades in and out over `over` samples."""
     at = np.arange(samples, dtype=np.float64)
     ramp = np.minimum(np.clip(at / over, 0.0, 1.0), np.clip(at[::-1] / over, 0.0, 1.0))

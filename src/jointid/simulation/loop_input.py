@@ -175,6 +175,8 @@ def _build_input(
     timing: Timing,
     begin: float,
 ) -> LoopInput:
+    from jointid.simulation.kernels.drive import Feedback
+
     repeat, every = period_ratio(law.period, sample_time, "the log")
     lengths, lags = _parts(law, repeat)
     starts = np.cumsum(lengths) - lengths
@@ -182,18 +184,24 @@ def _build_input(
     log_index = (np.arange(0, len(inputs), every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
     newest = int(np.argmin(lags))
     torque_index = np.minimum(log_index // lengths.size + lags[newest], len(inputs) - 1) * lengths.size + newest
-    feedback, feedforward, driven, state = _split_known(law, inputs)
+    feedback, feedforward, driven, state = _split_law(law, inputs)
     far = _far(law, feedforward[law.output], after_limit)
+    B, D = np.ascontiguousarray(feedback.B[:, :, POSITION]), np.ascontiguousarray(feedback.D[:, :, POSITION])
+    A, F, C, E = (np.ascontiguousarray(one) for one in (feedback.A, feedback.F, feedback.C, feedback.E))
+    kernel = Feedback(A, B, F, C, D, E, law.limits, law.gates, driven, law.output, law.tap)
     memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
     return LoopInput(
-        law, feedback, _for_kernel(feedback, driven), memory, feedback.integral(), inputs, after_limit, logged,
+        law, feedback, kernel, memory, feedback.integral(), inputs, after_limit, logged,
         feedforward, state, sample_time, every, repeat, lengths,
         lags, log_index, torque_index, far, tap, timing, log_index.size, begin,
     )  # fmt: skip
 
 
-def _split_known(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
-    """Split a law into motion-dependent part and known signals; see `LoopInput`."""
+def _split_law(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
+    """Split a law into motion-dependent part and known signals; see `LoopInput`.
+
+    Known inputs of the states are used where the elements' responses would diverge, as for an integrator; else none.
+    """
     feedback, beforehand = law.split()
     moved = law.fed_back()
     state = law.known_memory(inputs)
@@ -203,18 +211,6 @@ def _split_known(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, Float
     found, elements = respond(beforehand, inputs, state[~moved]), law.limits.size
     driven = np.ascontiguousarray(found[:, elements:])
     return feedback, np.ascontiguousarray(found[:, :elements].T), driven, state[moved]
-
-
-def _for_kernel(law: SampledLaw, driven: FloatArray) -> Feedback:
-    """Convert a law for the kernels; `driven` (periods, states) are known state inputs.
-
-    They are used where the elements' responses would diverge, as for an integrator; else (0, states).
-    """
-    from jointid.simulation.kernels.drive import Feedback
-
-    B, D = np.ascontiguousarray(law.B[:, :, POSITION]), np.ascontiguousarray(law.D[:, :, POSITION])
-    A, F, C, E = (np.ascontiguousarray(matrix) for matrix in (law.A, law.F, law.C, law.E))
-    return Feedback(A, B, F, C, D, E, law.limits, law.gates, driven, law.output, law.tap)
 
 
 def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:

@@ -36,7 +36,7 @@ from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.sensitivities import (
     coefficient_seeds,
-    gravity_seed,
+    gravity_slope,
     simulate_sensitivities,
     start_slope,
     taped_rows,
@@ -131,6 +131,12 @@ def spline_of(position: FloatArray, sample_time: float) -> BSpline:
     from scipy.interpolate import make_interp_spline
 
     return make_interp_spline(np.arange(len(position)) * sample_time, position, _DEGREE)
+
+
+def part_means(position: FloatArray, velocity: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+    """Means of position and rate over parts, (parts, ...) each, from values at the edges; `step` in s."""
+    middle = 0.5 * (position[:-1] + position[1:]) - step / 12 * np.diff(velocity, axis=0)
+    return middle, np.diff(position, axis=0) / step
 
 
 def mean_friction(joint: Joint, velocity: FloatArray) -> FloatArray:
@@ -263,7 +269,7 @@ class _Load:
         """Force of spring and damper on the motor, (parts,), and derivatives, (parts, names)."""
         from jointid.simulation.kernels.drive_sensitivities import LANES
 
-        stretch, slip = self._apart(self.states[:, 0], self.states[:, 1])
+        stretch, slip = part_means(self.states[:, 0], self.states[:, 1], self.motion.step)
         stretch = self.motion.mean_position - stretch
         slip = np.diff(self.motion.position) / self.motion.step - slip
         stiffness, damping = self.values["stiffness"], self.values["damping"]
@@ -273,18 +279,13 @@ class _Load:
         order = sorted(range(len(names)), key=lambda i: names[i] in _PUSHING)
         blocks = (order[i : i + LANES] for i in range(0, len(order), LANES))
         followed = np.concatenate([self._differentiate([names[i] for i in block]) for block in blocks], axis=2)
-        moved, moved_slip = self._apart(*np.moveaxis(followed[:, :, np.argsort(order)], 1, 0))
+        moved, moved_velocity = np.moveaxis(followed[:, :, np.argsort(order)], 1, 0)
+        moved, moved_slip = part_means(moved, moved_velocity, self.motion.step)
         slopes = -stiffness * moved - damping * moved_slip
         for name, column in zip(_PUSHING, (stretch, slip), strict=True):
             if name in names:
                 slopes[:, names.index(name)] += column
         return stiffness * stretch + damping * slip, slopes
-
-    def _apart(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Means of position and rate over the parts, from ends and slopes."""
-        ends = 0.5 * (position[:-1] + position[1:])
-        means = ends - self.motion.step / 12 * np.diff(velocity, axis=0)
-        return means, np.diff(position, axis=0) / self.motion.step
 
     def _differentiate(self, names: list[str]) -> FloatArray:
         """Derivatives of position and velocity at the edges, (edges, 2, names).
@@ -303,7 +304,7 @@ class _Load:
                 start[LOAD_STATE.index(name), j] = 1.0
                 continue
             seeds[:, j] = by_name[name]
-            weights[:, j] = gravity_seed(self.joint, name)
+            weights[:, j] = gravity_slope(self.joint, name)
             start[:, j] = start_slope(lambda at: _start(self.joint, self.motion, at), self.values, name)
             if name in pushes:
                 explicit.append(np.append(pushes[name], pushes[name][-1]))

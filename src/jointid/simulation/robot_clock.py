@@ -1,4 +1,4 @@
-"""One clock for a robot whose controllers may differ in period and delay: its step divides them all, and the log's.
+"""The controllers of a robot on one clock, whose step divides all their periods and delays, and the log's.
 
 A controller acts on every so many steps and its output is held in between. A step is cut where a torque changes within
 it, which is where a delay ends.
@@ -17,7 +17,7 @@ from jointid.common.errors import MethodError
 from jointid.common.text import join
 from jointid.models.linear import SNAP
 from jointid.models.robots.dynamics import IntArray
-from jointid.simulation.kernels.robot_loop import Clock
+from jointid.simulation.kernels.robot_loop import Clock, Controllers
 from jointid.simulation.loop_input import LoopInput
 
 _FINEST = 16  # steps of the shortest period, at most: the time of a simulation grows with them
@@ -33,8 +33,8 @@ class RobotClock:
         lags: (n, parts) how many steps ago the output that acts there was put out, or a later one that is held.
         every: (n,) steps of each controller's period.
         sample_time: of the log, s.
-        looked: (samples,) which of all parts, step after step, begin at the log's instants.
-        begun: (n, samples) those at which the newest torque of each joint, as the log shows it, begins to act.
+        log_index: (samples,) which of all parts, step after step, begin at the log's instants.
+        torque_index: (n, samples) those at which the newest torque of each joint, as the log shows it, begins to act.
     """
 
     steps: int
@@ -47,7 +47,7 @@ class RobotClock:
 
     @property
     def timing(self) -> Clock:
-        """What the kernels read."""
+        """Clock of the kernels."""
         return Clock(self.lengths, self.lags, self.every)
 
     @property
@@ -55,7 +55,7 @@ class RobotClock:
         """Of the log."""
         return self.log_index.size
 
-    def held(self, joint: int, values: FloatArray) -> FloatArray:
+    def repeat(self, joint: int, values: FloatArray) -> FloatArray:
         """Return values of a controller's periods at every step of the clock, (steps,)."""
         return np.repeat(values, self.every[joint])[: self.steps]
 
@@ -88,7 +88,9 @@ def common_clock(alone: Sequence[LoopInput], names: Sequence[str]) -> RobotClock
             "sample time or length: give all joints the same."
         )
     shortest = min(float(np.min(periods)), sample_time)
-    step = next((shortest / n for n in range(1, _FINEST + 1) if _divides(shortest / n, [*periods, sample_time])), None)
+    ratios = np.array([*periods, sample_time]) / shortest
+    finest = (n for n in range(1, _FINEST + 1) if np.allclose(n * ratios, np.round(n * ratios), rtol=SNAP, atol=0.0))
+    step = next((shortest / n for n in finest), None)
     if step is None:
         said = join([f"{name} {1e3 * period:.6g} ms" for name, period in zip(names, periods, strict=True)])
         raise MethodError(
@@ -116,6 +118,35 @@ def common_clock(alone: Sequence[LoopInput], names: Sequence[str]) -> RobotClock
     return RobotClock(steps, lengths, lags, every, sample_time, at * parts, np.array(started))
 
 
-def _divides(step: float, whole: Sequence[float]) -> bool:
-    """True if each is a whole number of steps."""
-    return all(math.isclose(one / step, round(one / step), rel_tol=SNAP) for one in whole)
+def pack_laws(alone: Sequence[LoopInput]) -> tuple[Controllers, FloatArray]:
+    """Return the controllers filled up to equal sizes, and their answers to everything but the positions.
+
+    States that are filled up stay 0, as elements do; the answers are (n, elements, periods), each of its own periods.
+    """
+    kernels = [each.kernel for each in alone]
+    phases = math.lcm(*(len(kernel.A) for kernel in kernels))
+    states, elements = max(k.A.shape[1] for k in kernels), max(k.limits.size for k in kernels)
+    sizes = {"z": states, "e": elements}
+
+    def pack(name: str, axes: str) -> FloatArray:
+        out = np.zeros((len(kernels), phases, *(sizes[axis] for axis in axes)))
+        for j, kernel in enumerate(kernels):
+            values = getattr(kernel, name)
+            values = np.tile(values, (phases // len(values), *(1,) * len(axes)))
+            inside: tuple[int | slice, ...] = (j, slice(None), *(slice(size) for size in values.shape[1:]))
+            out[inside] = values
+        return out
+
+    periods, driven = max(each.periods for each in alone), any(kernel.driven.size for kernel in kernels)
+    into = np.zeros((len(kernels), periods if driven else 0, states))
+    limits, gates = np.full((len(kernels), elements), np.inf), np.full((len(kernels), elements), -1)
+    feedforward = np.zeros((len(kernels), elements, periods))
+    for j, (kernel, each) in enumerate(zip(kernels, alone, strict=True)):
+        limits[j, : kernel.limits.size], gates[j, : kernel.limits.size] = kernel.limits, kernel.gates
+        feedforward[j, : kernel.limits.size, : each.periods] = each.feedforward
+        if kernel.driven.size:
+            into[j, : each.periods, : kernel.driven.shape[1]] = kernel.driven
+    shapes = {"A": "zz", "Bq": "z", "F": "ze", "C": "ez", "D": "e", "E": "ee"}
+    A, Bq, F, C, D, E = (pack(name, axes) for name, axes in shapes.items())
+    outputs, taps = np.array([kernel.output for kernel in kernels]), np.array([kernel.tap for kernel in kernels])
+    return Controllers(A, Bq, F, C, D, E, limits, gates, into, outputs, taps), feedforward

@@ -24,10 +24,9 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.kernels.robot_loop import Clock, Controllers, Driven, RobotTape, Seen
-from jointid.simulation.prescribed import spline_of
-from jointid.simulation.robot_columns import columns_of
+from jointid.simulation.prescribed import part_means, spline_of
 from jointid.simulation.robot_numbers import Bools, MassNumbers, NumberOf, NumberPlace, RobotNumbers
-from jointid.simulation.robot_sensitivities import seeds_of, slopes_at_start
+from jointid.simulation.robot_sensitivities import columns_of, seeds_of, slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start
 from jointid.simulation.robots import MassMotion, RobotOutcome, choose_steps, outcome_of
 
@@ -134,26 +133,25 @@ class RobotDriveSideRun:
     tape: RobotTape
 
 
-def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | None = None) -> RobotDriveSideRun:
+def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers) -> RobotDriveSideRun:
     """Simulate the links under a prescribed motion of the motors; never raises for a candidate's sake: see its outcome.
 
-    Args:
-        prescribed: the motors' motion.
-        numbers: of the candidate.
-        steps: of the integrator per part; None takes as many as keep the fastest motion below 0.5 rad a step.
+    The integrator takes as many steps as keep the fastest motion below 0.5 rad a step.
     """
     from jointid.simulation.kernels import robot_loop
 
     n, masses, parts = numbers.rotors.size, len(numbers.masses), len(prescribed.held)
-    moved = _moved(numbers)
+    moved = _with_heavy_motors(numbers)
     start, speeds = np.zeros(masses), np.zeros(masses)
     outcome, tape = RobotOutcome.INVALID, RobotTape.empty(0, 0, moved.bodies)
     if numbers.possible:
         links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
-        taken = steps or choose_steps(prescribed.tree, links, prescribed.step, _moved(numbers, _HELD))
+        taken = choose_steps(prescribed.tree, links, prescribed.step, _with_heavy_motors(numbers, _HELD))
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
     if outcome is RobotOutcome.FINISHED:
-        start, speeds = _steady(prescribed, numbers)
+        speeds, stiff = speeds_at_start(prescribed, numbers), np.full(n, -np.inf)
+        start, _ = places_at_start(prescribed, numbers, prescribed.position[0], stiff)
+        speeds[numbers.rotors] = prescribed.joined[0]
         places = start.copy()
         if numbers.beside.size:
             places[:n] += numbers.beside[:, 0]
@@ -189,7 +187,7 @@ def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlac
     """
     from jointid.simulation.kernels import robot_sensitivities as kernels
 
-    prescribed, numbers, tape, count = run.prescribed, _moved(run.numbers), run.tape, len(places)
+    prescribed, numbers, tape, count = run.prescribed, _with_heavy_motors(run.numbers), run.tape, len(places)
     n, parts = numbers.rotors.size, len(prescribed.held)
     dq, dv = np.zeros((len(numbers.masses), count)), np.zeros((len(numbers.masses), count))
     of_robot = [c for c, place in enumerate(places) if place.of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)]
@@ -216,7 +214,7 @@ def _timing(n: int, step: float) -> Clock:
 
 
 def _passing(n: int) -> Controllers:
-    """Return controllers that put out what they are given, and see nothing."""
+    """Return controllers that pass their input on, without feedback."""
     first = np.zeros(n, dtype=np.int64)
     return Controllers(
         A=np.zeros((n, 1, 0, 0)),
@@ -233,20 +231,12 @@ def _passing(n: int) -> Controllers:
     )
 
 
-def _moved(numbers: RobotNumbers, heavy: float = _HEAVY) -> RobotNumbers:
-    """Return the robot whose motors are so heavy that they move as they are told."""
+def _with_heavy_motors(numbers: RobotNumbers, heavy: float = _HEAVY) -> RobotNumbers:
+    """Return the robot with motors so heavy that they follow the prescribed motion."""
     masses = numbers.masses.copy()
     masses[numbers.rotors] = 0.0
     masses[numbers.rotors, 0] = heavy
     return replace(numbers, masses=masses)
-
-
-def _steady(prescribed: MotorMotion, numbers: RobotNumbers) -> tuple[FloatArray, FloatArray]:
-    """Return positions and velocities of all masses at the first sample, in steady motion."""
-    speeds = speeds_at_start(prescribed, numbers)
-    speeds[numbers.rotors] = prescribed.joined[0]
-    stiff = np.full(numbers.rotors.size, -np.inf)
-    return places_at_start(prescribed, numbers, prescribed.position[0], stiff)[0], speeds
 
 
 def _motion(prescribed: MotorMotion, numbers: RobotNumbers, tape: RobotTape) -> MassMotion:
@@ -256,7 +246,7 @@ def _motion(prescribed: MotorMotion, numbers: RobotNumbers, tape: RobotTape) -> 
     simulation, so that springs are stretched by what they are, and only accelerations are as prescribed.
     """
     places, speeds = tape.places[tape.first], tape.speeds[tape.first]
-    position, velocity = _means(places, speeds, prescribed.step)
+    position, velocity = part_means(places, speeds, prescribed.step)
     acceleration = np.diff(speeds, axis=0) / prescribed.step
     direction = np.sign(velocity)
     rotors = numbers.rotors
@@ -266,7 +256,6 @@ def _motion(prescribed: MotorMotion, numbers: RobotNumbers, tape: RobotTape) -> 
 
 
 def _torque(prescribed: MotorMotion, numbers: RobotNumbers, motion: MassMotion) -> FloatArray:
-    """Return the motors' torques along a motion, (parts, n)."""
     places = tuple(
         NumberPlace(of, int(row), int(column))
         for of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)
@@ -276,9 +265,3 @@ def _torque(prescribed: MotorMotion, numbers: RobotNumbers, motion: MassMotion) 
     values = np.array([place.read(numbers) for place in places])
     each = columns_of(prescribed.tree, numbers, places, motion, numbers.rotors)
     return np.column_stack([columns @ values[own] for own, columns in each])
-
-
-def _means(places: FloatArray, speeds: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
-    """Return means over the parts of positions, by their ends and slopes, and of their rates, (parts, masses) each."""
-    middle = 0.5 * (places[:-1] + places[1:]) - step / 12.0 * np.diff(speeds, axis=0)
-    return middle, np.diff(places, axis=0) / step

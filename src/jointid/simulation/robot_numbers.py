@@ -70,23 +70,23 @@ class RobotNumbers:
 
     @property
     def bodies(self) -> Bodies:
-        """What the kernels read: laws as lines in bands and pieces, and what they have beside."""
+        """Input of the kernels: bands, pieces and smooth numbers of the laws."""
         masses = [lower_mass(row, law) for row, law in zip(self.masses, self.frictions, strict=True)]
         springs = [lower_spring(row, law) for row, (_, law) in zip(self.springs, self.laws, strict=True)]
-        own, bands = np.array([one for one, _ in masses]), _filled([lines for _, lines in masses])
+        own, bands = np.array([one for one, _ in masses]), _pad([lines for _, lines in masses])
         presliding, _, faded, per_torque = own[:, 2:].T
         rests = (np.any(bands[:, :, 3] > 0.0, axis=1) | (faded > 0.0) | (per_torque > 0.0)) & (presliding == 0.0)
-        pieces, bends = _filled([lines for lines, _ in springs]), np.array([one for _, one in springs])
+        pieces, bends = _pad([lines for lines, _ in springs]), np.array([one for _, one in springs])
         return Bodies(self.inertials, self.rotors, own, bands, pieces, bends, rests)
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """What parameters are numbers of, in the order of `NumberOf`."""
+        """Arrays with the numbers of parameters, in the order of `NumberOf`."""
         return self.inertials, self.masses, self.springs, self.beside, self.log
 
     @property
     def sliding(self) -> Bools:
-        """Which masses have Coulomb friction, (masses,), so that they may rest."""
+        """True for masses with Coulomb friction, (masses,)."""
         return np.asarray(self.masses[:, 2] + self.masses[:, 6] > 0.0)
 
     @property
@@ -96,7 +96,7 @@ class RobotNumbers:
 
     @property
     def possible(self) -> bool:
-        """Whether all are numbers that a mass and a spring may have.
+        """True if all numbers are physically possible.
 
         Rotors behind springs have an inertia, friction that rises has a speed, a hysteresis slips, pieces of a spring
         follow each other, and friction per torque is below 1.
@@ -196,14 +196,14 @@ def lower_spring(row: AnyArray, law: Spring | None) -> tuple[AnyArray, AnyArray]
     return np.array(law.pieces(values)), np.array(law.smooth(values)[:3])
 
 
-def _filled(each: Sequence[FloatArray]) -> FloatArray:
-    """Return bands or pieces of all, filled up with ones that nothing comes to."""
+def _pad(each: Sequence[FloatArray]) -> FloatArray:
+    """Pad bands or pieces to one length with unreachable ones."""
     longest = max(map(len, each))
     return np.array([np.vstack([one, np.tile([math.inf, 0.0, 0.0, 0.0], (longest - len(one), 1))]) for one in each])
 
 
 class NumberOf(IntEnum):
-    """What a parameter is a number of: a row of `RobotNumbers`."""
+    """Owner of a parameter: an array of `RobotNumbers`."""
 
     LINK = 0
     MASS = 1

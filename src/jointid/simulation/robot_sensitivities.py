@@ -1,4 +1,7 @@
-"""Derivatives of a robot's logged torques by its parameters, by variation (`kernels.robot_sensitivities`)."""
+"""Derivatives of a robot's torques by its parameters: by variation of a run, or as columns at a known motion.
+
+The variation is that of `kernels.robot_sensitivities`.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.parallel import threads
+from jointid.models.robots.dynamics import IntArray
+from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap
-from jointid.simulation.closed_loop import first_state
+from jointid.simulation.closed_loop import first_state, in_threads
 from jointid.simulation.loop_input import to_log
 from jointid.simulation.robot_numbers import (
     MassNumbers,
@@ -19,6 +27,7 @@ from jointid.simulation.robot_numbers import (
     RobotNumbers,
     lower_mass,
     lower_spring,
+    stribeck_share,
     with_values,
 )
 from jointid.simulation.robot_start import (
@@ -26,11 +35,11 @@ from jointid.simulation.robot_start import (
     controllers_at,
     deflections,
     friction_at,
+    link_torques,
     speeds_at_start,
     spring_torques,
-    weigh,
 )
-from jointid.simulation.robots import RobotRun
+from jointid.simulation.robots import MassMotion, RobotRun
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.robot_sensitivities import Seeds
@@ -54,7 +63,7 @@ def differentiate_torque(run: RobotRun, places: tuple[NumberPlace, ...]) -> Floa
 
 
 def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> list[FloatArray]:
-    """Return what `differentiate_torque` does, joint by joint, (samples, parameters) each: no more is copied."""
+    """Return the result of `differentiate_torque` by joint, (samples, parameters) each, without copies."""
     from jointid.simulation.kernels import robot_sensitivities as kernels
 
     experiment, numbers, tape = run.experiment, run.numbers, run.tape
@@ -141,22 +150,23 @@ def slopes_at_start(
         (masses, parameters) and (n, parameters).
     """
     n, rotors, count = numbers.rotors.size, numbers.rotors, len(places)
-    motors, links, speeds = start[rotors], start[:n], first.speeds
-    carried = spring_torques(first, numbers, weigh(first, numbers, links))
+    motors, links, speeds, all_speeds = start[rotors], start[:n], first.speeds, speeds_at_start(first, numbers)
+    carried = spring_torques(first, numbers, link_torques(first, numbers, links))
     compliance = np.where(numbers.flexible, 1.0 / np.where(numbers.flexible, numbers.springs[:, 0], 1.0), 0.0)
     lines = np.array([law is None or law.linear for _, law in numbers.laws])
     if not np.all(lines):
         compliance = np.where(lines, compliance, _slope(lambda torque: deflections(numbers, torque), carried))
-    gain = 1.0 / (1.0 - _loss(first, numbers) * np.sign(carried))
-    here = weigh(first, numbers, links)
-    shifted = [weigh(first, numbers, links + _SMALL * unit) for unit in np.eye(n)]
+    lost = numbers.masses[:n, MassNumbers.PER_TORQUE] * np.sign(speeds)  # share of the torque, lost to friction
+    gain = 1.0 / (1.0 - lost * np.sign(carried))
+    here = link_torques(first, numbers, links)
+    shifted = [link_torques(first, numbers, links + _SMALL * unit) for unit in np.eye(n)]
     turning = np.column_stack([(there - here) / _SMALL for there in shifted])
     direct, own, stretched = (np.zeros((n, count)) for _ in range(3))
     for c, place in enumerate(places):
         if place.of is NumberOf.LINK:
             unit = replace(numbers, inertials=np.zeros_like(numbers.inertials))
             unit.inertials[place.row, place.column] = 1.0
-            direct[:, c] = weigh(first, unit, links)
+            direct[:, c] = link_torques(first, unit, links)
         elif place.of is NumberOf.MASS:
             joint = int(np.flatnonzero(rotors == place.row)[0]) if place.row in rotors else place.row
             v = float(speeds[joint])
@@ -166,14 +176,15 @@ def slopes_at_start(
             if place.column == MassNumbers.PER_TORQUE:
                 effect = float(np.abs(carried[joint]) * np.sign(v))
             elif place.column >= MassNumbers.RISE:
-                effect = _by_friction(numbers, place, speeds_at_start(first, numbers))
+                effect = _slope_by_number(lambda other: friction_at(other, all_speeds), numbers, place)
             else:
                 effect = float(effects[place.column])
             (own if place.row == rotors[joint] else direct)[joint, c] = effect
         elif lines[place.row]:
             stretched[place.row, c] = (motors - links)[place.row] if place.column == 0 else 0.0
         elif compliance[place.row] > 0.0:
-            stretched[place.row, c] = -_by_number(numbers, place, carried) / compliance[place.row]
+            slope = _slope_by_number(lambda other: deflections(other, carried), numbers, place)
+            stretched[place.row, c] = -slope / compliance[place.row]
     direct, turning = gain[:, np.newaxis] * direct, gain[:, np.newaxis] * turning
     moved = turning @ (soft[:, np.newaxis] * own + compliance[:, np.newaxis] * stretched) + direct
     load = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
@@ -184,30 +195,97 @@ def slopes_at_start(
     return dq, load + own
 
 
-def _loss(first: FirstSample, numbers: RobotNumbers) -> FloatArray:
-    """Return the share of each spring's torque that its link's friction takes as it moves, signed, (n,)."""
-    return numbers.masses[: numbers.rotors.size, MassNumbers.PER_TORQUE] * np.sign(first.speeds)
-
-
 def _slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
     """Return the derivative of a function that acts number by number."""
     step = _RELATIVE * np.maximum(np.abs(at), 1.0)
     return np.asarray((function(at + step) - function(at - step)) / (2.0 * step))
 
 
-def _by_number(numbers: RobotNumbers, place: NumberPlace, torque: FloatArray) -> float:
-    """Return the derivative of a spring's deflection under a torque by one of its numbers."""
+def _slope_by_number(
+    function: Callable[[RobotNumbers], FloatArray], numbers: RobotNumbers, place: NumberPlace
+) -> float:
+    """Return the derivative of a function's entry for a row by one of the row's numbers."""
 
-    def moved(value: FloatArray) -> FloatArray:
-        return deflections(with_values(numbers, (place,), value), torque)[[place.row]]
+    def change(value: FloatArray) -> FloatArray:
+        return function(with_values(numbers, (place,), value))[[place.row]]
 
-    return float(_slope(moved, np.array([place.read(numbers)]))[0])
+    return float(_slope(change, np.array([place.read(numbers)]))[0])
 
 
-def _by_friction(numbers: RobotNumbers, place: NumberPlace, speeds: FloatArray) -> float:
-    """Return the derivative of a mass's friction at its speed by one of its numbers."""
+def columns_of(
+    tree: Tree, numbers: RobotNumbers, places: tuple[NumberPlace, ...], motion: MassMotion, rows: IntArray
+) -> list[tuple[IntArray, FloatArray]]:
+    """Return, for each of some masses, the derivatives of its equation by the parameters that act in it.
 
-    def moved(value: FloatArray) -> FloatArray:
-        return friction_at(with_values(numbers, (place,), value), speeds)[[place.row]]
+    At a known motion, so these are the regressor's columns; their product with the parameters is the motor's torque,
+    and 0 for the link of a flexible joint. Each is the places of the parameters, (own,), and their columns,
+    (samples, own), which stand one after the other.
 
-    return float(_slope(moved, np.array([place.read(numbers)]))[0])
+    Args:
+        tree: of `RobotInput`.
+        numbers: of which only the rotors are read, and the speeds below which friction rises.
+        places: of the parameters.
+        motion: of all masses.
+        rows: of the masses.
+    """
+    from jointid.models.robots.equations import regressor_columns
+
+    samples, n = len(motion.position), numbers.rotors.size
+    carried = _find_carriers(tree.parents) if tree.joints.size == 0 else np.ones((n, n), dtype=np.bool_)
+    felt = [np.array([c for c, p in enumerate(places) if _acts(p, int(row), numbers, carried)], int) for row in rows]
+    ends = np.cumsum([own.size for own in felt])
+    lines, of_links = np.empty((int(ends[-1]), samples)), []
+    position, velocity, acceleration = motion.position, motion.velocity, motion.acceleration
+    for row, own, end in zip(rows, felt, ends, strict=True):
+        for line, place in zip(range(int(end) - own.size, int(end)), (places[c] for c in own), strict=True):
+            if place.of is NumberOf.LINK:
+                of_links.append((row, len(SYMBOLS) * place.row + place.column, line))
+            elif place.of is NumberOf.MASS:
+                lines[line] = _of_mass(motion, int(row), place.column, numbers)
+            else:
+                moved, motor = (velocity if place.column else position), numbers.rotors[place.row]
+                stretch = moved[:, motor] - moved[:, place.row]
+                lines[line] = stretch if row == motor else -stretch
+    if of_links:
+        q, v, a = (np.ascontiguousarray(values[:, :n]) for values in (position, velocity, acceleration))
+        whose, which, where = np.array(of_links, dtype=np.int64).T.copy()
+        spans = np.array_split(np.arange(samples), threads())
+
+        def fill(span: NDArray[np.intp]) -> None:
+            inside = slice(span[0], span[-1] + 1)
+            regressor_columns(tree, q[inside], v[inside], a[inside], whose, which, where, span[0], lines)
+
+        in_threads(fill, [span for span in spans if span.size])
+    return [(own, lines[end - own.size : end].T) for own, end in zip(felt, ends, strict=True)]
+
+
+def _find_carriers(parents: IntArray) -> NDArray[np.bool_]:
+    """Return a matrix, (n, n), True where a link carries another or itself."""
+    found = np.eye(parents.size, dtype=np.bool_)
+    for i, parent in enumerate(parents):
+        if parent >= 0:
+            found[:, i] |= found[:, parent]
+    return found
+
+
+def _acts(place: NumberPlace, row: int, numbers: RobotNumbers, carried: NDArray[np.bool_]) -> bool:
+    """True of a parameter that is in the equation of a mass."""
+    if place.of is NumberOf.LINK:
+        return row < len(carried) and bool(carried[row, place.row])
+    return row == place.row or (place.of is NumberOf.SPRING and row == numbers.rotors[place.row])
+
+
+def _of_mass(motion: MassMotion, row: int, column: int, numbers: RobotNumbers) -> FloatArray | float:
+    """Return the regressor column of a number of a mass, (samples,)."""
+    velocity = motion.velocity[:, row]
+    if column in (0, 2):
+        return motion.acceleration[:, row] if column == 0 else motion.direction[:, row]
+    if column == 3:
+        return 1.0
+    if column == 6:
+        return motion.direction[:, row] * stribeck_share(numbers.masses[row], velocity)
+    if column == 1:
+        return velocity
+    if column not in (4, 5):
+        raise NotImplementedError(f"the equations are not linear in number {column} of a mass")
+    return np.asarray(np.maximum(velocity, 0.0) if column == 4 else np.minimum(velocity, 0.0))

@@ -47,7 +47,7 @@ class FirstSample(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotStart:
-    """Where a robot's simulation begins.
+    """Initial state of a robot's simulation.
 
     Attributes:
         places, speeds: (masses,) of all masses.
@@ -87,7 +87,7 @@ def controllers_at(experiment: RobotInput, places: FloatArray) -> tuple[FloatArr
 
 
 def begin(experiment: RobotInput, numbers: RobotNumbers) -> RobotStart:
-    """Return where all masses are at the first sample, and the torques that integrators then hold.
+    """Return all positions at the first sample, and the torques that integrators hold.
 
     A law with an integral holds the load on the reference; one without is off by the torque over its gain. Springs are
     stretched by the load.
@@ -127,7 +127,7 @@ def places_at_start(
     n, rotors = numbers.rotors.size, numbers.rotors
     free, load = motors, np.zeros(n)
     for _ in range(_SETTLING):
-        load = spring_torques(first, numbers, weigh(first, numbers, motors - deflections(numbers, load)))
+        load = spring_torques(first, numbers, link_torques(first, numbers, motors - deflections(numbers, load)))
         after = free + (load + beside) / soft
         moved = float(np.max(np.abs(after - motors)))
         motors = after
@@ -139,7 +139,7 @@ def places_at_start(
 
 
 def spring_torques(first: FirstSample, numbers: RobotNumbers, links: FloatArray) -> FloatArray:
-    """Return what the springs of flexible joints carry in steady motion, of rigid ones the links', (n,).
+    """Return the torques through the springs in steady motion, of rigid joints the links', (n,).
 
     Args:
         first: how the robot moves.
@@ -164,7 +164,7 @@ def deflections(numbers: RobotNumbers, torques: FloatArray) -> FloatArray:
     return found
 
 
-def weigh(experiment: FirstSample, numbers: RobotNumbers, places: FloatArray) -> FloatArray:
+def link_torques(experiment: FirstSample, numbers: RobotNumbers, places: FloatArray) -> FloatArray:
     """Return the torques that the links take at positions of their shafts, as they move at the first sample, (n,)."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
 

@@ -27,8 +27,7 @@ from jointid.simulation.closed_loop import first_state
 from jointid.simulation.kernels.drive import IntArray
 from jointid.simulation.kernels.robot_loop import Controllers, Driven, RobotTape, Seen
 from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
-from jointid.simulation.robot_clock import RobotClock, common_clock
-from jointid.simulation.robot_laws import pack_laws
+from jointid.simulation.robot_clock import RobotClock, common_clock, pack_laws
 from jointid.simulation.robot_numbers import Bools, MassNumbers, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
 from jointid.simulation.simulated import FINISHED, TORQUE_OF
@@ -117,7 +116,7 @@ class RobotInput:
     @property
     def references(self) -> FloatArray:
         """Commanded positions at the steps of the clock, (clock, n), held between the controllers' instants."""
-        held = [self.clock.held(j, each.inputs[:, REFERENCE]) for j, each in enumerate(self.experiments)]
+        held = [self.clock.repeat(j, each.inputs[:, REFERENCE]) for j, each in enumerate(self.experiments)]
         return np.column_stack(held)
 
 
@@ -143,7 +142,7 @@ def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
         for kind, controller, record in zip(robot.tree.kinds, loop.controllers, records, strict=True)
     ]
     clock = common_clock(alone, robot.names)
-    after_limit = np.stack([clock.held(j, each.after_limit) for j, each in enumerate(alone)])
+    after_limit = np.stack([clock.repeat(j, each.after_limit) for j, each in enumerate(alone)])
     laws, feedforward = pack_laws(alone)
     motion = np.array([reference_motion(each) if loop.in_motion else (0.0, 0.0) for each in alone])
     return RobotInput(robot.tree, tuple(alone), clock, laws, feedforward, after_limit, *motion.T.copy())
@@ -310,7 +309,7 @@ def motion_at(run: RobotRun, parts: IntArray) -> MassMotion:
     at = tape.first[np.minimum(parts, tape.first.size - 1)]
     velocity, sliding = tape.speeds[at], run.numbers.sliding
     direction = np.where(sliding, tape.directions[at], np.sign(velocity))
-    found = MassMotion(tape.places[at], velocity, tape.begun[at], direction)
+    found = MassMotion(tape.places[at], velocity, tape.initial_acceleration[at], direction)
     for values in (found.position, found.velocity, found.acceleration):
         np.nan_to_num(values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return found

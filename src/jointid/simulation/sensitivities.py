@@ -205,7 +205,7 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
             elif segments is not None:  # the same in every segment
                 pieces[:, :14, j] = by_name[name]
             if out.gravity is not None:
-                weights[:, j] = gravity_seed(joint, name)
+                weights[:, j] = gravity_slope(joint, name)
             if smooth is not None:
                 dlaws[:, j], dplaces[:, :, j] = smooth[name]
             # At rest it else begins where the motor is, whatever it is like.
@@ -213,8 +213,8 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
                 start[:, j] = start_slope(lambda at: out.start(at, out.position, out.velocity), out.values, name)
         elif name in _INITIAL:
             at = _INITIAL[name]
-            start[:, j] = _moved_start(out, *at[:2]) if any(at[:2]) else 0.0
-            memory[:, j] = _moved_memory(out, at)
+            start[:, j] = _start_slope(out, *at[:2]) if any(at[:2]) else 0.0
+            memory[:, j] = _memory_slope(out, at)
         elif name == "delay":
             delay[j] = 1.0
         else:
@@ -299,7 +299,7 @@ def segment_seeds(joint: Joint, values: Mapping[str, float], name: str) -> Float
     return np.asarray(np.imag(found) / _IMAGINARY)
 
 
-def gravity_seed(joint: Joint, name: str) -> FloatArray:
+def gravity_slope(joint: Joint, name: str) -> FloatArray:
     """Constant derivatives of the gravity factors by a parameter, (3,)."""
     one = joint.gravity_coefficients({p.name: float(p.name == name) for p in joint.parameters})
     return np.zeros(3) if one is None else one[:3]
@@ -314,7 +314,7 @@ def start_slope(
     return np.asarray((high - low) / (2 * step))
 
 
-def _moved_start(out: ClosedLoopRun, position: float, velocity: float) -> FloatArray:
+def _start_slope(out: ClosedLoopRun, position: float, velocity: float) -> FloatArray:
     """Derivative of the first state by motor position (1, 0) or velocity (0, 1).
 
     It is affine on one side of 0, up to gravity and piecewise laws.
@@ -328,13 +328,11 @@ def _moved_start(out: ClosedLoopRun, position: float, velocity: float) -> FloatA
     return np.asarray((moved - out.start(out.values, out.position, out.velocity)) / (by[0] + by[1]))
 
 
-def _moved_memory(out: ClosedLoopRun, by: tuple[float, float, float]) -> FloatArray:
+def _memory_slope(out: ClosedLoopRun, by: tuple[float, float, float]) -> FloatArray:
     """Derivative of the feedback's first states by position, velocity and torque."""
-    ends = []
-    for size in (0.0, 1.0):
-        torque = None if out.torque is None else out.torque + size * by[2]
-        ends.append(first_state(out.experiment, out.position + size * by[0], out.velocity + size * by[1], torque)[0])
-    return np.asarray(ends[1] - ends[0])
+    torque = None if out.torque is None else out.torque + by[2]
+    here, _ = first_state(out.experiment, out.position, out.velocity, out.torque)
+    return first_state(out.experiment, out.position + by[0], out.velocity + by[1], torque)[0] - here
 
 
 def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:

@@ -47,7 +47,7 @@ def _compile_derivatives() -> None:
 
 def compile_drive() -> None:
     """Compile the simulation of piecewise linear drives."""
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=1.0, velocity_gain=1.0))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=1.0, velocity_gain=1.0))
     simulate_torque(loop, prepare(loop, _at_rest()), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0))
 
 
@@ -75,7 +75,7 @@ def compile_derivatives() -> None:
 
 def compile_smooth_laws() -> None:
     """Compile the simulation and the derivatives of smooth laws."""
-    joint = FlexibleJoint(friction=PreslidingFriction())
+    joint = FlexibleJoint("prismatic", friction=PreslidingFriction())
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
     values = dict.fromkeys((parameter.name for parameter in joint.parameters), 1.0)
     values["offset"] = 0.0  # else it would leave the range of its reference, and there would be no derivatives

@@ -30,7 +30,7 @@ _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
 _LEAST = 1e-3  # of an inertia or a stiffness: what an interval reaches at least, since without it there is no mode
 _DIRECTIONS = 20  # random ones for each parameter
 _SPRINGS = 30  # tried between a bound and half the sampling frequency
-_ROUNDS = 4  # of looking for a worse joint
+_ROUNDS = 4  # of the search for a worse joint
 _NEAR = 6  # joints tried around the worst one, for every margin
 _TURNED = 0.3  # how far these are from it, in the unit ball
 
@@ -159,12 +159,6 @@ def find_worst_case(
 ) -> tuple[FloatArray, FloatArray]:
     """Find the worst margins: at given points, along their slopes and nearby.
 
-    Args:
-        interval: of the joints.
-        law: of the controller.
-        points: (points, names) of the unit ball, to begin with.
-        seed: of the random joints near the worst.
-
     Returns:
         The smallest of each margin, (5,), and the points of the unit ball with it, (found, names).
     """
@@ -174,7 +168,10 @@ def find_worst_case(
     rng = np.random.default_rng(seed)
     for _ in range(_ROUNDS):
         before = np.min(margins, axis=0)
-        more = np.concatenate([_downhill(points, margins), _sample_near(points, margins, rng)])
+        near = np.repeat(points[np.unique(np.argmin(margins, axis=0))], _NEAR, axis=0)
+        near = near + _TURNED * rng.standard_normal(near.shape)
+        near /= np.maximum(np.linalg.norm(near, axis=1), 1e-12)[:, np.newaxis]
+        more = np.concatenate([_find_downhill_points(points, margins), near])
         margins = np.concatenate([margins, joint_set(interval.joint, interval.at(more), law).margins(law)])
         points = np.concatenate([points, more])
         after = np.min(margins, axis=0)
@@ -183,7 +180,7 @@ def find_worst_case(
     return np.min(margins, axis=0), points[np.unique(np.argmin(margins, axis=0))]
 
 
-def _downhill(points: FloatArray, margins: FloatArray) -> FloatArray:
+def _find_downhill_points(points: FloatArray, margins: FloatArray) -> FloatArray:
     """For every margin, the surface point at which its linear part is smallest."""
     found = []
     for one in margins.T:
@@ -195,13 +192,6 @@ def _downhill(points: FloatArray, margins: FloatArray) -> FloatArray:
         if size := float(np.linalg.norm(slope)):
             found.append(-slope / size)
     return np.array(found).reshape(-1, points.shape[1])
-
-
-def _sample_near(points: FloatArray, margins: FloatArray, rng: np.random.Generator) -> FloatArray:
-    worst_ones = points[np.unique(np.argmin(margins, axis=0))]
-    drawn = np.repeat(worst_ones, _NEAR, axis=0)
-    drawn = drawn + _TURNED * rng.standard_normal(drawn.shape)
-    return np.asarray(drawn / np.maximum(np.linalg.norm(drawn, axis=1), 1e-12)[:, np.newaxis])
 
 
 def joint_with_mode(

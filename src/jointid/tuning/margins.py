@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import POSITION, SampledLaw
@@ -123,8 +122,8 @@ def all_margins(response: ComplexArray, hertz: FloatArray) -> FloatArray:
         hertz: (frequencies,) rising, the last at Nyquist, where a response is real.
     """
     before, after = response[:, :-1], response[:, 1:]
-    gain, reduction = _of_gain(before, after, response[:, -1].real)
-    phase, delay = _of_phase(before, after, hertz)
+    gain, reduction = _compute_gain_margins(before, after, response[:, -1].real)
+    phase, delay = _compute_phase_margins(before, after, hertz)
     step = after - before
     size = np.maximum(_square(step), 1e-300)
     along = np.clip(-((before + 1) * step.conj()).real / size, 0.0, 1.0)
@@ -132,7 +131,7 @@ def all_margins(response: ComplexArray, hertz: FloatArray) -> FloatArray:
     return np.column_stack([gain, reduction, phase, delay, modulus])
 
 
-def _of_gain(before: ComplexArray, after: ComplexArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _compute_gain_margins(before: ComplexArray, after: ComplexArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Factors by which gains may grow and fall until the response reaches -1."""
     grow, fall = (np.full(len(before), np.inf) for _ in range(2))
     loop, at = np.nonzero(np.signbit(before.imag) != np.signbit(after.imag))
@@ -145,7 +144,9 @@ def _of_gain(before: ComplexArray, after: ComplexArray, last: FloatArray) -> tup
     return grow, fall
 
 
-def _of_phase(before: ComplexArray, after: ComplexArray, hertz: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _compute_phase_margins(
+    before: ComplexArray, after: ComplexArray, hertz: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Phase margins and admissible additional delays."""
     turn, late = (np.full(len(before), np.inf) for _ in range(2))
     inside = _square(before) < 1.0, _square(after) < 1.0
@@ -173,7 +174,11 @@ def crossover(response: ComplexArray, hertz: FloatArray) -> float:
 def spectral_radius(law: SampledLaw, drive: SampledDrive) -> FloatArray:
     """Largest closed-loop eigenvalue over a cycle, (joints,); stable below 1."""
     feedback, _ = law.split()
-    reaching = _states_reaching_torque(feedback)
+    # States that affect the torque: an unused integral may grow.
+    reaching = np.any(feedback.C[:, feedback.output] != 0.0, axis=0)
+    edges = np.any(feedback.A != 0.0, axis=0)  # (to, from)
+    while not np.array_equal(more := reaching | (reaching @ edges), reaching):
+        reaching = more
     order, states, waiting = int(np.sum(reaching)), drive.transition.shape[1], drive.waiting
     size = states + order + waiting
     cycle = np.broadcast_to(np.eye(size), (len(drive.transition), size, size))
@@ -196,12 +201,3 @@ def spectral_radius(law: SampledLaw, drive: SampledDrive) -> FloatArray:
                 step[:, states + order + i, states + order + i - 1] = 1.0
         cycle = step @ cycle
     return np.asarray(np.max(np.abs(np.linalg.eigvals(cycle)), axis=1))
-
-
-def _states_reaching_torque(law: SampledLaw) -> NDArray[np.bool_]:
-    """States that affect the torque; an unused integral may grow."""
-    reaching = np.any(law.C[:, law.output] != 0.0, axis=0)
-    edges = np.any(law.A != 0.0, axis=0)  # (to, from)
-    while not np.array_equal(more := reaching | (reaching @ edges), reaching):
-        reaching = more
-    return np.asarray(reaching)

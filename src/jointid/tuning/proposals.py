@@ -259,7 +259,7 @@ def lumped_parameters(estimate: Estimate) -> dict[str, LumpedParameter]:
     names = {p.name for p in estimate.params.rows}
     constant |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
     wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}, **friction, "constant": constant}
-    return {name: _total(estimate, weights) for name, weights in wanted.items()}
+    return {name: _lump(estimate, weights) for name, weights in wanted.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,12 +340,19 @@ def _per_mille(name: str, value: float, estimate: Estimate, drive: units.DriveUn
     return value / ((abs(torque) if name == "coulomb" else torque) * share), "per mille"
 
 
-def _total(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
+def _lump(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
     if not weights:  # the law has no such friction
         return LumpedParameter("0", 0.0, None)
-    formula = _formula(estimate, weights)
+    kept = {name: w for name, w in weights.items() if estimate[name].free or estimate.values.get(name)} or weights
+    halves = all(abs(w) == 0.5 for w in kept.values())  # a mean, which is written as one
+    terms = [
+        ("- " if w < 0 else "+ ") + ("" if halves or abs(w) == 1 else f"{abs(w):g} ") + estimate[name].symbol
+        for name, w in kept.items()
+    ]
+    formula = " ".join(terms).removeprefix("+ ")
+    formula = f"({formula})/2" if halves else formula
     if estimate.checks.bounds:
-        return _of_sums(estimate, weights, formula)
+        return _lump_known_sums(estimate, weights, formula)
     value = sum(weight * estimate.values[name] for name, weight in weights.items())
     spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
     if not spread:
@@ -354,7 +361,7 @@ def _total(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
     return LumpedParameter(formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0)))
 
 
-def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> LumpedParameter:
+def _lump_known_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> LumpedParameter:
     """Sum of both sides if only sums are determined, ignoring error correlation."""
     assert estimate.checks.known is not None
     value, std = 0.0, 0.0
@@ -366,15 +373,3 @@ def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> 
         if name in estimate.values:  # what both sides have in common, and what was fixed
             value, std = value + weight * estimate.values[name], std + abs(weight) * (estimate[name].stderr or 0.0)
     return LumpedParameter(formula, value, std or None)
-
-
-def _formula(estimate: Estimate, weights: Mapping[str, float]) -> str:
-    """Return the sum in symbols, with a mean written as one."""
-    kept = {name: w for name, w in weights.items() if estimate[name].free or estimate.values.get(name)} or weights
-    halves = all(abs(w) == 0.5 for w in kept.values())
-    terms = [
-        ("- " if w < 0 else "+ ") + ("" if halves or abs(w) == 1 else f"{abs(w):g} ") + estimate[name].symbol
-        for name, w in kept.items()
-    ]
-    joined = " ".join(terms).removeprefix("+ ")
-    return f"({joined})/2" if halves else joined

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -37,9 +39,16 @@ from jointid.tuning.interval import (
     possible_joints,
 )
 from jointid.tuning.margins import Margins, crossover, joint_set
-from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, feedforward, lumped_parameters, meets_margins
-from jointid.tuning.tuned import Gain, LoopMargins, ProposedNotch, ResponseBand, Tuned
+from jointid.tuning.tuned import (
+    DetectableChange,
+    Gain,
+    LoopMargins,
+    MinimumDetectableChange,
+    ProposedNotch,
+    ResponseBand,
+    Tuned,
+)
 
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
 _NEARLY = 0.995  # of a margin
@@ -285,3 +294,55 @@ def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
         np.array([size.min(axis=0), size.max(axis=0)])[:, kept_at],
         np.array([phase.min(axis=0), phase.max(axis=0)])[:, kept_at],
     )
+
+
+def compute_minimum_detectable_change(
+    estimate: Estimate, *, false_alarm: float = 0.01, power: float = 0.9
+) -> MinimumDetectableChange:
+    """Compute the smallest change of each quantity that the same motion detects, at a false-alarm rate.
+
+    Two records of the same motion and noise give estimates of a quantity with standard deviation s each. Their
+    difference has ``s sqrt(2)``. A change is detected if the difference exceeds ``z(1 - a/2) s sqrt(2)``, z the normal
+    quantile, a the false-alarm rate. With a probability p this happens for ::
+
+        change = (z(1 - a/2) + z(p)) s sqrt(2)
+
+    (power of a two-sided test without the wrong tail). The deviations include repeatable errors, which cancel in the
+    difference, so the result is conservative. Variation between records, as of friction with temperature, counts as
+    change.
+
+    Args:
+        estimate: of a record; a new one is taken to have the same motion and noise.
+        false_alarm: share of comparisons in which a change is reported where there is none, two-sided.
+        power: share in which one is reported where there is one.
+
+    Limits: a change so large that the estimate's slopes are others at its end is detected a little sooner or later; one
+    that a friction law of another shape makes is not a change of these parameters.
+    """
+    if not (0 < false_alarm < 1 and 0.5 <= power < 1):
+        raise MethodError(
+            f"A false-alarm rate is between 0 and 1, and a power from 0.5 to 1; received {false_alarm} and {power}."
+        )
+    normal = NormalDist()
+    alarm = normal.inv_cdf(1 - false_alarm / 2)
+    both = alarm + normal.inv_cdf(power)
+    quantities = [
+        (p.name, p.symbol, p.unit, p.value, p.stderr)
+        for p in estimate.params.rows
+        if p.of_joint and p.value is not None and p.stderr
+    ]
+    if estimate.checks.known is not None:
+        quantities += [
+            (k.combination.name, k.combination.formula, k.combination.unit, k.value, k.std)
+            for k in estimate.checks.known.physical
+        ]
+    if not quantities:
+        raise MethodError(
+            f"The estimate of {estimate.data.record} has no deviations, so no detectable change can be computed; "
+            "identify by least squares."
+        )
+    changes = tuple(
+        DetectableChange(name, formula, unit, value, std, both * math.sqrt(2) * std, alarm * math.sqrt(2) * std)
+        for name, formula, unit, value, std in quantities
+    )
+    return MinimumDetectableChange(estimate.data.record, false_alarm, power, changes)

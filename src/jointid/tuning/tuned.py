@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -41,7 +40,6 @@ from jointid.common.transmission import Transmission
 from jointid.models.controllers import CONTROLLER_UNITS, Controller, Notch, in_torque
 from jointid.models.linear import ComplexArray
 from jointid.tuning.margins import Margins
-from jointid.tuning.minimum_detectable_change import MinimumDetectableChange
 from jointid.tuning.proposals import FeedForward, Tuning
 
 if TYPE_CHECKING:
@@ -116,6 +114,63 @@ class ProposedNotch:
     period: float
 
 
+@dataclass(frozen=True, slots=True)
+class DetectableChange:
+    """Smallest detectable change of one quantity.
+
+    Attributes:
+        name: of a parameter, or of a sum in words. formula: in symbols. unit: of both.
+        value: in the estimate. std: its deviation there.
+        size: the smallest change that is detected with the stated power.
+        limit: of the difference of two estimates, above which a change is reported.
+    """
+
+    name: str
+    formula: str
+    unit: str
+    value: float
+    std: float
+    size: float
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class MinimumDetectableChange(Documented):
+    """Smallest detectable changes of a joint.
+
+    Attributes:
+        false_alarm: share of comparisons that report a change where there is none.
+        power: share that report one where there is one of that size.
+        changes: of each identified parameter, and of the sums and differences of both sides.
+    """
+
+    record: str
+    false_alarm: float
+    power: float
+    changes: tuple[DetectableChange, ...]
+
+    def __getitem__(self, name: str) -> DetectableChange:
+        """Return the change of a quantity by its name or formula."""
+        for change in self.changes:
+            if name in (change.name, change.formula):
+                return change
+        raise KeyError(name)
+
+    def to_document(self, *, details: bool = False) -> Document:
+        """Table of the changes."""
+        del details
+        rows = []
+        for c in self.changes:
+            percent = number(100 * c.size / abs(c.value), 2) if c.value else "-"
+            rows.append((c.formula, c.name, number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit))
+        header = ("symbol", "quantity", "value", "detectable", "%", "alarm above", "unit")
+        said = (
+            f"Smallest change detectable with another record of this motion ({100 * self.false_alarm:g} % false "
+            f"alarms, {100 * self.power:g} % detected)"
+        )
+        return Document(said, (Table(header, tuple(rows), words=(0, 1, 6)),))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuned(Charted, Documented):
     """Margins over an estimate's interval, proposed gains, and detectable changes.
@@ -125,7 +180,7 @@ class Tuned(Charted, Documented):
         settings: what was asked. interval: over which joints the worst is taken, in a sentence.
         present: the loop as it is. proposed: with other gains; None where none can be proposed.
         gains, notch: that are proposed. feedforward: in SI and in the drive's units.
-        detectable: what change of the joint the same motion would tell.
+        detectable: smallest changes of the joint that the same motion detects.
         joint: response of the motor's velocity to the torque, in continuous time.
         notes: what the reader must know, a sentence each.
     """
@@ -166,13 +221,19 @@ class Tuned(Charted, Documented):
         rows = {g.key: {"before": g.before, "after": g.after, "unit": g.unit, "formula": g.formula} for g in self.gains}
         return data_frame(rows, "gain")
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Tables before and after, with notes."""
         del details
         worst = ("worst case over", self.interval)
-        change = self.detectable.document()
+        change = self.detectable.to_document()
         blocks: list[Block] = [Facts((worst, *common_facts(None, self.transmission))), *self.proposal()]
-        blocks += [self._feedforward(), *self._describe_unit(), Heading(change.title), *change.blocks]
+        blocks.append(self._feedforward())
+        units = [f.in_drive[-1] for f in self.feedforward] + [g.in_drive[-1] for g in self.gains]
+        if any(CONTROLLER_UNITS in one for one in units):
+            gain = number(getattr(self.present.controller, "gain", 1.0))
+            said = f"one of the {CONTROLLER_UNITS} is {gain} {self.torque_unit} (gain of [controller])"
+            blocks.append(Paragraph(said))
+        blocks += [Heading(change.title), *change.blocks]
         notes = Facts(tuple(("note", note) for note in self.notes))
         return Document(f"Tuning for {self.record}, a {self.model} joint", (*blocks, notes))
 
@@ -270,15 +331,6 @@ class Tuned(Charted, Documented):
         )  # fmt: skip
         return Table(header, tuple(rows), words=(0, 3, 7, 9))
 
-    def _describe_unit(self) -> Iterator[Paragraph]:
-        """Yield the controller unit, if numbers use it."""
-        units = [f.in_drive[-1] for f in self.feedforward] + [g.in_drive[-1] for g in self.gains]
-        if any(CONTROLLER_UNITS in one for one in units):
-            gain = getattr(self.present.controller, "gain", 1.0)
-            yield Paragraph(
-                f"one of the {CONTROLLER_UNITS} is {number(gain)} {self.torque_unit} (gain of [controller])"
-            )
-
 
 def _sizes(hertz: FloatArray, size: FloatArray, ends: FloatArray, colour: str, label: str) -> tuple[Item, ...]:
     return Band(hertz, ends[0], ends[1], colour), Line(hertz, size, colour, label)
@@ -305,7 +357,7 @@ def _two_sigma(std: float | None) -> str:
 def _notch(found: ProposedNotch) -> Code:
     one = found.notch
 
-    def listed(values: tuple[float, ...]) -> str:
+    def join_numbers(values: tuple[float, ...]) -> str:
         return ", ".join(f"{value:.10g}" for value in values)
 
     at = f"at {found.period:g} s:"
@@ -315,7 +367,7 @@ def _notch(found: ProposedNotch) -> Code:
     )
     return Code(
         "    H(s) = (s^2 + depth b s + w^2) / (s^2 + b s + w^2), w = 2 pi frequency, b = 2 pi bandwidth, bilinear\n"
-        f"    {at} numerator {listed(found.numerator)}\n"
-        f"    {'':{len(at)}} denominator {listed(found.denominator)}",
+        f"    {at} numerator {join_numbers(found.numerator)}\n"
+        f"    {'':{len(at)}} denominator {join_numbers(found.denominator)}",
         caption,
     )

@@ -186,21 +186,17 @@ def by_spectrum(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequenc
     return covariance_of(matrix * np.outer(factor, factor), len(Z), norms)
 
 
-def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
+def stationary(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
     """Covariance that noise of the error's spectrum causes in given equations.
 
-    ``S = sum_f S(f) Z(f)' Z(f)*`` without correction for the fit. Arguments as for `sandwich`, in order of time. Each
-    series has its own periodogram, averaged over sqrt(rows) neighbours, without the mean.
+    ``S = sum_f S(f) Z(f)' Z(f)*`` without correction for the fit. Arguments as for `sandwich`, in order of time. The
+    periodogram is averaged over sqrt(rows) neighbours, without the mean.
     """
 
     def meat(Z: FloatArray, _: FloatArray, spread: FloatArray) -> FloatArray:
-        found = np.zeros_like(spread)
-        for part in _parts(len(Z), series):
-            columns = Z[part]
-            used = int(np.sum(np.any(columns != 0.0, axis=0)))
-            spectrum, both = smoothed_spectrum(error[part], max(len(columns) - used, 1))
-            found += sum_over_frequencies(columns, np.concatenate([spectrum[:1], both * spectrum])) / len(columns)
-        return found
+        used = int(np.sum(np.any(Z != 0.0, axis=0)))
+        spectrum, both = smoothed_spectrum(error, max(len(Z) - used, 1))
+        return sum_over_frequencies(Z, np.concatenate([spectrum[:1], both * spectrum])) / len(Z)
 
     return scaled_sandwich(Z, J, meat, len(Z))
 
@@ -264,27 +260,23 @@ def residual_left_out(
 
     ``(I - J_b S Z_b')^-1 = I + J_b (I - S Z_b' J_b)^-1 S Z_b'`` needs small inverses only.
 
-    Args:
-        Z: see `sandwich`.
-        J: see `sandwich`.
-        error: see `sandwich`.
-        spread: inverse of Z' J, (parameters, parameters).
-        block: block index of each row, (rows,).
+    Z, J and error as for `sandwich`; `spread`, (parameters, parameters), is the inverse of Z' J, and `block`, (rows,),
+    the block index of each row.
     """
     order = np.argsort(block, kind="stable")
     first = np.flatnonzero(np.diff(block[order], prepend=block[order[0]] - 1))
     Z, slopes, before = Z[order], J[order], error[order]
 
-    def summed(rows: FloatArray) -> FloatArray:
+    def add_blocks(rows: FloatArray) -> FloatArray:
         return np.add.reduceat(rows, first)
 
     shares = _products(Z, slopes, first)
-    scores = summed(Z * before[:, np.newaxis])
+    scores = add_blocks(Z * before[:, np.newaxis])
     moved = _inverses(np.eye(len(spread)) - spread @ shares) @ (spread @ scores[..., np.newaxis])
     rows = np.diff(first, append=len(order))
     after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
     # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
-    kept = np.repeat(summed(after**2) <= _MOST**2 * summed(before**2), rows)
+    kept = np.repeat(add_blocks(after**2) <= _MOST**2 * add_blocks(before**2), rows)
     found = error.copy()
     found[order[kept]] = after[kept]
     return found

@@ -163,26 +163,26 @@ def identifiability(
     scale = np.where(x == 0.0, covariance.std, np.abs(x))
     scale = np.where(scale > 0, scale, 1.0)
 
-    def known(combination: Combination) -> Known:
+    def assess(combination: Combination) -> Known:
         weights = combination.vector(parameters)
         std = covariance.std_of(weights)
         return Known(combination, float(weights @ x), std, std / float(np.linalg.norm(weights * scale)))
 
-    each = tuple(known(single(p, units[p.name])) for p in joint)
+    each = tuple(assess(single(p, units[p.name])) for p in joint)
     vectors, condition = _find_directions(J, own, scale)
-    directions = [known(_simplify(vector, joint, units, scale[own], spread)) for vector in vectors]
+    directions = [assess(_simplify(vector, joint, units, scale[own], spread)) for vector in vectors]
     pairs = [(i, j) for i in range(len(joint)) for j in range(i + 1, len(joint))]
     limitations = [
         _describe_pair(joint, each, spread, i, j) for i, j in pairs if abs(spread.correlation[i, j]) > _INSEPARABLE
     ]
     for p, one in zip(joint, each, strict=True):
         if p.lower >= 0 and one.interval[0] <= 0.0:
-            said = f"{p.symbol} is not told from 0: its interval holds it"
+            said = f"{p.symbol} is not significant: its interval holds 0"
             values = {"parameter": p.name, "value": one.value, "std": one.std}
             limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
     return Identifiability(
         each,
-        tuple(known(combination) for combination in physical(joint, units)),
+        tuple(assess(combination) for combination in physical(joint, units)),
         tuple(sorted(directions, key=lambda one: one.relative)),
         condition,
         tuple(limitations),

@@ -379,14 +379,8 @@ def _follow(
 
     The root of the rise over the threshold is nearly linear in the quantity, which predicts the next point.
 
-    Args:
-        fit: the best fit near a value of the quantity, from a start that may be outside the bounds.
-        centre: the estimate.
-        limit: extreme value within the parameters' bounds, possibly infinite.
-        step: to the first point, negative on the lower side.
-        direction: (free,) change of the parameters per unit of the quantity.
-        threshold: of the rise.
-        most: points.
+    `step` leads to the first point, negative on the lower side; `direction`, (free,), is the change of the parameters
+    per unit of the quantity, and `limit` its extreme value within their bounds.
     """
     sign, step, found, lowest = math.copysign(1.0, step), abs(step), [centre], centre.cost
 

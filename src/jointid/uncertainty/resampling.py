@@ -71,7 +71,7 @@ class Sums:
         square, size, rows = self.square + other.square, self.size + other.size, self.rows + other.rows
         return Sums(self.A + other.A, self.b + other.b, square, size, rows)
 
-    def moved(self, step: FloatArray) -> Sums:
+    def shift(self, step: FloatArray) -> Sums:
         """Update the sums for a step of the parameters, to first order."""
         square = self.square + float(2 * self.b @ step + step @ self.A @ step)
         return Sums(self.A, self.b + self.A @ step, max(square, 0.0), self.size, self.rows)
@@ -185,7 +185,7 @@ class Bootstrap(Documented):
         """Percentile intervals, (free, 2)."""
         return np.asarray(np.quantile(self.draws, [0.5 - 0.5 * self.level, 0.5 + 0.5 * self.level], axis=0).T)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Table of the intervals."""
         del details
         rows = tuple(

@@ -98,10 +98,10 @@ def _bands(influences: FloatArray, J: FloatArray, error: FloatArray, asked: Floa
     both[-1] = 2.0 if rows % 2 else 1.0
     weight = np.sqrt(both / rows)[:, np.newaxis]
 
-    def transformed(signals: FloatArray) -> NDArray[np.complex128]:
+    def transform(signals: FloatArray) -> NDArray[np.complex128]:
         return np.asarray(weight * np.fft.rfft(signals.reshape(rows, -1), axis=0))
 
-    A, slopes, left = (transformed(signals) for signals in (influences, J, error))
+    A, slopes, left = (transform(signals) for signals in (influences, J, error))
     taken = np.real(np.sum(A.conj() * slopes, axis=1))
     first = _borders(both - taken, rows)
 
@@ -112,7 +112,7 @@ def _bands(influences: FloatArray, J: FloatArray, error: FloatArray, asked: Floa
     freedom = np.add.reduceat(both - 2.0 * taken, first)
     power = np.add.reduceat(np.abs(left[:, 0]) ** 2, first)
     own = each(A)
-    return _Bands(own, own if asked is None else each(transformed(asked)), each(slopes), freedom, power)
+    return _Bands(own, own if asked is None else each(transform(asked)), each(slopes), freedom, power)
 
 
 def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:

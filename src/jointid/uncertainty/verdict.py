@@ -75,6 +75,7 @@ class Reason(StrEnum):
     ONLY_SUMS = "only_sums"
     NONE_AT_BOUND = "none_at_bound"
     AT_BOUND = "at_bound"
+    FRICTION_NEGATIVE = "friction_negative"
     STIFFNESS_SHOWN = "stiffness_shown"
     STIFFNESS_NOT_SHOWN = "stiffness_not_shown"
     LOOP_AS_DECLARED = "loop_as_declared"
@@ -157,7 +158,7 @@ def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
         clause = "" if white.white else "the residual is not white within the pass band"
         noise = _judge(Subject.WHITENESS, white.white, code, str(white), values, clause)
     if repeats is None:
-        return noise, skip_test(Subject.REPEATABLE, "not looked at")
+        return noise, skip_test(Subject.REPEATABLE, "not examined")
     if repeats.p_value is None:
         return noise, _judge(Subject.REPEATABLE, None, Reason.NO_PLACE_REVISITED, str(repeats))
     code = Reason.RESIDUAL_REPEATS if repeats.significant else Reason.NOTHING_REPEATS
@@ -174,13 +175,13 @@ def identifiability_verdict(known: Identifiability) -> Verdict:
     """Verdict on whether the record determines every parameter."""
     if known.limitations:
         return Verdict(Subject.IDENTIFIABILITY, Status.FAILED, known.limitations)
-    said = "every parameter is told from 0 and from the others"
+    said = "every parameter is distinguished from 0 and from the others"
     return _judge(Subject.IDENTIFIABILITY, True, Reason.ALL_DETERMINED, said)
 
 
 def only_sums_verdict() -> Verdict:
     """Verdict for a refused stiffness: only sums of both sides are determined."""
-    said = "only the sums of both sides are told, not how they divide"
+    said = "only the sums of both sides are determined, not their division"
     return _judge(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said)
 
 
@@ -191,6 +192,31 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
     said = f"{', '.join(touched)} at a bound, where it does not follow the record"
     clause = f"{join(touched)} at {'its bound' if len(touched) == 1 else 'their bounds'}"
     return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
+
+
+def axes_verdict(errors: Mapping[str, float]) -> Verdict:
+    """Verdict on the share of each axis's torque that the model explains."""
+    worst = max(errors, key=lambda axis: errors[axis])
+    values = {"remaining": dict(errors)}
+    if errors[worst] <= POOR_FIT:
+        said = f"at most {100 * errors[worst]:.2f} % of the filtered torque of an axis remains, of {worst}"
+        return _judge(Subject.FIT, True, Reason.TORQUE_EXPLAINED, said, values)
+    bad = join([axis for axis, left in errors.items() if not left <= POOR_FIT])
+    said = f"more than {100 * POOR_FIT:.0f} % of the filtered torque of {bad} remains, more than a right model leaves"
+    return _judge(Subject.FIT, False, Reason.TORQUE_UNEXPLAINED, said, values)
+
+
+def friction_verdict(axes: Sequence[str]) -> Verdict:
+    """Verdict for axes whose friction is negative by more than its interval."""
+    said = f"the friction of {join(axes)} is negative: check the signs of torque, motor position and gear"
+    return _judge(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": list(axes)})
+
+
+def springs_verdict(refused: Sequence[str]) -> Verdict:
+    """Verdict on the springs of a robot; `refused` has a sentence for each that the record does not show."""
+    if not refused:
+        return _judge(Subject.STIFFNESS, True, Reason.STIFFNESS_SHOWN, "the record shows every spring")
+    return _judge(Subject.STIFFNESS, False, Reason.STIFFNESS_NOT_SHOWN, "; ".join(refused))
 
 
 def skip_test(subject: Subject, why: str) -> Verdict:

@@ -49,7 +49,7 @@ velocity_gain = 12.0
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A robot whose first joint moved while the second rested."""
     place = tmp_path_factory.mktemp("axis")
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.Cascade(**GAINS))
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.controller.Cascade(**GAINS))
     reference = ji.excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 1.0, 1e-3, duration=6.0)
     record = ji.simulated_record(loop, reference, TRUTH, sample_time=1e-3)
     assert record.torque and record.reference and record.motor_position

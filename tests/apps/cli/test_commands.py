@@ -117,7 +117,7 @@ def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(
 
 @pytest.mark.slow
 def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     reference = trapezoids((0.042, 0.125), 0.83, 0.2, 1e-3, duration=8.0)
     force = 10.0 * np.random.default_rng(1).standard_normal(reference.size)
     stiff = {**TABLE_2, "stiffness": 1e9, "damping": 1e4}
@@ -266,7 +266,7 @@ def test_the_twin_is_written_in_every_format_that_is_read(suffix: str, tmp_path:
     out = tmp_path / f"twin{suffix}"
     assert run("simulate", "--twin", "L30", "--added-mass", "--noise", "white", "--seed", 5, "--out", out, "-q") == 0
     names = ("torque", "reference", "motor_position", "load_position", "injected")
-    record = read(out, {name: name for name in names})
+    record = read(out, {name: name for name in names}, kind="prismatic")
     made = twin("L30", added_mass=True, noise="white", seed=5).record
     for name in names[:4]:
         assert np.array_equal(getattr(record, name).values, getattr(made, name).values)
@@ -472,7 +472,7 @@ def test_from_an_unknown_controller_to_an_answer(tmp_path: Path, capsys: pytest.
     reference = trapezoids([0.2, 0.5], 2.0, 0.05, 1e-3, 0.05, 2.0)
     error = 0.02 * np.random.default_rng(3).standard_normal(reference.size)
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
-    loop = ClosedLoop(RigidJoint(), controller)
+    loop = ClosedLoop(RigidJoint("prismatic"), controller)
     log = simulated_record(loop, reference, values, sample_time=1e-3, encoder_step=1e-7, torque_noise=error)
     channels = (
         "torque = { column = 'u', unit = 'N', timing = 'held', tap = 'command' }\n"

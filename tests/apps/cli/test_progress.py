@@ -91,7 +91,7 @@ def test_tuning_and_predictions_are_drawn_to_their_end(flexible_twin: tuple[ji.R
 
 
 def test_the_first_pass_over_a_log_is_drawn_too() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=30.0)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     drawn = Drawn()

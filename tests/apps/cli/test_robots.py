@@ -61,9 +61,9 @@ def run(*words: str | Path) -> None:
 def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("identify", folder / "robot.toml", "--json", tmp_path / "found.json", "--details")
     printed = capsys.readouterr().out
-    assert printed.startswith("arm: 40 base parameters of 6 joints") and "Izz1 is Izz1 + " in printed
+    assert printed.startswith("arm: 58 parameters of 6 joints") and "Izz1 is Izz1 + " in printed
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.robot_estimate/1" and len(answer["parameters"]) == 58
+    assert answer["schema"] == "jointid.estimate/1" and answer["model"] == "robot" and len(answer["parameters"]) == 58
     assert answer["parameters"]["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
     run("identify", folder / "robot.toml", "--record", folder / "two.csv", "--set", "method.estimator=ols")
     assert "ordinary least squares" in capsys.readouterr().out
@@ -126,7 +126,7 @@ def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> None:
-    joint, page = folder / "robot.toml", tmp_path / "a.html"
+    joint = folder / "robot.toml"
     for words, said in (
         (("identify", joint, "--window", "2"), "A log in windows takes one joint, and .*is a robot file"),
         (
@@ -143,7 +143,6 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
             ("export", joint, "--out", tmp_path / "a.xml", "--fixed"),
             "bodies behind their gears.*--fixed is for a joint",
         ),
-        (("report", joint, "--plan", "all", "--html", page), "jointid design plans the motion of a robot"),
         (("examine", joint), "The look over a record takes one joint"),
         (("tune", joint), "Tuning takes one joint"),
         (("diagnose", "methods", joint), "This command takes one joint"),
@@ -152,6 +151,15 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
             run(*words)
     with pytest.raises(MethodError, match="expected --estimate FILE"):
         run("export", EMPS, "--out", tmp_path / "a.xml")
+
+
+def test_a_report_says_why_a_robot_has_no_next_test(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("report", folder / "robot.toml", "--plan", "weakest", "--markdown", tmp_path)
+    said = 'The test of a robot has the goal "all"'
+    assert f"Without a next test: {said}" in " ".join(capsys.readouterr().out.split())
+    assert f"None was planned. {said}" in (tmp_path / "report.md").read_text(encoding="utf-8")
 
 
 def test_payload(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

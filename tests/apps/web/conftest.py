@@ -51,7 +51,7 @@ def asker(client: TestClient) -> Asker:
 @pytest.fixture(scope="session")
 def log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A log of a rigid axis under a P-P law, position_gain 60, velocity_gain 500; its truth is TRUTH."""
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=60.0, velocity_gain=500.0))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=60.0, velocity_gain=500.0))
     reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 8.0)
     record = simulated_record(loop, reference, TRUTH, sample_time=1e-3, encoder_step=1e-7)
     path = tmp_path_factory.mktemp("log") / "log.csv"

@@ -123,7 +123,7 @@ def test_a_worker_says_so_by_its_exit_code(folder: Path, monkeypatch: pytest.Mon
 
 
 def test_progress_that_cannot_be_kept_ends_no_worker() -> None:
-    program = "from jointid.apps.web.worker import _tell; _tell('identifying')"
+    program = "from jointid.apps.web.worker import _print_progress; _print_progress('identifying')"
     with Path("/dev/full").open("wb") as full:
         ran = subprocess.run([sys.executable, "-c", program], stdout=full, stderr=subprocess.PIPE, check=False)
     assert (ran.returncode, ran.stderr) == (0, b"")

@@ -152,7 +152,7 @@ def test_a_plan_that_is_refused_or_cancelled_leaves_the_answer(finished: tuple[A
     assert run.status["state"] == "done"
     assert 'value="initial_position"' not in asker.get(f"/runs/{run.number}")  # is no goal
     run.update(state="planning", before="done")
-    asker.folder.close_interrupted()  # an earlier page was killed
+    asker.folder.finish_interrupted_runs()  # an earlier page was killed
     assert run.status["state"] == "done"
 
 
@@ -170,7 +170,7 @@ def test_the_next_test_is_planned_after_an_answer(client: TestClient, asker: Ask
     assert "twice the time" in page
     assert re.search(r"speed: 0\.\d+\s+of\s+0\.35", page)
     (tmp_path / "test.csv").write_bytes(client.get(f"/runs/{run.number}/test.csv").content)
-    planned = read(tmp_path / "test.csv", {"reference": Column("reference", "m")}, time="t").reference
+    planned = read(tmp_path / "test.csv", {"reference": Column("reference", "m")}, time="t", kind="prismatic").reference
     assert planned is not None
     assert planned.duration == pytest.approx(8.0, abs=0.01)
     for name, begins in (("test.png", b"\x89PNG"), ("how-to-run.md", b"# A test"), ("test.mat", b"MATLAB")):

@@ -14,13 +14,11 @@ from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import DIRECTION, FRICTION
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.idim import identify_robot
-from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.simulation.synthesis import simulate
-from tests.estimation.robots.twin import arm, motion, records_of
+from tests.estimation.robots.twin import arm, axis_errors, identified, motion, records_of
 from tests.robots_plants import two
 
 
@@ -45,12 +43,12 @@ def logged_by(loop: RobotLoop, drives: Sequence[Record] | None = None) -> tuple[
 
 
 def asked(loop: RobotLoop, records: Sequence[Record], laws: Sequence[Controller]) -> RobotDiagnosis:
-    return diagnose_robot(identify_robot(loop.robot, records), records, laws)
+    return diagnose_robot(identified(loop.robot, records), records, laws)
 
 
 def test_a_model_that_holds_leaves_noise() -> None:
     records = records_of(arm(), 2, noise=0.2)
-    found = diagnose_robot(identify_robot(arm(), records), records)
+    found = diagnose_robot(identified(arm(), records), records)
     assert found.explained
     assert found.as_declared is None
     assert "Whether the controllers are as declared is not asked" in found.answer
@@ -64,7 +62,7 @@ def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     records = records_of(arm(), 2, noise=0.02)
     v = motion(2)[1][:, 3]
     more = with_torque(records, 3, 1.5 * np.sign(v) * np.exp(-np.abs(v) / 0.15))
-    found = diagnose_robot(identify_robot(arm(), more), more)
+    found = diagnose_robot(identified(arm(), more), more)
     assert [one.name for one in found.joints if not one.explained] == ["joint4"]
     follows = found.joints[3].follows
     assert follows is not None and follows[0] == FRICTION
@@ -76,15 +74,15 @@ def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() ->
     first, second = loop.robot.joints
     other = replace(loop.robot, joints=(replace(first, viscous_backwards=12.0), second))
     records = logged_by(RobotLoop(other, loop.controllers))
-    found = diagnose_robot(identify_robot(loop.robot, records), records).joints[0]
+    found = diagnose_robot(identified(loop.robot, records), records).joints[0]
     assert not found.explained
     assert found.follows is not None and found.follows[0] == DIRECTION
-    assert diagnose_robot(identify_robot(other, records), records).joints[0].left < 0.2 * found.left
+    assert diagnose_robot(identified(other, records), records).joints[0].left < 0.2 * found.left
 
 
 def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
     records = records_of(arm(), 2, noise=0.2)
-    estimate = identify_robot(arm(), records)
+    estimate = identified(arm(), records)
     joint = diagnose_robot(estimate, records).joints[0]
     assert joint.whiteness is not None
     coloured = replace(joint, left=0.05, whiteness=replace(joint.whiteness, p_value=1e-6), follows=None)
@@ -96,7 +94,7 @@ def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
 def test_the_motion_of_another_joint_is_named() -> None:
     records = records_of(arm(), 2, noise=0.02)
     more = with_torque(records, 4, 0.3 * motion(2)[2][:, 5])
-    found = diagnose_robot(identify_robot(arm(), more), more).joints[4]
+    found = diagnose_robot(identified(arm(), more), more).joints[4]
     assert found.follows is not None and found.follows[0].startswith("the motion of joint6")
 
 
@@ -150,33 +148,34 @@ def test_the_travel_is_that_of_the_motors_wherever_they_turn() -> None:
 
 
 def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
-    estimate = identify_robot(arm(), records_of(arm(), 2, noise=0.2))
-    formulas = ("offset1 + m2 * 9.81", *estimate.base.offset_formulas[1:])
-    found = parameters_by_joint(replace(estimate, base=replace(estimate.base, offset_formulas=formulas)))
-    assert {one.name: one.formula for one in found}["offset1"] == formulas[0]
+    estimate = identified(arm(), records_of(arm(), 2, noise=0.2))
+    part, said = estimate.require_robot(), "offset1 + m2 * 9.81"
+    formulas = tuple(said if name == "offset1" else one for name, one in zip(part.names, part.formulas, strict=True))
+    found = parameters_by_joint(replace(estimate, robot=replace(part, formulas=formulas)))
+    assert {one.name: one.formula for one in found}["offset1"] == said
 
 
 def test_what_is_fixed_is_neither_told_nor_not_told() -> None:
     records = records_of(arm(), 2, noise=0.2)
-    free, kept = (identify_robot(arm(), records, IDIM(fixed=one)) for one in ({}, {"Fv4": 1.5, "offset2": 0.0}))
-    assert set(free.told) - set(kept.told) >= {"Fv4"}
+    free, kept = (identified(arm(), records, IDIM(fixed=one)) for one in ({}, {"Fv4": 1.5, "offset2": 0.0}))
+    assert {row.name for row in free.params.rows if row.free} - set(kept.params.names) == {"Fv4", "offset2"}
     found = diagnose_robot(kept, records)
     known = {one.name: one.known for joint in found.joints for one in joint.parameters}
     assert known["Fv4"] is Told.FIXED and known["offset2"] is Told.FIXED
-    assert sum(one is Told.TOLD for one in known.values()) == len(kept.told)
-    assert f"The record tells {len(kept.told)} of {len(kept.names) - 2} parameters" in found.answer
-    assert f"{len(kept.told)} of {len(kept.names) - 2} parameters are known to a tenth" in str(kept)
+    told, asked = sum(one is Told.TOLD for one in known.values()), len(kept.params) - 2
+    assert f"The record tells {told} of {asked} parameters" in found.answer
+    assert f"{told} of {asked} parameters known to a tenth" in kept.sentence
     assert not any("offset2" in one for one in found.sentences)
 
 
 def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:
     loop = two().loop()
     records = [Record(torque=one.torque, reference=one.reference) for one in logged_by(loop)]
-    estimate = identify_robot_from_torques(loop, records)
+    estimate = identified(loop, records)
     found = diagnose_robot(estimate, records)
     assert found.as_declared is None and "not seen apart from the model" in found.answer
     assert found.explained
-    np.testing.assert_allclose([one.left for one in found.joints], estimate.joint_errors, rtol=1e-9)
+    np.testing.assert_allclose([one.left for one in found.joints], axis_errors(estimate), rtol=1e-9)
 
 
 def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
@@ -185,7 +184,7 @@ def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
     sums = dict(zip(fit.names, fit.parameters.formulas(loop.robot), strict=True))
     assert sums["joint1.viscous"] == "joint1.viscous"
     assert any("lower" in text or " + " in text for text in sums.values())
-    estimate = identify_robot_from_torques(loop, logged_by(loop))
+    estimate = identified(loop, logged_by(loop))
     rows = parameters_by_joint(estimate)
     assert [one.joint for one in rows] == sorted(one.joint for one in rows)
     own = {one.name: one for one in rows}
@@ -201,7 +200,7 @@ def test_little_that_is_left_is_not_called_noise_where_it_is_coloured() -> None:
     records = records_of(arm(), 2, noise=0.002)
     v = motion(2)[1][:, 3]
     more = with_torque(records, 3, 0.1 * np.sign(v) * np.exp(-np.abs(v) / 0.15))
-    found = diagnose_robot(identify_robot(arm(), more), more)
+    found = diagnose_robot(identified(arm(), more), more)
     joint = found.joints[3]
     assert joint.explained and joint.coloured
     assert "but for noise" not in found.answer and "joint4 is no white noise" in found.answer

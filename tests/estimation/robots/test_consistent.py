@@ -9,11 +9,10 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
+from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.consistent import consistent_robot, least_inertia
-from jointid.estimation.robots.flexible import SpringVerdict
-from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.payload import payload_difference, payload_of_both_records
-from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.robots.inertial import (
     MassProperties,
     from_log_cholesky,
@@ -24,7 +23,7 @@ from jointid.models.robots.inertial import (
 from jointid.models.robots.robot import Robot
 from jointid.records.signals.filtering import Filtering
 from tests.estimation.robots.test_rigid_robots import recorded
-from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, records_of, with_payload
+from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, identified, records_of, with_payload
 from tests.models.robots.trees import random_body
 from tests.robots_plants import Twin, six, two
 
@@ -51,12 +50,14 @@ def test_log_cholesky_parameters_say_the_same_and_have_these_derivatives() -> No
 
 
 def test_bodies_fit_the_estimate_and_can_be() -> None:
-    estimate = identify_robot(wrong_model(), records_of(ARM, 2, noise=0.5))
+    estimate = identified(wrong_model(), records_of(ARM, 2, noise=0.5))
     found = consistent_robot(estimate)
     assert all(is_consistent(link.inertial) for link in found.robot.links)
     assert found.misfit < 1.0 and found.least_inertia > 0
-    values = np.concatenate([estimate.base.of(found.robot), np.zeros(18)])[: len(estimate.base)]
-    off = (values - estimate.base.of(ARM)) / estimate.covariance.std[: len(estimate.base)]
+    part = estimate.robot
+    assert isinstance(part, InverseModelRobot)
+    values = np.concatenate([part.base.of(found.robot), np.zeros(18)])[: len(part.base)]
+    off = (values - part.base.of(ARM)) / part.covariance.std[: len(part.base)]
     assert np.abs(off).max() < 5
     # The rotors of joints 1 and 2 are told only with their links.
     assert found.robot.of_joints("rotor_inertia")[2:] == pytest.approx(ROTORS[2:], rel=0.05)
@@ -66,7 +67,7 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
 def test_a_friction_that_is_declared_another_backwards_is_the_one_found_in_both_directions() -> None:
     first = replace(ARM.joints[0], viscous_backwards=20.0, coulomb_backwards=30.0)
     declared = replace(ARM, joints=(first, *ARM.joints[1:]))
-    found = consistent_robot(identify_robot(declared, records_of(ARM, 2, noise=0.5))).robot.joints[0]
+    found = consistent_robot(identified(declared, records_of(ARM, 2, noise=0.5))).robot.joints[0]
     assert found.viscous == pytest.approx(VISCOUS[0], rel=0.05)
     assert found.viscous_backwards == pytest.approx(VISCOUS[0], rel=0.05)
     assert found.coulomb == pytest.approx(COULOMB[0], rel=0.05) and found.coulomb_backwards is None
@@ -85,7 +86,7 @@ def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
     factors = np.random.default_rng(5).uniform(0.7, 1.3, len(twin.robot))
     links = tuple(replace(link, inertial=k * link.inertial) for link, k in zip(twin.robot.links, factors, strict=True))
     model = replace(twin.robot, links=links)
-    estimate = identify_robot_from_torques(replace(twin.loop(), robot=model), records)
+    estimate = identified(replace(twin.loop(), robot=model), records)
     found = consistent_robot(estimate)
     assert found.misfit < 0.2 and found.least_inertia > 0.0
     assert all(is_consistent(link.inertial) for link in found.robot.links)
@@ -95,7 +96,8 @@ def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
     for mine, truth in zip(found.robot.joints, twin.robot.joints, strict=True):
         if mine.spring is not None and truth.spring is not None:
             assert mine.spring.stiffness == pytest.approx(truth.spring.stiffness, rel=0.05)
-    hidden = replace(estimate, springs=(SpringVerdict("joint2", False, None, None, 10.0),))
+    part = replace(estimate.require_robot(), springs=(SpringVerdict("joint2", False, None, None, 10.0),))
+    hidden = replace(estimate, robot=part)
     with pytest.raises(MethodError, match="does not show the spring of joint2, so it does not part motor from link"):
         consistent_robot(hidden)
 
@@ -107,7 +109,7 @@ def test_a_prior_that_declares_another_friction_gives_its_masses_alone(from_torq
     declared = replace(twin.robot, joints=(replace(first, viscous_backwards=2.0 * first.viscous), second))
     loop = replace(twin.loop(), robot=declared)
     records, _ = recorded(loop, twin.records(6.0), 0.01)
-    estimate = identify_robot_from_torques(loop, records) if from_torques else identify_robot(declared, records)
+    estimate = identified(loop, records) if from_torques else identified(declared, records)
     rising = replace(second, stribeck_force=0.9, stribeck_speed=0.1)
     mine = consistent_robot(estimate).robot
     for prior in (twin.robot, replace(twin.robot, joints=(first, rising))):
@@ -123,7 +125,7 @@ def test_a_prior_that_declares_another_friction_gives_its_masses_alone(from_torq
 def test_idim_gives_a_robot_without_springs_the_friction_of_both_sides() -> None:
     twin = two((10.0, 14.0))
     records, _ = recorded(twin.loop(), twin.records(8.0), 0.01)
-    found = consistent_robot(identify_robot(twin.robot, records, filtering=Filtering(cutoff=4.0))).robot
+    found = consistent_robot(identified(twin.robot, records, filtering=Filtering(cutoff=4.0))).robot
     assert not any(found.flexible)
     for one, truth in zip(found.joints, twin.robot.joints, strict=True):
         assert truth.spring is not None
@@ -131,8 +133,9 @@ def test_idim_gives_a_robot_without_springs_the_friction_of_both_sides() -> None
 
 
 def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:
-    estimate = identify_robot(ARM, records_of(ARM, 4, noise=15.0))
-    spoilt = replace(estimate, values=estimate.values - 3 * estimate.covariance.std)
+    estimate = identified(ARM, records_of(ARM, 4, noise=15.0))
+    part = estimate.require_robot()
+    spoilt = replace(estimate, robot=replace(part, values=part.values - 3 * part.covariance.std))
     found = consistent_robot(spoilt)
     assert found.least_inertia > 0 and np.all(found.robot.of_joints("viscous") >= 0)
 
@@ -143,7 +146,7 @@ def test_the_least_inertia_sees_a_matrix_that_is_not_positive() -> None:
 
 
 def test_a_prior_without_masses_is_refused() -> None:
-    estimate = identify_robot(ARM, records_of(ARM, 2))
+    estimate = identified(ARM, records_of(ARM, 2))
     bare = replace(ARM, links=(replace(ARM.links[0], inertial=np.zeros(10)), *ARM.links[1:]))
     with pytest.raises(MethodError, match="no mass of link1; expected one on every link"):
         consistent_robot(estimate, bare)
@@ -154,7 +157,7 @@ def test_a_payload_within_a_percent() -> None:
     carrying = with_payload(ARM, body.inertial)
     empty, loaded = records_of(ARM, 11, noise=0.2), records_of(carrying, 12, noise=0.2)
     together = payload_of_both_records(ARM, empty, loaded)
-    apart = payload_difference(identify_robot(ARM, empty), identify_robot(ARM, loaded))
+    apart = payload_difference(identified(ARM, empty), identified(ARM, loaded))
     truth = np.array([3.0, 0.02, -0.03, 0.08, 0.02, 0.015, 0.01, 0.0, 0.0, 0.0])
     for payload in (together, apart):
         values, std = payload.properties

@@ -9,12 +9,12 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.flexible import FlexibleRobotFit, identify_flexible_robot
-from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.robots.robot import JointSpring
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
+from tests.estimation.robots.twin import identified as identified_robot
 from tests.robots_plants import Twin, six, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
 
@@ -132,9 +132,9 @@ def test_a_rigid_robot_is_told_soon() -> None:
     loop = twin.loop()
     records, _ = recorded(loop, twin.records(4.0), 0.01)
     asked = tuple(replace(joint, spring=JointSpring(5e3)) for joint in twin.robot.joints)
-    found = identify_robot_from_torques(RobotLoop(replace(loop.robot, joints=asked), loop.controllers), records)
-    assert not any(one.shown for one in found.springs)
-    assert found.fit.iterations <= 24
+    found = identified_robot(RobotLoop(replace(loop.robot, joints=asked), loop.controllers), records)
+    assert not any(one.shown for one in found.require_robot().springs)
+    assert found.fit.simulations <= 24
     told = found.summary()
     assert "leave the springs out of the robot file" in " ".join(told.split())
     assert "damping" not in told

@@ -10,11 +10,9 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.drive_gains import identify_drive_gains
-from jointid.estimation.robots.flexible import SpringVerdict
-from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference, payload_of_torques
-from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers
@@ -22,7 +20,7 @@ from jointid.records.record import Record
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.test_robot_drive_side import logged
-from tests.estimation.robots.twin import arm, records_of, with_payload
+from tests.estimation.robots.twin import arm, identified, records_of, with_payload
 from tests.robots_plants import six, two
 
 ARM = arm()
@@ -65,7 +63,7 @@ def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
     found = identify_payload(ARM, *records, settings)
     assert found.agrees
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
-    one, other = (identify_robot(ARM, each, settings) for each in records)
+    one, other = (identified(ARM, each, settings) for each in records)
     with pytest.raises(MethodError, match="A parameter is fixed, which a payload would change"):
         payload_difference(one, other)
 
@@ -153,11 +151,12 @@ def test_what_is_not_told_of_a_payload_is_said() -> None:
     one, other = (recorded(twin.loop(), twin.records(4.0, seed=k), 0.01)[0] for k in (1, 2))
     with pytest.raises(MethodError, match=r"does not tell all of a payload: my, .* expected joints that turn and tilt"):
         identify_payload(twin.loop(), one, other)
-    estimate = identify_robot_from_torques(twin.loop(), one)
+    estimate = identified(twin.loop(), one)
     for same_friction in (True, False):  # of few rows, too
         with pytest.raises(MethodError, match="does not tell all of a payload"):
             payload_of_torques(estimate, estimate, same_friction=same_friction)
-    hidden = replace(estimate, springs=(SpringVerdict("elbow", False, None, None, 10.0),))
+    part = replace(estimate.require_robot(), springs=(SpringVerdict("elbow", False, None, None, 10.0),))
+    hidden = replace(estimate, robot=part)
     with pytest.raises(MethodError, match=r"does not show the spring of elbow, .* leave this spring out"):
         payload_of_torques(estimate, hidden, same_friction=True)
     with pytest.raises(MethodError, match="The search did not settle on the record with it"):

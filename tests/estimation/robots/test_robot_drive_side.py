@@ -18,6 +18,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
+from tests.estimation.robots.twin import axis_errors
 from tests.robots_plants import Twin, six, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
 
@@ -169,12 +170,12 @@ def test_a_spring_that_the_record_does_not_show_is_refused() -> None:
 def test_the_answer_is_held_against_another_record() -> None:
     twin = replace(two((12.0, 18.0)), home=np.array([1.6, -2.3]))  # far from 0
     heavier = twin.robot.with_inertials(1.3 * np.array([link.inertial for link in twin.robot.links]))
-    estimate = ji.identify(logged(twin), ji.RobotDriveSide(heavier))
-    assert np.all(estimate.joint_errors < 0.02)
-    assert np.all(estimate.nominal_errors > 0.05)
-    text = estimate.document().text()
+    estimate = ji.identify(logged(twin), ji.robots.RobotDriveSide(heavier))
+    assert np.all(axis_errors(estimate) < 0.02)
+    assert np.all(estimate.require_robot().nominal_errors > 0.05)
+    text = estimate.to_document().text()
     assert "drive side of a robot, from motor torques and motor positions" in text
-    assert estimate.rows["log_delay"]["unit"] == "s"
+    assert estimate.params["log_delay"].unit == "s"
     held = ji.validate(estimate, logged(twin, seed=4))
     assert held.better
     assert np.all(held.joint_errors < 0.03)
@@ -192,10 +193,10 @@ def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
     """In a record that begins in motion: a robot that is right leaves as little, there and elsewhere."""
     twin = two((12.0, 18.0))
     begun = logged(twin, duration=8.0, first=1500)
-    estimate = ji.identify(begun, ji.RobotDriveSide(twin.robot), ji.DriveSideFit(frequencies=hertz(twin)))
-    assert "joint1.initial_link_velocity" in estimate.fit.names
-    assert np.all(estimate.joint_errors < 0.015)
-    assert np.all(estimate.nominal_errors < 1.1 * estimate.joint_errors)
+    estimate = ji.identify(begun, ji.robots.RobotDriveSide(twin.robot), ji.DriveSideFit(frequencies=hertz(twin)))
+    assert "joint1.initial_link_velocity" in estimate.params
+    assert np.all(axis_errors(estimate) < 0.015)
+    assert np.all(estimate.require_robot().nominal_errors < 1.1 * axis_errors(estimate))
     held = ji.validate(estimate, logged(twin, duration=7.0, seed=4, first=1500))
     assert np.all(held.joint_errors < 0.02)
 
@@ -204,8 +205,8 @@ def test_a_robot_that_does_not_hold_is_not_praised() -> None:
     """Frequencies far off lead to a wrong place: what is left of the torques says so, first."""
     twin = two((12.0, 18.0))
     wrong = ji.DriveSideFit(frequencies={"joint1": 40.0, "joint2": 6.0}, evaluations=1)
-    text = ji.identify(logged(twin), ji.RobotDriveSide(twin.robot), wrong).document().text()
-    assert "More than a tenth of the torque of joint1" in " ".join(text.split())
+    text = ji.identify(logged(twin), ji.robots.RobotDriveSide(twin.robot), wrong).to_document().text()
+    assert "more than 15 % of the filtered torque of joint1" in " ".join(text.split())
 
 
 def hertz(twin: Twin) -> Mapping[str, float]:

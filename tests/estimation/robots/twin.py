@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jointid.diagnostics.identify import identify
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.registry import Method
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robots import RobotLoop
 
 Array = NDArray[np.float64]
 SAMPLE_TIME = 2e-3
@@ -94,3 +103,32 @@ def with_payload(robot: Robot, payload: Array) -> Robot:
     """Return a robot with a body, (10,) in the last link's frame, on its last link."""
     last = robot.links[-1]
     return replace(robot, links=(*robot.links[:-1], replace(last, inertial=last.inertial + payload)))
+
+
+def identified(
+    model: Robot | RobotLoop | RobotDriveSide,
+    records: Sequence[Record],
+    method: Method | None = None,
+    *,
+    filtering: Filtering | None = None,
+) -> Estimate:
+    """Identify a robot without the checks."""
+    return identify(records, model, method, filtering=filtering, checks=False)
+
+
+def by_idim(
+    model: Robot | RobotLoop,
+    records: Sequence[Record],
+    method: Method | None = None,
+    *,
+    filtering: Filtering | None = None,
+) -> InverseModelRobot:
+    """Return the robot-only content of an estimate by IDIM."""
+    part = identified(model, records, method or IDIM(), filtering=filtering).require_robot()
+    assert isinstance(part, InverseModelRobot)
+    return part
+
+
+def axis_errors(estimate: Estimate) -> np.ndarray:
+    """Return the errors of the joints, in order."""
+    return np.array([*estimate.fit.axis_errors.values()])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from jointid.common.errors import MethodError
 from jointid.models.robots.inertial import (
     MassProperties,
-    in_parent,
+    change_frame,
     inertial_of,
     is_consistent,
     mass_properties,
@@ -38,7 +38,7 @@ def test_a_body_seen_from_another_frame() -> None:
         pseudo = sum(m * np.outer([*r, 1.0], [*r, 1.0]) for m, r in zip(masses, points, strict=True))
         return inertial_of(np.asarray(pseudo))
 
-    assert in_parent(of(points), turn, origin) == pytest.approx(of(points @ turn.T + origin), rel=1e-12)
+    assert change_frame(of(points), turn, origin) == pytest.approx(of(points @ turn.T + origin), rel=1e-12)
 
 
 @pytest.mark.parametrize(

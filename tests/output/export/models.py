@@ -61,7 +61,9 @@ def model(joint: Joint, values: Mapping[str, float | None], name: str = "axis", 
     return joint_model(answer(joint, values, record), joint, name)
 
 
-def servo(law: ji.Cascade, reference: np.ndarray, period: float, plant: Callable[[float], float]) -> np.ndarray:
+def servo(
+    law: ji.controller.Cascade, reference: np.ndarray, period: float, plant: Callable[[float], float]
+) -> np.ndarray:
     """The torque of a P-P cascade with its velocity filter, written out; `plant` holds a torque for a period.
 
     `plant` returns the motor's position after it; the motor begins at rest on the reference.
@@ -78,7 +80,9 @@ def servo(law: ji.Cascade, reference: np.ndarray, period: float, plant: Callable
     return torque
 
 
-def simulated(joint: Joint, law: ji.Cascade, reference: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+def simulated(
+    joint: Joint, law: ji.controller.Cascade, reference: np.ndarray, values: Mapping[str, float]
+) -> np.ndarray:
     """The torque of our own simulation of the same loop, at 1 kHz."""
     record = ji.simulated_record(ji.ClosedLoop(joint, law), reference, values, sample_time=1e-3)
     assert record.torque is not None

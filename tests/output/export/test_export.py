@@ -127,7 +127,7 @@ def test_a_joint_file_that_was_made_by_a_program_is_written_whole() -> None:
     with pytest.raises(ji.MethodError, match=r"file=load\(...\)"):
         ji.export(model(file.joint, TABLE_2), "joint-file")
     with pytest.raises(ji.MethodError, match="of another joint than the estimate"):
-        ji.export(model(ji.RigidJoint(), RIGID), "joint-file", file=file)
+        ji.export(model(ji.RigidJoint("prismatic"), RIGID), "joint-file", file=file)
     geared = loads(JOINT_FILE.replace("[record]", "[transmission]\nratio = 3.0\n\n[record]", 1))
     with pytest.raises(ji.MethodError, match="asked of the motor side"):
         ji.export(model(geared.joint, TABLE_2), "joint-file", file=geared, side="motor")
@@ -142,7 +142,7 @@ def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_join
         "inertia": 95.0, "viscous_forwards": 200.0, "coulomb_forwards": 20.0, "viscous_backwards": 190.0,
         "coulomb_backwards": 22.0, "offset": 0.0,
     }  # fmt: skip
-    told = answer(ji.RigidJoint(friction=ji.AsymmetricFriction()), values)
+    told = answer(ji.RigidJoint("prismatic", friction=ji.friction.AsymmetricFriction()), values)
     (tmp_path / "out.json").write_text(json.dumps(told), encoding="utf-8")
     assert exported(tmp_path, "filled.toml") == 0
     file = ji.load(tmp_path / "filled.toml")
@@ -208,17 +208,17 @@ def test_a_number_that_json_does_not_know_is_refused(folder: Path, capsys: pytes
 
 @pytest.mark.parametrize("value", ["1", True, float("inf"), [1.0]])
 def test_a_value_that_is_no_number_is_refused(value: object) -> None:
-    told = answer(ji.RigidJoint(), RIGID)
+    told = answer(ji.RigidJoint("prismatic"), RIGID)
     told["parameters"]["inertia"]["value"] = value
     with pytest.raises(ji.RecordError, match="is no estimate"):
-        joint_model(told, ji.RigidJoint())
+        joint_model(told, ji.RigidJoint("prismatic"))
 
 
 def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
     first, second = (ji.twin("L19", seed=seed).record for seed in (1, 2))
     loop = ji.ClosedLoop(
-        ji.RigidJoint(),
-        ji.Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188),
+        ji.RigidJoint("prismatic"),
+        ji.controller.Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188),
     )
     alone = ji.identify(first, loop, filtering=ji.Filtering(cutoff=5.0))
     both = ji.identify([first, second], [loop, loop], filtering=ji.Filtering(cutoff=5.0))
@@ -237,7 +237,9 @@ def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
 
 def test_to_the_other_side_and_back_nothing_changes() -> None:
     gear = ji.Transmission(load="revolute", ratio=100.0, sign=-1)
-    joint = ji.FlexibleJoint("revolute", ji.AsymmetricFriction(), gravity=ji.Gravity("link"), transmission=gear)
+    joint = ji.FlexibleJoint(
+        "revolute", ji.friction.AsymmetricFriction(), gravity=ji.Gravity("link"), transmission=gear
+    )
     values = {p.name: 1.0 + i for i, p in enumerate(joint.parameters)}
     here = model(joint, values)
     back = here.on("motor").on("load")
@@ -248,20 +250,22 @@ def test_to_the_other_side_and_back_nothing_changes() -> None:
 
 
 def test_a_joint_that_was_read_can_be_named_anew() -> None:
-    assert ji.export(model(ji.RigidJoint(), RIGID), "modelica", name="Achse 4").text.startswith("model Achse_4 ")
+    assert ji.export(model(ji.RigidJoint("prismatic"), RIGID), "modelica", name="Achse 4").text.startswith(
+        "model Achse_4 "
+    )
 
 
 def test_ripple_is_said_to_be_left_out() -> None:
-    told = answer(ji.RigidJoint(), RIGID) | {"effects": [{"kind": "harmonics", "period": 0.005}]}
+    told = answer(ji.RigidJoint("prismatic"), RIGID) | {"effects": [{"kind": "harmonics", "period": 0.005}]}
     for language in ("state-space", "matlab", "mjcf", "urdf", "modelica"):
-        lost = ji.export(joint_model(told, ji.RigidJoint()), language).lost
+        lost = ji.export(joint_model(told, ji.RigidJoint("prismatic")), language).lost
         assert "what was identified beside the joint: harmonics" in lost
 
 
 def test_exporting_text_needs_no_simulation_and_no_optional_package() -> None:
     program = (
         "import sys; from tests.output.export.models import model; import jointid as ji; "
-        f"told = model(ji.RigidJoint(), {RIGID}); "
+        f"told = model(ji.RigidJoint('prismatic'), {RIGID}); "
         "[ji.export(told, name) for name in ('state-space', 'matlab', 'mjcf', 'urdf', 'modelica')]; "
         "print([m for m in ('numba', 'matplotlib', 'control', 'mujoco', 'pymoca') if m in sys.modules])"
     )

@@ -12,7 +12,7 @@ import pytest
 import jointid as ji
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from tests.geared import FLEXIBLE, LAW, RIGID, TURNED_SCREW
@@ -25,7 +25,7 @@ REFERENCE = ji.excitation.trapezoids((0.042, 0.125), 0.83, 0.05, 1e-3, duration=
 def torque_of(
     joint: Joint,
     values: Mapping[str, float],
-    law: ji.Cascade,
+    law: ji.controller.Cascade,
     reference: np.ndarray,
     side: str | None = None,
     to_side: float = 1.0,
@@ -46,15 +46,15 @@ def torque_of(
 
 def test_the_twin_s_torque_is_ours_to_the_last_digits_through_reversals_and_rests() -> None:
     law = CONTROLLERS["L19"]
-    ours = simulated(ji.FlexibleJoint(), law, REFERENCE, TABLE_2)
-    assert apart(torque_of(ji.FlexibleJoint(), TABLE_2, law, REFERENCE), ours) < 1e-6
+    ours = simulated(ji.FlexibleJoint("prismatic"), law, REFERENCE, TABLE_2)
+    assert apart(torque_of(ji.FlexibleJoint("prismatic"), TABLE_2, law, REFERENCE), ours) < 1e-6
 
 
 @pytest.mark.slow
 def test_asymmetric_friction_and_a_link_s_weight_are_told_whole() -> None:
-    weight = ji.Gravity("link", ji.Counterbalance(cos=0.2, rate=0.05))
-    joint = ji.RigidJoint("revolute", ji.AsymmetricFriction(), gravity=weight)
-    law = ji.Cascade(position_gain=30.0, velocity_gain=2.0)
+    weight = ji.Gravity("link", ji.spring.Counterbalance(cos=0.2, rate=0.05))
+    joint = ji.RigidJoint("revolute", ji.friction.AsymmetricFriction(), gravity=weight)
+    law = ji.controller.Cascade(position_gain=30.0, velocity_gain=2.0)
     values = {
         "inertia": 0.04, "viscous_forwards": 0.05, "coulomb_forwards": 0.1, "viscous_backwards": 0.08,
         "coulomb_backwards": 0.16, "gravity_cos": 0.6, "gravity_sin": -0.2, "offset": 0.0, "counterbalance_cos": 0.2,
@@ -67,7 +67,9 @@ def test_asymmetric_friction_and_a_link_s_weight_are_told_whole() -> None:
 
 
 def test_a_weight_pulls_down_and_its_counterbalance_up() -> None:
-    joint = ji.RigidJoint("revolute", gravity=ji.Gravity("link", ji.Counterbalance(cos=0.2, rate=0.05), angle=0.5))
+    joint = ji.RigidJoint(
+        "revolute", gravity=ji.Gravity("link", ji.spring.Counterbalance(cos=0.2, rate=0.05), angle=0.5)
+    )
     values = {"inertia": 0.04, "viscous": 0.0, "coulomb": 0.0, "offset": 0.0, "gravity_cos": 0.6, "gravity_sin": -0.2}
     values |= {"counterbalance_cos": 0.2, "counterbalance_rate": 0.05}
     plant = ModelicaModel(ji.export(model(joint, values), "modelica").text, "axis", motor_position=0.7)
@@ -104,26 +106,28 @@ def test_a_ripple_seen_from_the_other_side_of_a_turned_screw_gives_the_same_torq
 def test_what_was_identified_stands_in_it_and_a_hostile_name_does_not_break_it() -> None:
     name = 'axis"; end axis;\nmodel evil // */'
     record = 'run\u2028"7"\nend x; \\'
-    text = ji.export(model(ji.FlexibleJoint(), TABLE_2, name, record), "modelica").text
+    text = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, name, record), "modelica").text
     assert text.startswith("model axis_end_axis_model_evil ")
     plant = ModelicaModel(text, "axis_end_axis_model_evil")
     for parameter, value in TABLE_2.items():
         assert plant.values[parameter] == value
     assert all(line.startswith("  //") for line in text.splitlines() if "run" in line)
-    assert ModelicaModel(ji.export(model(ji.FlexibleJoint(), TABLE_2, "model"), "modelica").text, "joint_model")
+    assert ModelicaModel(
+        ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, "model"), "modelica").text, "joint_model"
+    )
 
 
 @pytest.mark.parametrize(
     "spring", [pytest.param(Backlash(), marks=pytest.mark.slow), ThreePieceSpring()], ids=["backlash", "three-piece"]
 )
 def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
-    joint, law = ji.FlexibleJoint(spring=spring), CONTROLLERS["L19"]
+    joint, law = ji.FlexibleJoint("prismatic", spring=spring), CONTROLLERS["L19"]
     reference = REFERENCE[:400]
     ours = simulated(joint, law, reference, PIECES)
     coarse, fine = (apart(torque_of(joint, PIECES, law, reference, steps=steps), ours) for steps in (4, 16))
     assert fine < 3e-5  # the interpreter steps over the edges of the pieces
     assert fine < 0.5 * coarse
-    assert apart(simulated(ji.FlexibleJoint(), law, reference, PIECES), ours) > 0.01
+    assert apart(simulated(ji.FlexibleJoint("prismatic"), law, reference, PIECES), ours) > 0.01
 
 
 @pytest.mark.parametrize(
@@ -140,7 +144,7 @@ def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
     ],
 )
 def test_a_smooth_law_gives_our_torque(law: str) -> None:
-    whole = ji.FlexibleJoint()
+    whole = ji.FlexibleJoint("prismatic")
     if law == "ripple":
         joint = replace(whole, ripple=PositionHarmonics(0.02, 2))
     else:
@@ -152,7 +156,7 @@ def test_a_smooth_law_gives_our_torque(law: str) -> None:
 
 
 def test_pieces_that_do_not_follow_each_other_are_refused() -> None:
-    joint = ji.FlexibleJoint(spring=ThreePieceSpring())
+    joint = ji.FlexibleJoint("prismatic", spring=ThreePieceSpring())
     for wrong in ({"torque_2": 10.0}, {"stiffness_2": 0.0}, {"stiffness_2": -1.0}):
         with pytest.raises(ji.MethodError, match="expected pieces that follow each other"):
             ji.export(model(joint, PIECES | wrong), "modelica")

@@ -48,7 +48,11 @@ class Plant:
 
 
 def mjcf_torque(
-    joint: Joint, values: Mapping[str, float], law: ji.Cascade, reference: np.ndarray, timestep: float | None = None
+    joint: Joint,
+    values: Mapping[str, float],
+    law: ji.controller.Cascade,
+    reference: np.ndarray,
+    timestep: float | None = None,
 ) -> np.ndarray:
     """The torque of the motor's loop around MuJoCo; joint and law are of the motor's side."""
     told = model(joint, values)
@@ -60,7 +64,7 @@ def mjcf_torque(
 
 
 def test_the_twin_s_torque_is_ours_with_both_frictions_and_the_spring() -> None:
-    joint, law = ji.FlexibleJoint(), CONTROLLERS["L19"]
+    joint, law = ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"]
     ours = simulated(joint, law, REFERENCE, TABLE_2)
     by_itself = apart(mjcf_torque(joint, TABLE_2, law, REFERENCE), ours)
     fine = apart(mjcf_torque(joint, TABLE_2, law, REFERENCE, timestep=5e-5), ours)
@@ -70,23 +74,23 @@ def test_the_twin_s_torque_is_ours_with_both_frictions_and_the_spring() -> None:
 
 @pytest.mark.parametrize("spring", [Backlash(), ThreePieceSpring()], ids=lambda spring: spring.name)
 def test_a_spring_in_pieces_is_tendons_beside_each_other(spring: Spring) -> None:
-    joint, law = ji.FlexibleJoint(spring=spring), CONTROLLERS["L19"]
+    joint, law = ji.FlexibleJoint("prismatic", spring=spring), CONTROLLERS["L19"]
     ours = simulated(joint, law, REFERENCE, PIECES)
-    linear = apart(simulated(ji.FlexibleJoint(), law, REFERENCE, PIECES), ours)
+    linear = apart(simulated(ji.FlexibleJoint("prismatic"), law, REFERENCE, PIECES), ours)
     assert apart(mjcf_torque(joint, PIECES, law, REFERENCE, timestep=5e-5), ours) < 0.2 * linear
     lost = ji.export(model(joint, PIECES), "mjcf").lost
     assert any("nothing damps" in one for one in lost) == (spring == Backlash())
 
 
 def test_a_spring_that_becomes_softer_is_none_of_mujoco_s() -> None:
-    joint = ji.FlexibleJoint(spring=ThreePieceSpring())
+    joint = ji.FlexibleJoint("prismatic", spring=ThreePieceSpring())
     with pytest.raises(ji.MethodError, match=r"falls from 800000 to 100000 N/m; export to Modelica"):
         ji.export(model(joint, PIECES | {"stiffness_2": 1e5}), "mjcf")
     assert "stiffness_2" not in ji.export(model(joint, PIECES | {"stiffness_2": 1e5}), "modelica").lost
 
 
 def test_without_coulomb_friction_only_the_steps_are_between_us() -> None:
-    joint, law = ji.FlexibleJoint(), CONTROLLERS["L19"]
+    joint, law = ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"]
     values = TABLE_2 | {"motor_coulomb": 0.0, "load_coulomb": 0.0}
     reference = REFERENCE[:3000]
     ours = simulated(joint, law, reference, values)
@@ -119,18 +123,18 @@ LINK = {
 
 @pytest.mark.parametrize(("ratio", "sign"), [(1.0, 1), (20.0, 1), (20.0, -1)])
 def test_a_link_weighs_what_it_does(ratio: float, sign: int) -> None:
-    balance = ji.Counterbalance(cos=0.2, rate=0.05)
+    balance = ji.spring.Counterbalance(cos=0.2, rate=0.05)
     transmission = ji.Transmission(load="revolute", ratio=ratio, sign=sign, side="motor")
     gravity = ji.Gravity("link", balance, angle=sign / ratio)
     joint = ji.RigidJoint("revolute", gravity=gravity, transmission=transmission)
     reference = ratio * ji.excitation.trapezoids([0.5, 2.0], 8.0, 1.0, 1e-3, duration=4.0)
-    law = ji.Cascade(position_gain=30.0, velocity_gain=2.0)
+    law = ji.controller.Cascade(position_gain=30.0, velocity_gain=2.0)
     ours = simulated(joint, law, reference, LINK)
     assert apart(mjcf_torque(joint, LINK, law, reference, timestep=1e-4), ours) < 0.003
 
 
 def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
-    joint, law = ji.RigidJoint(friction=ji.AsymmetricFriction()), CONTROLLERS["L19"]
+    joint, law = ji.RigidJoint("prismatic", friction=ji.friction.AsymmetricFriction()), CONTROLLERS["L19"]
     values = {
         "inertia": 95.0, "viscous_forwards": 200.0, "viscous_backwards": 200.0, "coulomb_forwards": 24.0,
         "coulomb_backwards": 15.0, "offset": 0.0,
@@ -144,11 +148,11 @@ def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
 
 def test_a_vertical_axis_with_uneven_friction_on_both_sides_loses_nothing_but_sticking() -> None:
     law = CONTROLLERS["L19"]
-    weighing = ji.FlexibleJoint(gravity=ji.Gravity("constant", ji.Counterbalance(rate=40.0)))
+    weighing = ji.FlexibleJoint("prismatic", gravity=ji.Gravity("constant", ji.spring.Counterbalance(rate=40.0)))
     values = TABLE_2 | {"offset": 0.0, "gravity_constant": 35.0, "counterbalance_rate": 40.0}
     ours = simulated(weighing, law, REFERENCE, values)
     assert apart(mjcf_torque(weighing, values, law, REFERENCE, timestep=1e-4), ours) < 0.003
-    uneven = ji.FlexibleJoint(friction=ji.AsymmetricFriction())
+    uneven = ji.FlexibleJoint("prismatic", friction=ji.friction.AsymmetricFriction())
     values = {name: TABLE_2[name] for name in ("motor_inertia", "stiffness", "damping", "load_inertia")}
     values |= {f"{side}_viscous_{way}": 100.0 for side in ("motor", "load") for way in ("forwards", "backwards")}
     values |= {"motor_coulomb_forwards": 14.0, "motor_coulomb_backwards": 8.0, "offset": 0.0}
@@ -158,7 +162,7 @@ def test_a_vertical_axis_with_uneven_friction_on_both_sides_loses_nothing_but_st
 
 
 def test_a_rigid_urdf_gives_our_torque_but_for_what_it_says_it_lost() -> None:
-    joint, law = ji.RigidJoint(), CONTROLLERS["L19"]
+    joint, law = ji.RigidJoint("prismatic"), CONTROLLERS["L19"]
     values = FlexibleJoint.rigid_sums(TABLE_2) | {"offset": 0.0}
     exported = ji.export(model(joint, values), "urdf")
     assert not exported.lost
@@ -173,7 +177,7 @@ def test_a_rigid_urdf_gives_our_torque_but_for_what_it_says_it_lost() -> None:
 
 
 def test_a_urdf_of_a_flexible_joint_is_the_rigid_one_of_its_sums() -> None:
-    exported = ji.export(model(ji.FlexibleJoint(), TABLE_2), "urdf")
+    exported = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2), "urdf")
     found = mujoco.MjModel.from_xml_string(exported.text)
     sums = FlexibleJoint.rigid_sums(TABLE_2)
     assert found.nv == 1
@@ -196,17 +200,17 @@ def test_a_urdf_s_link_is_held_by_the_weight_that_was_identified() -> None:
 
 
 def test_what_these_languages_cannot_hold_is_refused_in_a_sentence() -> None:
-    joint = replace(ji.RigidJoint(), torque_unit="A")
+    joint = replace(ji.RigidJoint("prismatic"), torque_unit="A")
     values = {"inertia": 2.0, "viscous": 5.0, "coulomb": 0.5, "offset": 0.0}
     for language in ("mjcf", "urdf"):
         with pytest.raises(ji.MethodError, match="in N and N m, and the torque of this joint is in A"):
             ji.export(model(joint, values), language)
         with pytest.raises(ji.MethodError, match="no negative friction"):
-            ji.export(model(ji.RigidJoint(), values | {"viscous": -1.0}), language)
+            ji.export(model(ji.RigidJoint("prismatic"), values | {"viscous": -1.0}), language)
         with pytest.raises(ji.MethodError, match="expected a positive inertia"):
-            ji.export(model(ji.RigidJoint(), values | {"inertia": -1.0}), language)
+            ji.export(model(ji.RigidJoint("prismatic"), values | {"inertia": -1.0}), language)
     with pytest.raises(ji.MethodError, match="time step"):
-        ji.export(model(ji.RigidJoint(), values), "mjcf", timestep=0.0)
+        ji.export(model(ji.RigidJoint("prismatic"), values), "mjcf", timestep=0.0)
     motor = ji.RigidJoint("revolute", gravity=ji.Gravity("link", angle=0.01))
     weighing = {**values, "gravity_cos": 1.0, "gravity_sin": 0.0}
     assert any("weight" in one for one in ji.export(model(motor, weighing), "mjcf").lost)
@@ -215,8 +219,8 @@ def test_what_these_languages_cannot_hold_is_refused_in_a_sentence() -> None:
 @pytest.mark.parametrize("language", ["mjcf", "urdf"])
 @pytest.mark.parametrize("hostile", ["a--><x/>", "a -", "--", "\x00\x1b\ud800&<\"'", "]]>\n<!DOCTYPE a>", "-" * 500])
 def test_hostile_names_stay_inside_a_comment(language: str, hostile: str) -> None:
-    text = ji.export(model(ji.FlexibleJoint(), TABLE_2, hostile, hostile), language).text
-    plain = ji.export(model(ji.FlexibleJoint(), TABLE_2, "joint"), language).text
+    text = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, hostile, hostile), language).text
+    plain = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, "joint"), language).text
     tags = [[element.tag for element in ET.fromstring(one).iter()] for one in (text, plain)]
     assert tags[0] == tags[1]
     assert text.encode("utf-8").count(b"<!--") == text.count("-->")

@@ -22,7 +22,7 @@ from tests.output.export.models import answer, apart, model, servo, simulated
 
 T = 1e-3
 VISCOUS = TABLE_2 | {"motor_coulomb": 0.0, "load_coulomb": 0.0, "offset": 0.0}
-JOINT = ji.FlexibleJoint()
+JOINT = ji.FlexibleJoint("prismatic")
 TORQUE = 50.0 * np.random.default_rng(4).standard_normal(4000)
 
 
@@ -124,14 +124,14 @@ def test_the_file_says_what_is_lost_and_where_its_numbers_come_from() -> None:
     for words in ("Coulomb friction of the motor, 10.000 N", "of the load, 10.400 N", "a constant force of -3.1600 N"):
         assert words in lost
     assert document["units"]["torque"] == "N"
-    held = ji.Gravity("constant", ji.Counterbalance(rate=50.0))
-    weighing = ji.RigidJoint(gravity=held)
+    held = ji.Gravity("constant", ji.spring.Counterbalance(rate=50.0))
+    weighing = ji.RigidJoint("prismatic", gravity=held)
     values = {"inertia": 2.0, "viscous": 3.0, "coulomb": 0.0, "offset": 0.0}
     values |= {"gravity_constant": 9.0, "counterbalance_rate": 50.0}
     system = ji.state_space(model(weighing, values))
     assert system.A[1, 0] == 25.0  # what carries more the further it goes pushes away
     flexible = TABLE_2 | {"offset": 0.0, "gravity_constant": 9.0, "counterbalance_rate": 50.0}
-    both = ji.state_space(model(ji.FlexibleJoint(gravity=held), flexible))
+    both = ji.state_space(model(ji.FlexibleJoint("prismatic", gravity=held), flexible))
     assert both.A[3, 2] == -(TABLE_2["stiffness"] - 50.0) / TABLE_2["load_inertia"]
     assert any("constant load" in one for one in ji.export(model(weighing, values), "state-space").lost)
 

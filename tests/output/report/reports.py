@@ -17,7 +17,9 @@ def rigid_record(
     seed: int = 1, name: str = "run", seconds: float = 6.0, inertia: float = 0.04
 ) -> tuple[ji.Record, ji.ClosedLoop]:
     """A small rigid joint under a cascade, with noise in its log."""
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, limit=20.0))
+    loop = ji.ClosedLoop(
+        ji.RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, limit=20.0)
+    )
     values = {"inertia": inertia, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     reference = ji.excitation.trapezoids([0.5, 1.0, 2.0], 8.0, 2.0, 1e-3, duration=seconds)
     noise = 0.01 * np.random.default_rng(seed).standard_normal(reference.size)

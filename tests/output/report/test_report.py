@@ -16,9 +16,8 @@ import pytest
 
 import jointid as ji
 from jointid.common.charts import decimate
-from jointid.common.document import inert
+from jointid.common.document import inert, typeset
 from jointid.common.messages import Message
-from jointid.common.typography import typeset
 from jointid.diagnostics.faults.findings import Finding
 from jointid.estimation.result.consequence import consequence
 from jointid.output.figures.bokeh_backend import plot
@@ -448,8 +447,10 @@ def test_every_key_of_the_answer_is_documented() -> None:
 
 def test_side_and_direction_are_said_of_what_they_change() -> None:
     gear = ji.Transmission(load="revolute", ratio=10.0)
-    joint = ji.RigidJoint("revolute", ji.AsymmetricFriction(), transmission=gear)
-    loop = ji.ClosedLoop(joint, ji.Cascade(position_gain=40.0, velocity_gain=0.02, ratio=gear.torque("motor")))
+    joint = ji.RigidJoint("revolute", ji.friction.AsymmetricFriction(), transmission=gear)
+    loop = ji.ClosedLoop(
+        joint, ji.controller.Cascade(position_gain=40.0, velocity_gain=0.02, ratio=gear.torque("motor"))
+    )
     values = {"inertia": 0.04, "viscous_forwards": 0.05, "coulomb_forwards": 0.1, "offset": 0.0}
     values |= {"viscous_backwards": 0.08, "coulomb_backwards": 0.2}
     reference = ji.excitation.trapezoids([0.5, 1.0, 2.0], 8.0, 2.0, 1e-3, duration=6.0)

@@ -29,7 +29,7 @@ def test_the_response_is_that_of_the_equations_of_motion() -> None:
         )
         expected = s * np.linalg.solve(matrix, [1.0, 0.0])
         found = [
-            frequency_response(ji.FlexibleJoint(), v, np.array([hertz]), output)[0]
+            frequency_response(ji.FlexibleJoint("prismatic"), v, np.array([hertz]), output)[0]
             for output in ("motor_velocity", "load_velocity")
         ]
         assert found == pytest.approx(list(expected), rel=1e-9)

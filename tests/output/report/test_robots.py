@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+import jointid as ji
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.robots.flexible import SpringVerdict
-from jointid.estimation.robots.idim import identify_robot
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
-from jointid.estimation.robots.torque_estimate import identify_robot_from_torques as identify
-from jointid.output.report.robots import RobotReport
-from jointid.records.record import Record
+from jointid.estimation.result.robot import SpringVerdict
+from jointid.output.report import Report
+from jointid.records.record import Channel, Record
 from jointid.simulation.synthesis import simulate
-from tests.estimation.robots.twin import arm, records_of
+from tests.estimation.robots.twin import arm, identified, records_of
 from tests.robots_plants import two
 
 
@@ -24,27 +22,43 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     loop, driven = twin.loop(), twin.records(2.0, multisine=0.01)
     logged = simulate(loop, driven).records(driven)
     records = tuple(Record(torque=one.torque, reference=one.reference) for one in logged)
-    found = identify(loop, records, DIDIM(evaluations=3))
-    refused = SpringVerdict("joint1", False, None, None, 1234.0)
-    estimate: RobotTorqueEstimate = replace(found, springs=(refused,))
-    told = RobotReport.of(estimate, records)
+    found = identified(loop, records, DIDIM(evaluations=3))
+    part = replace(found.require_robot(), springs=(SpringVerdict("joint1", False, None, None, 1234.0),))
+    bounds = {"joint1.stiffness": 1234.0, "joint1.damping": None}
+    rows = tuple(
+        replace(row, value=None, stderr=None, lower_bound=bounds[row.name]) if row.name in bounds else row
+        for row in found.params.rows
+    )
+    estimate = replace(found, robot=part, params=replace(found.params, rows=rows))
+    told = Report.of(estimate, records)
     text = told.markdown()
     assert "at least 1234" in text.replace(" ", " ")
     assert "| joint1.stiffness | at least" in text
-    assert "joint1.damping" not in estimate.params and "| joint1.damping | -" in text
-    assert estimate.rows["joint1.damping"]["value"] is None
+    assert "| joint1.damping | -" in text
     assert "joint1: its spring is refused" in text
     assert "It was not held against a record that it has not seen" in text
     answer = json.loads(told.answer())
-    assert answer["estimate"]["schema"] == "jointid.robot_torque_estimate/1" and answer["validation"] is None
+    assert answer["estimate"]["schema"] == "jointid.estimate/1" and answer["validation"] is None
     assert set(told.charts) == {"torque", "residual", "spectra"}
     torque = told.charts["torque"].panels[0].items[0]
     assert np.ptp(torque.y) > 0  # type: ignore[union-attr]
 
 
+def test_the_next_test_of_a_robot_has_its_place() -> None:
+    robot, records = arm(), records_of(arm(), 2, noise=0.2)
+    told = Report.of(identified(robot, records), records)
+    positions = np.cumsum(np.full((400, len(robot)), 1e-3), axis=0)
+    motion = [Record(reference=Channel(q, "rad", 1e-2)) for q in positions.T]
+    design = ji.design(robot, motion=motion)
+    text = replace(told, design=design).markdown()
+    assert "## The next test\n" not in told.markdown()
+    assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")
+    assert "test.svg" in text and "intervals that are foretold" in text
+
+
 def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
     records = records_of(arm(), 2, noise=0.2)
-    chart = RobotReport.of(identify_robot(arm(), records), records).charts["torque"]
+    chart = Report.of(identified(arm(), records), records).charts["torque"]
     assert "Lines break where a motor rests or turns round" in chart.caption
     for panel in chart.panels:
         for line in panel.items:

@@ -119,7 +119,7 @@ def report(
         csv: also write bias, scatter and coverage against the truth of simulated runs as a table.
     """
     from jointid.campaigns.report import report_of
-    from jointid.campaigns.truths import truth_csv
+    from jointid.campaigns.run_groups import truth_csv
     from jointid.common.files import write_whole
     from jointid.output.report.page import page, require_extra
 
@@ -128,7 +128,7 @@ def report(
         require_extra(plots=False)
     found = report_of(results, false_alarm)
     table = None if csv is None else truth_csv(found.against_truth)
-    whole = found.document(details=True)
+    whole = found.to_document(details=True)
     show(found, details=details)
     if html is not None:
         write_whole(html, page(whole))
@@ -145,8 +145,8 @@ def export(results: Path, /, *, out: Path) -> None:
         results: folder of the results.
         out: the file to write, .csv or .parquet.
     """
-    from jointid.campaigns.export import export_rows, require_ending
     from jointid.campaigns.folder import read_results
+    from jointid.campaigns.report import export_rows, require_ending
 
     Outputs({"--out": out})
     require_ending(out)
@@ -170,8 +170,7 @@ def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, 
     Raises:
         MethodError: what is asked for does not go together.
     """
-    from jointid.campaigns.engines import DaskCluster, LocalProcesses
-    from jointid.campaigns.slurm import SlurmJobs
+    from jointid.campaigns.engines import DaskCluster, LocalProcesses, SlurmJobs
 
     _require_workers(workers)
     if dask is not None and (workers or executor != "local"):

@@ -21,9 +21,10 @@ from jointid.common.text import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jointid import Estimate, Record, RobotFile
+    from jointid import Estimate, Record
     from jointid.apps.cli.bars import Bars
     from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())]
@@ -143,7 +144,7 @@ def show(result: object = "", *, details: bool = False) -> None:
     if isinstance(result, Documented) and sys.stdout.isatty():
         from jointid.apps.cli.terminal import print_document
 
-        print_document(result.document(details=details))
+        print_document(result.to_document(details=details))
         return
     text = result.summary(details=details) if isinstance(result, Documented) else str(result)
     print(printable(text))  # noqa: T201

@@ -31,7 +31,8 @@ def robot(joint: Path, /, *, options: Options = DEFAULTS) -> None:
         joint: a robot file, which has the table [robot].
         options: those that most commands have.
     """
-    from jointid import MethodError, RobotFile, diagnose
+    from jointid import MethodError, diagnose
+    from jointid.config.robot_file import RobotFile
 
     file = options.load(joint, options.outputs)
     if not isinstance(file, RobotFile):

@@ -25,7 +25,7 @@ from jointid.common.text import wrap
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import Estimate, RobotEstimate, RobotTorqueEstimate, Windowing
+    from jointid import Estimate, Windowing
     from jointid.common.messages import Progress
     from jointid.config import JointFile
 
@@ -109,8 +109,8 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Estimate, JointFile, Windowing, figures
-    from jointid.config import require_joint
+    from jointid import Windowing, figures
+    from jointid.config import JointFile, require_joint
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
@@ -121,7 +121,7 @@ def identify(
     if figure is not None:
         require_joint(file, "--figure of identify, as report --figures draws all joints of a robot,")
     logged = None
-    estimate: Estimate | RobotEstimate | RobotTorqueEstimate
+    estimate: Estimate
     if window is not None or settling is not None:
         windows = Windowing(window or Windowing().length, settling)
         estimate = _from_log(require_joint(file, "A log in windows"), records, windows, options.progress)
@@ -133,8 +133,6 @@ def identify(
     else:
         estimate = file.identify(file.record(options.record), options.progress)
     deliver(estimate, json, (figure, figures.torque), details=details)
-    if not isinstance(estimate, Estimate):
-        return
     if logged is not None and estimate.checks.bounds:
         from jointid import advise
 

@@ -40,7 +40,9 @@ def payload(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress of searches.
     """
-    from jointid import IDIM, RobotFile, identify_drive_gains, identify_payload
+    from jointid import IDIM, identify_payload
+    from jointid.config.robot_file import RobotFile
+    from jointid.robots import identify_drive_gains
 
     outputs = Outputs({"--json": json})
     outputs.spare("--without", without)

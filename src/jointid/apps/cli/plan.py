@@ -15,9 +15,10 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 
 if TYPE_CHECKING:
-    from jointid import AxisLimits, Record, RobotFile
+    from jointid import AxisLimits, Record
     from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
     from jointid.planning.joint_design import Design
 
 
@@ -115,7 +116,7 @@ class Rough:
             covariance = np.diag(deviations**2)
         named = record is not None or file.source.file is not None
         present = file.record(record) if named else None
-        fixed = {p.name: p.fixed(values[p.name]) for p in loop.joint.parameters if p.name not in free}
+        fixed = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if p.name not in free}
         return design(
             loop, present, values=values, noise=Noise(log=self.noise_log, force=self.noise_force),
             covariance=covariance, sample_time=self.sample_time, filtering=file.filtering, parameters=fixed,
@@ -181,8 +182,9 @@ def design(
             its file reads references, and the page.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
-    from jointid import JointFile, figures
     from jointid import design as run
+    from jointid import figures
+    from jointid.config import JointFile
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
     outputs.spare("--motion", motion)
@@ -244,7 +246,7 @@ def _design_robot(
     if out is not None:
         make_folder(out, "--out")
         file.write(found.records(), out / "motion.csv")
-        write_whole(out / "design.md", found.document().markdown())
+        write_whole(out / "design.md", found.to_document().markdown())
         show(f"\nWritten to {out}: motion.csv, design.md")
 
 

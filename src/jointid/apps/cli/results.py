@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,12 +25,12 @@ from jointid.common.parallel import Aside
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import (
-        JointFile,
-        Report,
-        RobotFile,
-        RobotReport,
-    )
+    from jointid import Report
+    from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
+    from jointid.output.report import Repetition
+    from jointid.planning.joint_design import Design
+    from jointid.planning.robot_design import RobotDesign
 
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
 
@@ -63,12 +64,12 @@ def report(
         friction: as for identify.
         no_profiles: do not follow the criterion along the parameters where it is no parabola.
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
-        plan: also plan the next test, for a goal as of design, within [limits] of the joint file; it takes a minute.
-        held_out: another record, that the estimate has not seen, which it is held against; of a robot file.
+        plan: also plan the next test, for a goal as of design, within the limits of the file; it takes a minute.
+        held_out: another record, that the estimate has not seen, which it is held against.
     """
-    from numpy.linalg import LinAlgError
-
-    from jointid import JointFile, Report, design
+    from jointid import Report, design
+    from jointid import validate as validate_estimate
+    from jointid.config import JointFile
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
@@ -82,24 +83,22 @@ def report(
     choices = {"method": method, "filtering": filtering, "friction": friction}
     file = options.load(joint, outputs, **choices)
     html_name = "report.html" if page is None else page.name
-    if not isinstance(file, JointFile):
-        if plan is not None:
-            raise MethodError("--plan is for a joint file; jointid design plans the motion of a robot: leave it out.")
-        _report_robot(_robot_report(file, options, choices, held_out, html_name), options.json, page, markdown, figures)
-        return
-    if held_out is not None:
-        raise MethodError(
-            "--held-out is for a robot file; of a joint file jointid validate holds an estimate against another record."
-        )
     source = Path(file.record_path(options.record))
-    asked = {**choices, "plan": plan}
+    asked = {**choices, "plan": plan, "held_out": held_out and held_out.name}
+    if not isinstance(file, JointFile):
+        again = repetition(joint, source, asked, options.changes, html_name, "robot")
+        _report_robot(
+            file, options, again, plan, held_out, partial(_save, page=page, markdown=markdown, figures=figures)
+        )
+        return
     if plan is not None:
         _require_goal(file, plan)
     again = repetition(joint, source, asked, options.changes, html_name)
     record, estimate = options.identify(file)
+    checks = [] if held_out is None else [validate_estimate(estimate, file.record(held_out))]
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
     stated = Report.of(
-        estimate, record, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
+        estimate, record, checks, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
         progress=options.progress,
     )  # fmt: skip
     tuned = None if tuning is None else tuning.result()
@@ -108,53 +107,62 @@ def report(
     else:
         stated = replace(stated, tuned=tuned)
     if plan is not None:
-        try:
-            found = design(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
-            stated = replace(stated, design=found)
-        except (JointidError, LinAlgError) as error:
-            stated.data.absent["design"] = str(error)
-            show(f"Without a next test: {error}")
+        stated = _with_test(
+            stated, lambda: design(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
+        )
     written = _save(stated, page, markdown, figures) + ([] if options.json is None else [options.json])
     deliver(stated.estimate, options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
 
 
 def _report_robot(
-    stated: RobotReport, json: Path | None, page: Path | None, markdown: Path | None, figures: Path | None
+    file: RobotFile,
+    options: Options,
+    again: Repetition,
+    plan: str | None,
+    held_out: Path | None,
+    save: Callable[[Report], list[Path]],
 ) -> None:
-    written = _save(stated, page, markdown, figures)
-    deliver(stated.validation or stated.estimate)
-    if json is not None:
-        write_whole(json, stated.answer())
-        written.append(json)
+    """Identify and report a robot, with a validation and the next test where they are asked for."""
+    from jointid import IDIM, Report, design
+    from jointid import validate as validate_estimate
+
+    records = file.record(options.record, judged=True)
+    estimate = file.identify(records, options.progress)
+    checks = [] if held_out is None else [validate_estimate(estimate, file.record(held_out))]
+    controllers = [one.controller for one in file.joints]
+    stated = Report.of(
+        estimate, records, checks, controllers=controllers, feed_forward=file.feed_forward, repetition=again
+    )
+    if plan is not None:
+        loop = None if isinstance(file.method, IDIM) else file.loop
+        asked: dict[str, Any] = {"limits": file.limits, "filtering": file.filtering, "loop": loop, "goal": plan}
+        stated = _with_test(stated, lambda: design(estimate, records, progress=options.progress, **asked))
+    written = save(stated)
+    deliver(checks[0] if checks else estimate)
+    if options.json is not None:
+        write_whole(options.json, stated.answer())
+        written.append(options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
 
 
-def _save(stated: Report | RobotReport, page: Path | None, markdown: Path | None, figures: Path | None) -> list[Path]:
+def _with_test(stated: Report, plan: Callable[[], Design | RobotDesign]) -> Report:
+    """Add the next test to a report, or the reason why there is none."""
+    from numpy.linalg import LinAlgError
+
+    try:
+        return replace(stated, design=plan())
+    except (JointidError, LinAlgError) as error:
+        stated.data.absent["design"] = str(error)
+        show(f"Without a next test: {error}")
+        return stated
+
+
+def _save(stated: Report, page: Path | None, markdown: Path | None, figures: Path | None) -> list[Path]:
     """Write a report where it was asked for, and return the files."""
     written = [] if page is None else [stated.save(page)]
     written += [] if markdown is None else [stated.save_markdown(markdown)[0]]
     return written + ([] if figures is None else [*stated.save_figures(figures)])
-
-
-def _robot_report(
-    file: RobotFile, options: Options, choices: dict[str, str | None], held_out: Path | None, html: str
-) -> RobotReport:
-    """Identify a robot, and report it, held against another record where one is given."""
-    from jointid import RobotReport, validate
-    from jointid.output.report import repetition
-
-    records = file.record(options.record, judged=True)
-    estimate = file.identify(records, options.progress)
-    asked = {**choices, "held_out": held_out and held_out.name}
-    return RobotReport.of(
-        estimate,
-        records,
-        [one.controller for one in file.joints],
-        None if held_out is None else validate(estimate, file.record(held_out)),
-        feed_forward=file.feed_forward,
-        repetition=repetition(file.path, Path(file.record_path(options.record)), asked, options.changes, html, "robot"),
-    )
 
 
 def _require_goal(file: JointFile, plan: str) -> None:
@@ -192,8 +200,9 @@ def validate(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
     """
-    from jointid import JointFile, figures
+    from jointid import figures
     from jointid import validate as run
+    from jointid.config import JointFile
     from jointid.output import json as answers
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
@@ -272,7 +281,7 @@ def export(
         delay: of a state space, in s, from a sample of the torque to its effect; without it as identified.
         timestep: of MJCF, in s.
     """
-    from jointid import JointFile
+    from jointid.config import JointFile
     from jointid.output import json as answers
     from jointid.output.export import export as run
     from jointid.output.export import find_language, read_estimated
@@ -306,11 +315,11 @@ def export(
 
 def _export_robot(file: RobotFile, out: Path) -> None:
     """Identify a robot, and write bodies that fit, as URDF or MJCF."""
-    from jointid import RobotEstimate, consistent_robot
     from jointid.output.export.robot_model import write_robot
+    from jointid.robots import consistent_robot
 
     estimate = file.identify(file.record())
-    if not (estimate.converged if isinstance(estimate, RobotEstimate) else estimate.fit.converged):
+    if not estimate.fit.converged:
         raise MethodError(
             "The search did not settle, so there is nothing to export; identify the robot to see what it leaves, or "
             "allow more by method.iterations, of springs method.evaluations."

@@ -11,7 +11,9 @@ from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
-    from jointid import Estimate, JointFile, RobotFile
+    from jointid import Estimate
+    from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["disturbance", "white", "none"]
@@ -131,7 +133,7 @@ def simulate(
     elif joint is None:
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
     else:
-        from jointid import JointFile
+        from jointid.config import JointFile
         from jointid.output.json import read_friction
 
         file = options.load(joint, outputs, friction=None if estimate is None else read_friction(estimate))
@@ -231,15 +233,15 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     from jointid.output.figures import torque_chart
     from jointid.output.figures.matplotlib_backend import png
     from jointid.output.report.page import require_extra, save
+    from jointid.paper.reproduce import report_reproduction
     from jointid.paper.reproduce import reproduce as run
-    from jointid.paper.reproduce import reproduction_document
 
     require_extra(plots=False)
     Outputs(folders={"--out": out})
     with fresh_folder(out, "--out"):
         ready(listen(quiet))
         found = run(seed, listen(quiet))
-        written = save(reproduction_document(found, lambda answer: png(torque_chart(answer), 100)), out, "reproduction")
+        written = save(report_reproduction(found, lambda answer: png(torque_chart(answer), 100)), out, "reproduction")
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]

@@ -69,7 +69,7 @@ class _Guard:
             await self._app(scope, receive, send)
             return
 
-        begun, whole = False, False
+        started, whole = False, False
 
         async def receive_guarded() -> Message:
             nonlocal whole
@@ -82,9 +82,9 @@ class _Guard:
             return message
 
         async def send_guarded(message: Message) -> None:
-            nonlocal begun
+            nonlocal started
             if message["type"] == "http.response.start":
-                begun = True
+                started = True
                 headers = MutableHeaders(scope=message)
                 for name, value in {**_HEADERS, "content-security-policy": POLICY}.items():
                     headers.setdefault(name, value)
@@ -101,7 +101,7 @@ class _Guard:
             ended = PlainTextResponse("The request stood still on its way in; send it again.\n", 408)
         except asyncio.CancelledError:
             ended = PlainTextResponse("The page is ending.\n", 503)
-        if not begun:
+        if not started:
             ended.headers["connection"] = "close"
             await ended(scope, receive, send_guarded)
 
@@ -159,7 +159,7 @@ def build_application(folder: Path, token: str, host: str = "127.0.0.1", limits:
 
     @contextlib.asynccontextmanager
     async def live(_: Starlette) -> AsyncIterator[None]:
-        state.folder.close_interrupted()
+        state.folder.finish_interrupted_runs()
         yield
         await state.jobs.close()
 

@@ -6,6 +6,7 @@ explains its words. Keys without a field stay in further lines of the joint file
 
 from __future__ import annotations
 
+import contextlib
 import re
 import tomllib
 from collections.abc import Mapping
@@ -84,23 +85,15 @@ class Field:
         """
         text = draft.get(self.name, self.usual).strip()
         words = _VALUES.get(self.form, {})
-        try:
-            if text and self.form in ("number", "numbers"):
-                return self._number(text) if self.form == "number" else _decimals(text)
-        except ValueError:
-            pass
+        with contextlib.suppress(ValueError):
+            if text and self.form == "numbers":
+                return _decimals(text)
+            if text and self.form == "number":
+                if not _NUMBER.fullmatch(text) and (found := _WITH_UNIT.fullmatch(text)):
+                    return f"{found[1].replace(',', '.')} {found[4]}"
+                value = _decimal(text)
+                return int(value) if self.whole and value.is_integer() else value
         return words.get(text, text or None)
-
-    def _number(self, text: str) -> float | str:
-        """Return a number, or a number and its unit as the joint file takes it.
-
-        Raises:
-            ValueError: it is neither.
-        """
-        if not _NUMBER.fullmatch(text) and (found := _WITH_UNIT.fullmatch(text)):
-            return f"{found[1].replace(',', '.')} {found[4]}"
-        value = _decimal(text)
-        return int(value) if self.whole and value.is_integer() else value
 
     def number_fault(self, draft: Draft) -> str | None:
         """Return the fault of a text in a field of numbers; None without a fault."""
@@ -147,10 +140,10 @@ def _decimal(text: str) -> float:
 
 
 def _decimals(text: str) -> list[float]:
-    """Return the numbers of a list, such as "0.5, 0.5", "0,5; 0,5" or "[0.5,0.5]".
+    """Parse a list of numbers, such as "0.5, 0.5", "0,5; 0,5" or "[0.5,0.5]".
 
     Raises:
-        ValueError: one is none, or it cannot be told whether a comma stands in a number or between two.
+        ValueError: one is no number, or a comma is ambiguous.
     """
     text = text.strip("[] \t")
     if "." in text and "," in text:
@@ -175,19 +168,23 @@ def _find_property(key: str, table: Mapping[str, Any]) -> Mapping[str, Any]:
     return next(filter(None, (_find_property(key, law) for law in table.get("oneOf", ()))), {})
 
 
-def _make_field(name: str, said: Mapping[str, Any], key: str = "") -> Field:
+def _define_entry(name: str, said: Mapping[str, Any], key: str = "") -> Field:
     """Return the field of a key; `said` is its entry in `form.toml`, which goes before the schema."""
     path, _, variant = name.partition("@")
     known = _find_property(key or path, _SCHEMA)
     meant = _LABELS.get(path, said.get("words", {}))
     others = {word: word for word in map(str, known.get("enum", ())) if word not in meant}
     unit = _UNIT.search(known.get("description", ""))
+    # A schema has the units of a prismatic and a revolute joint as "controller units per m/s or rad/s".
+    straight, _, turning = (unit[1] if unit else "").partition(" or ")
+    before, per, _ = straight.rpartition(" per ")
+    units = straight, f"{before}{per}{turning}" if turning else straight
     return Field(
         key or path,
         said["label"],
         said.get("help", ""),
         said.get("form") or _find_form(known),
-        tuple(said["unit"]) if "unit" in said else _split_unit(unit[1] if unit else ""),
+        tuple(said["unit"]) if "unit" in said else units,
         tuple({**meant, **others}.items()),
         {other: tuple(values) for other, values in said.get("when", {}).items()},
         said.get("usual", ""),
@@ -197,7 +194,6 @@ def _make_field(name: str, said: Mapping[str, Any], key: str = "") -> Field:
 
 
 def _find_form(known: Mapping[str, Any]) -> Form:
-    """Return how a value is entered."""
     kind = known.get("type", "number")  # a schema of several types is a number, or a text with a number and its unit
     if "enum" in known:
         return "sign" if kind == "integer" else "choice"
@@ -205,19 +201,12 @@ def _find_form(known: Mapping[str, Any]) -> Form:
     return forms.get(kind, "number")
 
 
-def _split_unit(unit: str) -> tuple[str, str]:
-    """Return a declared unit for a prismatic and for a revolute joint: "controller units per m/s or rad/s"."""
-    straight, _, turning = unit.partition(" or ")
-    before, per, _ = straight.rpartition(" per ")
-    return straight, f"{before}{per}{turning}" if turning else straight
+def _define_group(group: str) -> tuple[Field, ...]:
+    return tuple(_define_entry(name, said) for name, said in _FORM[group].items())
 
 
-def _make_fields(group: str) -> tuple[Field, ...]:
-    return tuple(_make_field(name, said) for name, said in _FORM[group].items())
-
-
-def _make_channel_fields(channel: str) -> tuple[Field, ...]:
-    """Return the fields of one channel of the record: its column, its unit for either kind of joint, and the rest."""
+def _define_channel(channel: str) -> tuple[Field, ...]:
+    """Return the fields of a channel: its column, its units, and the rest."""
     path = f"record.channels.{channel}"
     units = tuple(
         Field(f"{path}.unit", "Unit", "", "unit", when={"joint.kind": (kind,)}, variant=kind,
@@ -225,11 +214,11 @@ def _make_channel_fields(channel: str) -> tuple[Field, ...]:
         for kind in ("prismatic", "revolute")
     )  # fmt: skip
     rest = tuple(
-        _make_field(key, said, f"{path}.{key}")
+        _define_entry(key, said, f"{path}.{key}")
         for key, said in _FORM["of_channel"].items()
         if channel in said.get("of", CHANNELS) and _find_property(f"{path}.{key}", _SCHEMA)
     )
-    return (_make_field("column", {**_FORM["channel"][channel], "form": "column"}, f"{path}.column"), *units, *rest)
+    return (_define_entry("column", {**_FORM["channel"][channel], "form": "column"}, f"{path}.column"), *units, *rest)
 
 
 _SCHEMA = json_schema()
@@ -240,9 +229,9 @@ _LABELS = {
     "joint.friction": {law.name: law.label for law in FRICTIONS.values()},
     "joint.spring": {name: law.label for name, law in SPRINGS.items()},
 }
-(KIND,), CLOCK, TEXT, DRIVE = map(_make_fields, ("kind", "clock", "text", "drive"))
-JOINT, (LAW,), CONTROLLER, METHOD = map(_make_fields, ("joint", "law", "controller", "method"))
-CHANNEL_FIELDS = {channel: _make_channel_fields(channel) for channel in CHANNELS}
+(KIND,), CLOCK, TEXT, DRIVE = map(_define_group, ("kind", "clock", "text", "drive"))
+JOINT, (LAW,), CONTROLLER, METHOD = map(_define_group, ("joint", "law", "controller", "method"))
+CHANNEL_FIELDS = {channel: _define_channel(channel) for channel in CHANNELS}
 
 CHANNEL_STEP: tuple[Field, ...] = (
     KIND, *CLOCK, *TEXT, *(one for fields in CHANNEL_FIELDS.values() for one in fields), *DRIVE,

@@ -258,7 +258,7 @@ class Folder:
         """Return the path for a file that comes in; no word of a sentence is like its name."""
         return self.path / f"{_UPLOAD}{secrets.token_hex(6)}{suffix}"
 
-    def close_interrupted(self) -> None:
+    def finish_interrupted_runs(self) -> None:
         """Mark an interrupted run as ended, and remove partial uploads."""
         kept = self._file
         for path in self.path.glob(f"{_UPLOAD}*"):

@@ -62,7 +62,11 @@ def make_tables(draft: Draft, file: str) -> dict[str, Any]:
     for one in FIELDS:
         value = one.read(draft)
         if value is not None and one.applies(draft) and _has_column(one, draft):
-            _put(made, one.key.split("."), value)
+            *path, last = one.key.split(".")
+            table = made
+            for key in path:
+                table = table.setdefault(key, {})
+            table[last] = value
     _lay_out_filters(made)
     if draft.get(_LAW) == LEARN:
         made["controller"] = {**made["controller"], **_STAND_IN}
@@ -77,24 +81,24 @@ def make_tables(draft: Draft, file: str) -> dict[str, Any]:
 def require_answers(draft: Draft) -> None:
     """Raise a `JointFileError` for each question of step 2 that decides the units and has no answer."""
     faults = [
-        _unanswered(one.key, "is not chosen, and the column's name says none; choose that of its numbers.")
+        _make_fault(one.key, "is not chosen, and the column's name says none; choose that of its numbers.")
         for one in _open_units(draft)
     ]
     if not draft.get("joint.kind"):
-        faults.insert(0, _unanswered("joint.kind", "is not chosen; say whether it turns or moves straight."))
+        faults.insert(0, _make_fault("joint.kind", "is not chosen; say whether it turns or moves straight."))
     if faults:
         raise JointFileError(faults)
 
 
-def _unanswered(key: str, rest: str) -> Fault:
+def _make_fault(key: str, rest: str) -> Fault:
     return Fault(f"{key} {rest}", tuple(key.split(".")), "missing")
 
 
 def _open_units(draft: Draft) -> list[Field]:
     """Return the units that a form leaves open.
 
-    None is open where a drive's profile knows it, where the load beyond a transmission moves otherwise, or where the
-    further lines say it; and what is injected has that of the torque.
+    None is open if a drive's profile or the further lines define it, or if the load of a transmission has another
+    kind of motion; an injected signal has the unit of the torque.
     """
     extra = _parse(draft.get(EXTRA, ""), EXTRA)
     if _at(extra, ["drive", "profile"]) is not None or _at(extra, ["transmission", "load"]) is not None:
@@ -144,16 +148,16 @@ def make_order(draft: Draft, file: str) -> tuple[str, bool]:
     """
     if not draft.get("joint.kind"):
         raise JointFileError(
-            _unanswered("joint.kind", "is not chosen; say in step 2 whether it turns or moves straight.")
+            _make_fault("joint.kind", "is not chosen; say in step 2 whether it turns or moves straight.")
         )
     if not draft.get(_LAW):
-        raise JointFileError(_unanswered(_LAW, "is not chosen; choose the law, or say that it is not known."))
+        raise JointFileError(_make_fault(_LAW, "is not chosen; choose the law, or say that it is not known."))
     said = make_tables(draft, file)
     learn = draft[_LAW] == LEARN
     lacking = [name for name in ("torque", "reference", "motor_position") if name not in _channels(said)]
     if learn and lacking:
         raise JointFileError(
-            _unanswered(
+            _make_fault(
                 _LAW,
                 f"cannot be learned, because the record has no {' and no '.join(lacking)}; choose that column in step "
                 "2, or fill in the controller.",
@@ -258,12 +262,6 @@ def _has_column(one: Field, draft: Draft) -> bool:
 def _channels(said: Mapping[str, Any]) -> Mapping[str, Any]:
     found = said.get("record", {}).get("channels", {})
     return found if isinstance(found, dict) else {}
-
-
-def _put(made: dict[str, Any], path: list[str], value: Any) -> None:
-    for key in path[:-1]:
-        made = made.setdefault(key, {})
-    made[path[-1]] = value
 
 
 def _at(said: Any, path: list[str]) -> Any:

@@ -58,7 +58,7 @@ _KINDS = ("prismatic", "revolute")
 
 
 def guess_draft(columns: Collection[str]) -> dict[str, str]:
-    """Return the entries of the form that the names of columns tell."""
+    """Return the entries of the form that follow from the names of columns."""
     roles = guess_roles(columns)
     draft = {}
     for role, column in roles.items():

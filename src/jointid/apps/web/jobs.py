@@ -102,7 +102,11 @@ class Jobs:
         try:
             await self._work(action, folder, self._limits.reading, "Reading this record")
         except PageError as error:
-            raise PageError(_rename(str(error), folder / file, name) if file else str(error)) from None
+            sentences, path = str(error), folder / file
+            # The reader names the file as it is kept here.
+            for ours, theirs in ((str(path.absolute()), name), (path.name, name), (path.stem, Path(name).stem)):
+                sentences = sentences.replace(ours, theirs) if file else sentences
+            raise PageError(sentences) from None
 
     async def ask(self, action: str, work: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         """Have what stands in a form worked out, in a folder below this one, and return it.
@@ -177,13 +181,6 @@ class Jobs:
                 await process.wait()
         if code:
             _raise_fault(code, folder)
-
-
-def _rename(sentences: str, path: Path, name: str) -> str:
-    """Return sentences about a file of ours with the name that it came with."""
-    for ours, theirs in ((str(path.absolute()), name), (path.name, name), (path.stem, Path(name).stem)):
-        sentences = sentences.replace(ours, theirs)
-    return sentences
 
 
 def _raise_fault(code: int, folder: Path) -> None:

@@ -28,10 +28,10 @@ from jointid.apps.web import fields
 from jointid.apps.web.folder import Folder, Limits, PageError, Run, read_json
 from jointid.apps.web.form import clean_entries, place_faults
 from jointid.apps.web.jobs import Jobs
+from jointid.common.document import typeset
 from jointid.common.messages import Message
 from jointid.common.settings import settings_of
 from jointid.common.text import format_signed, interval, number
-from jointid.common.typography import typeset
 from jointid.common.units import COUNTS, SHARE, units_of
 from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.result.answer import is_another_law, sum_changes
@@ -138,7 +138,7 @@ def clean_name(raw: str) -> str:
 
 
 def bound_body(request: Request, bound: int, sentence: str) -> Request:
-    """Return a request whose body raises a `PageError` with this sentence beyond so many bytes."""
+    """Return a request whose body raises a `PageError` above a number of bytes."""
     sent = 0
 
     async def receive() -> Sent:
@@ -255,8 +255,8 @@ def _say_no_goal(answer: Mapping[str, Any] | None) -> str:
     every = {name: p for name, p in answer["parameters"].items() if p["free"] and name not in INITIAL}
     if refused := [name.replace("_", " ") for name, p in every.items() if p["value"] is None]:
         return (
-            f"This record does not tell {', '.join(refused)}, so no test can be planned from it; the report says which "
-            "test would."
+            f"This record does not identify {', '.join(refused)}, so no test can be planned from it; the report says "
+            "which test would."
         )
     if freed := [name for name in every if name in _OF_LOOP or "." in name]:
         return f"A test is planned from an answer with {', '.join(freed)} fixed; fix it in step 3, and identify again."
@@ -338,7 +338,7 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
 def _tell_value(p: Mapping[str, Any]) -> str:
     """Return a parameter's value or bound with its unit."""
     if p["value"] is None:
-        return "cannot be told" if p["lower_bound"] is None else f"> {number(p['lower_bound'])} {p['unit']}"
+        return "not identifiable" if p["lower_bound"] is None else f"> {number(p['lower_bound'])} {p['unit']}"
     if p["std"] is None:
         return f"{number(p['value'])} {p['unit']}, {'-' if p['free'] else 'fixed'}"
     return f"{interval(p['value'], 2 * p['std'])} {p['unit']}"

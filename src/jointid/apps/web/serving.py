@@ -13,7 +13,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 _GRACE = 2  # seconds that an open connection is given when the page ends
 _HEADERS = 10.0  # seconds in which a request has to say what it is
-_CONNECTIONS = 200  # more are told to come again
+_CONNECTIONS = 200  # more are refused
 _OWNER_ALONE = 0o077
 
 

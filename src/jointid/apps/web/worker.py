@@ -108,17 +108,17 @@ def identify(folder: Path) -> None:
     if work["learn"]:
         learn(folder, work)
     file = load_joint(folder / "joint.toml")
-    _tell("reading the record")
+    _print_progress("reading the record")
     record = file.record(folder / work["file"])
-    _tell("preparing the simulation")
+    _print_progress("preparing the simulation")
     warm_up()
-    _tell("identifying")
+    _print_progress("identifying")
     try:
-        estimate = file.identify(record, _tell, unchecked=partial(_write_answer, folder))
+        estimate = file.identify(record, _print_progress, unchecked=partial(_write_answer, folder))
     except JointidError as error:
-        raise explain_failure(error, record, file.loop, _tell, file.declared_numbers) from error
+        raise explain_failure(error, record, file.loop, _print_progress, file.declared_numbers) from error
     _write_answer(folder, estimate)
-    _tell("writing the report")
+    _print_progress("writing the report")
     _write_report(folder, file, estimate, record)
 
 
@@ -130,7 +130,7 @@ def _write_report(folder: Path, file: JointFile, estimate: Estimate, record: Rec
 
     again = repetition(folder / "joint.toml", Path(file.record_path()), {})
     again = replace(again, command="jointid report joint.toml --html report.html")
-    tell = partial(Report.of, estimate, record, name=file.name or "", repetition=again, progress=_tell)
+    tell = partial(Report.of, estimate, record, name=file.name or "", repetition=again, progress=_print_progress)
 
     def tell_all() -> Report:
         tuned = tune_to_limit(estimate, file.drive, file.declared_numbers)
@@ -156,9 +156,9 @@ def learn(folder: Path, work: dict[str, Any]) -> None:
     """Learn the controller, and put it into the joint file in place of the stand-in."""
     from jointid.config import load_joint, save_with_controller
 
-    _tell("learning the controller")
+    _print_progress("learning the controller")
     file = load_joint(folder / "joint.toml")
-    learned = file.learn_controller(file.record(folder / work["file"]), _tell)
+    learned = file.learn_controller(file.record(folder / work["file"]), _print_progress)
     save_with_controller(file, learned.controller, folder / "joint.toml")
     write_whole(folder / "learned.txt", f"{learned}\n")
 
@@ -175,12 +175,13 @@ def plan(folder: Path) -> None:
     file = load_joint(folder / "joint.toml")
     record = file.record(folder / work["file"])
     warm_up()
-    _tell("identifying again")
-    estimate = file.identify(record, _tell, checks=False)
-    found = design(estimate, record, goal=work["goal"], seconds=work["seconds"], limits=file.limits, progress=_tell)
+    _print_progress("identifying again")
+    estimate = file.identify(record, _print_progress, checks=False)
+    asked = {"goal": work["goal"], "seconds": work["seconds"], "limits": file.limits}
+    found = design(estimate, record, progress=_print_progress, **asked)
     for name, content in {**found.files(), "test.png": png(found.chart())}.items():
         write_whole(folder / name, content)
-    table, facts = found.document().blocks
+    table, facts = found.to_document().blocks
     assert isinstance(table, Table)
     assert isinstance(facts, Facts)
     stated = {
@@ -198,9 +199,9 @@ def _read_work(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _tell(message: str) -> None:
+def _print_progress(message: str) -> None:
     line = message.replace("\n", " ")
-    with contextlib.suppress(OSError):  # a disk that is full loses what is told, and the work goes on
+    with contextlib.suppress(OSError):  # a full disk loses the line, and the work goes on
         os.write(1, f"{line}\n".encode())
 
 
@@ -221,16 +222,6 @@ def _end_with_the_page() -> None:
     while os.read(0, 1):  # past the buffer, whose lock a thread must not hold when Python ends
         pass
     os._exit(1)
-
-
-def _bound_memory(memory: int) -> None:
-    """Limit the address space to so many bytes beside what the libraries take.
-
-    A library that is loaded at the limit fails in ways of its own, not with `MemoryError`.
-    """
-    from jointid.records.formats.reader_program import LIBRARIES, address_space, limit_resource
-
-    limit_resource("RLIMIT_AS", address_space() + LIBRARIES + memory)
 
 
 def main(action: str, folder: Path) -> int:
@@ -254,6 +245,9 @@ def main(action: str, folder: Path) -> int:
 
 
 if __name__ == "__main__":
+    from jointid.records.formats.reader_program import LIBRARIES, address_space, limit_resource
+
     threading.Thread(target=_end_with_the_page, daemon=True).start()
-    _bound_memory(int(sys.argv[3]))
+    # Beside the libraries: one that is loaded at the limit fails in ways of its own, not with `MemoryError`.
+    limit_resource("RLIMIT_AS", address_space() + LIBRARIES + int(sys.argv[3]))
     sys.exit(main(sys.argv[1], Path(sys.argv[2])))

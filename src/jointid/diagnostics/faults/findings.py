@@ -132,7 +132,7 @@ class LoopCheck(Documented):
         """The words of the reasons."""
         return tuple(map(str, self.reasons))
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the faults found, and the table of all tests; there are no further details."""
         del details
         return Document("Controller and log", (Listing(self.sentences), self.table()))

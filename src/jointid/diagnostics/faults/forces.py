@@ -19,7 +19,7 @@ from jointid.diagnostics.faults.trials import with_joint
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import with_numbers
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.records.record import Record, Tap
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.simulated import require_success
@@ -150,8 +150,10 @@ def _search_cogging(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> li
     some = np.array_split(waves, waves.size // _AT_ONCE)
     gains = np.concatenate([_gains(one, position, way, left, beside) for one in some])
 
+    base = problem.torque(x)
+
     def simulate(wave: float) -> tuple[float, FaultSignature] | None:
-        return _simulate_ripple(problem, x, 1 / wave, left, beside, waves.size)
+        return _simulate_ripple(problem, x, base, 1 / wave, left, beside, waves.size)
 
     peaks = []
     for _ in range(_LIKELIEST):
@@ -201,18 +203,22 @@ def _gains(
 def _simulate_ripple(
     problem: ClosedLoopProblem,
     x: FloatArray,
+    base: FloatArray,
     period: float,
     left: FloatArray,
     beside: Callable[[FloatArray], FloatArray],
     tried: int,
 ) -> tuple[float, FaultSignature] | None:
-    """Return the decrease of the squares by a ripple of a period, and its signature; None without an effect."""
+    """Return the decrease of the squares by a ripple of a period, and its signature; None without an effect.
+
+    `base`, (samples,), is the torque without a ripple.
+    """
     joint = problem.joint
     assert isinstance(joint, FlexibleJoint)
     size = float(np.linalg.norm(problem.measured)) / np.sqrt(problem.measured.size) * _SMALL
     try:
         other = with_joint(problem, replace(joint, ripple=PositionHarmonics(period)))
-        values, base = problem.values(x), problem.torque(x)
+        values = problem.values(x)
         names = [p.name for p in other.parameters if p.name.startswith("harmonic_")]
         forces = [dict(zip(names, size * np.array(parts), strict=True)) for parts in ((1.0, 0.0), (0.0, 1.0))]
         runs = [require_success(other.simulate(other.vector({**values, **one}))) for one in forces]

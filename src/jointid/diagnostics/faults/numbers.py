@@ -86,14 +86,7 @@ def _describe_difference(name: str, s: FaultTest, *, spread: bool) -> str:
 
 
 def describe_in_drive(there: DriveNumber, s: FaultTest, law: Mapping[str, float], *, spread: bool) -> str:
-    """Return a number and its declared value, both as the drive shows them: a time for a gain, for example.
-
-    Args:
-        there: how the drive shows it.
-        s: the test of the number.
-        law: the numbers as they are declared.
-        spread: whether to give the interval, the longer half of it.
-    """
+    """Return a number and its declared value, both as the drive shows them: a time for a gain, for example."""
     name, value = call_number(there.name), s.declared + s.size
     share, deviation = s.size / abs(s.declared), 2 * s.std / abs(s.declared)
     if (no_size := _describe_no_size(name, share, deviation, (share > 0) is not there.inverse)) is not None:

@@ -58,12 +58,7 @@ class Refit:
 
 
 def list_other_laws(controller: Controller, period: float) -> Iterator[OtherLaw]:
-    """Yield the laws that a drive may run under the same settings.
-
-    Args:
-        controller: as it is declared.
-        period: of the controller, s.
-    """
+    """Yield the laws that a drive may run under the same settings."""
     laws: list[tuple[tuple[Fault, ...], str, str, Controller]] = [((), "", "", controller)]
     if isinstance(controller, Cascade | PID) and controller.integral_gain:
         other = with_present_sample(controller, period)

@@ -187,11 +187,7 @@ FLEXIBLE = Fault(
 
 
 def find_plain_cause(record: Record) -> Message | None:
-    """Return a cause visible in the samples of torque and reference; None without one.
-
-    Args:
-        record: with torque and reference.
-    """
+    """Return a cause visible in the samples of torque and reference; None without one."""
     assert record.reference is not None
     if record.injected is not None:  # that moves the joint, too
         return None
@@ -226,25 +222,14 @@ def _check_length(reference: Channel, needed: float, what_for: str) -> Message |
 
 
 def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:
-    """Return the message of an axis that hardly moves, by its motor's position or its torque; else None.
-
-    Args:
-        record: with torque and reference.
-        loop: as declared; the torque shows a standstill only if the law is right.
-    """
+    """Return the message of an axis that hardly moves, by its motor's position or its torque; else None."""
     if record.injected is not None:  # that moves the joint, too
         return None
     return _check_motor(record) or _check_torque(record, loop)
 
 
 def find_lost_motion(record: Record, loop: ClosedLoop, unexplained: float) -> Message | None:
-    """Return the message of a motion that is too small beside the disturbances of the axis; else None.
-
-    Args:
-        record: with torque and reference.
-        loop: as declared.
-        unexplained: share of the torque that is no response to the reference.
-    """
+    """Return the message of a motion that is too small beside the disturbances of the axis; else None."""
     both = None if record.injected is not None else _torque_at_rest(record, loop, integral=False)
     if both is None or unexplained < _LOST or np.std(both[0]) < _AS_LARGE * np.std(both[1]):
         return None

@@ -85,13 +85,7 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray, faults: Iterable[F
 
 
 def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> FaultFit | None:
-    """Identify the joint with a fault, from all trials of it; None if no residual is smaller.
-
-    Args:
-        problem: of the joint without it, solved.
-        x: (free,) its parameters.
-        fault: of the mechanics.
-    """
+    """Identify the joint with a fault, from all trials of it; None if no residual is smaller."""
     trials = [one for one in list_trials(problem, x, fault) if one.without is None]
     ends = [end for end in in_threads(lambda trial: search(problem, x, trial), trials) if end is not None]
     best = min(ends, key=lambda end: end.left, default=None)
@@ -120,9 +114,10 @@ def with_joint(problem: ClosedLoopProblem, joint: FlexibleJoint) -> ClosedLoopPr
 
 def list_trials(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> list[Trial]:
     """Return the trials of a fault that change no fixed parameter."""
-    joint, run, values = problem.joint, problem.simulate(x), problem.values(x)
+    joint = problem.joint
     if not isinstance(joint, FlexibleJoint) or fault.try_mechanics is None:
         return []
+    run, values = problem.simulate(x), problem.values(x)
     held = {p.name for p in problem.parameters if not p.free}
     return [
         one

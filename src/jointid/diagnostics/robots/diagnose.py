@@ -21,8 +21,7 @@ from jointid.common.text import join, number
 from jointid.diagnostics.model_free import LawOnPosition, compare_law
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import RobotTorques, torques_of
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
+from jointid.estimation.result.parts import EstimateParts
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
@@ -270,7 +269,7 @@ class RobotDiagnosis(Documented):
         stated = sum(len(one.names(Told.TOLD)) for one in self.joints)
         return f"{first} {second} The record tells {stated} of {count} parameters to a tenth."
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the answer, a table of the joints, and what to do.
 
         Args:
@@ -306,7 +305,7 @@ class RobotDiagnosis(Documented):
 
 
 def diagnose_robot(
-    estimate: RobotEstimate | RobotTorqueEstimate,
+    estimate: EstimateParts,
     records: Sequence[Record],
     controllers: Sequence[Controller | None] = (),
     *,
@@ -317,9 +316,10 @@ def diagnose_robot(
     The share of a residual that follows a shape is told from chance by shifts in time (`residual_tests.coupling`); one
     that is told as following one shape may follow others that look alike on this motion.
     """
-    robot, torques, parameters = estimate.robot, torques_of(estimate, records), parameters_by_joint(estimate)
-    if not controllers and isinstance(estimate, RobotTorqueEstimate) and isinstance(estimate.closing, RobotLoop):
-        controllers = estimate.closing.controllers
+    part, torques, parameters = estimate.require_robot(), torques_of(estimate, records), parameters_by_joint(estimate)
+    robot = part.model
+    if not controllers and isinstance(part.closing, RobotLoop):
+        controllers = part.closing.controllers
     laws = _laws(robot, records, controllers)
     joints = []
     for k, name in enumerate(robot.names):
@@ -341,10 +341,7 @@ def diagnose_robot(
             )
         )
     better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
-    method = "idim"
-    if isinstance(estimate, RobotTorqueEstimate):
-        method = "didim" if isinstance(estimate.closing, RobotLoop) else "drive_side"
-    return RobotDiagnosis(robot, method, tuple(joints), better, torques)
+    return RobotDiagnosis(robot, estimate.settings.method, tuple(joints), better, torques)
 
 
 def _some(names: tuple[str, ...]) -> str:

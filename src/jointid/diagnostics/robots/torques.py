@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem
-from jointid.estimation.robots.idim import RobotEstimate
+from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate, problem_of
+from jointid.estimation.robots.simulated import SimulatedRobot, problem_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -70,7 +71,7 @@ class RobotTorques:
         return self.measured - self.predicted
 
 
-def torques_of(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequence[Record]) -> RobotTorques:
+def torques_of(estimate: EstimateParts, records: Sequence[Record]) -> RobotTorques:
     """Return the torques of the record that an estimate is from, beside its own.
 
     Args:
@@ -80,14 +81,16 @@ def torques_of(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequence[
     Raises:
         RecordError, MethodError: as of the identification.
     """
-    if isinstance(estimate, RobotEstimate):
-        return _by_inverse_model(estimate, records)
-    return _by_simulation(estimate, records)
+    part, filtering = estimate.require_robot(), estimate.settings.filtering
+    if isinstance(part, InverseModelRobot):
+        return _by_inverse_model(part, filtering, records)
+    assert isinstance(part, SimulatedRobot)
+    return _by_simulation(part, filtering, records)
 
 
-def _by_inverse_model(estimate: RobotEstimate, records: Sequence[Record]) -> RobotTorques:
-    robot, motion = estimate.robot, motion_of_robot(estimate.robot, records, estimate.filtering)
-    rows = base_rows(robot, estimate.base, motion)
+def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Sequence[Record]) -> RobotTorques:
+    robot, motion = part.model, motion_of_robot(part.model, records, filtering)
+    rows = base_rows(robot, part.base, motion)
     coupling = robot.coupling.T
     q, v, a = (one @ coupling for one in (motion.q, motion.v, motion.a))
     seen = motion.whole_rows
@@ -97,17 +100,17 @@ def _by_inverse_model(estimate: RobotEstimate, records: Sequence[Record]) -> Rob
 
     everywhere = replace(motion, moving=np.ones_like(motion.moving))
     path = everywhere.thinned(np.stack([q, v], axis=2)).reshape(len(robot), -1, 2)
-    nominal = rows.by_equation(rows.W @ estimate.nominal) if robot.has_masses else None
+    nominal = rows.by_equation(rows.W @ part.nominal) if robot.has_masses else None
     measured = rows.by_equation(rows.Y)
     return _torques(
-        robot, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ estimate.values), nominal),
+        robot, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values), nominal),
         seen, path, (q, v, a), motion.torque, thin,
     )  # fmt: skip
 
 
-def _by_simulation(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> RobotTorques:
-    robot, numbers = estimate.robot, estimate.numbers()
-    problem = problem_of(estimate.closing, records, robot_parameters(robot), estimate.filtering)
+def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> RobotTorques:
+    robot, numbers = part.model, part.numbers()
+    problem = problem_of(part.closing, records, robot_parameters(robot), filtering)
     measured = problem.by_joint(problem.decimated(problem.measured))
     error = problem.error_of(numbers)
     assert error is not None  # it was identified from these records

@@ -15,10 +15,12 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Paragraph
 from jointid.common.errors import MethodError
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.robot_summary import errors_table
 from jointid.estimation.robots.consistent import can_be_near, consistent_robot
-from jointid.estimation.robots.idim import RobotEstimate, errors_table
+from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, relative_errors
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate, nominal_numbers, simulated_errors
+from jointid.estimation.robots.simulated import SimulatedRobot, nominal_numbers, simulated_errors
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
@@ -57,7 +59,7 @@ class RobotValidation(Documented):
         """True if the bodies near the nominal ones predict better than these over all joints."""
         return self.body_errors is not None and _rms(self.body_errors) < _rms(self.nominal_errors)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the verdict first, then the errors joint by joint; there are no further details."""
         del details
         mine, nominal = _percent(self.joint_errors), _percent(self.nominal_errors)
@@ -100,29 +102,31 @@ class RobotValidation(Documented):
         )
 
 
-def validate_robot(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequence[Record]) -> RobotValidation:
+def validate_robot(estimate: Estimate, records: Sequence[Record]) -> RobotValidation:
     """Compare an estimate, the nominal robot and bodies near it with another record; see `jointid.validate`."""
-    robot, filtering = estimate.robot, estimate.filtering
-    if isinstance(estimate, RobotEstimate):
-        rows = base_rows(robot, estimate.base, motion_of_robot(robot, records, filtering))
-        mine, nominal = (relative_errors(rows, values) for values in (estimate.values, estimate.nominal))
-        _require_unseen(mine, estimate.joint_errors)
+    part, filtering = estimate.require_robot(), estimate.settings.filtering
+    robot, own = part.model, np.array([*estimate.fit.axis_errors.values()])
+    if isinstance(part, InverseModelRobot):
+        rows = base_rows(robot, part.base, motion_of_robot(robot, records, filtering))
+        mine, nominal = (relative_errors(rows, values) for values in (part.values, part.nominal))
+        _require_unseen(mine, own)
         bodies = None
         if can_be_near(robot):
-            bodies = relative_errors(rows, estimate.base.with_friction(consistent_robot(estimate).robot))
+            bodies = relative_errors(rows, part.base.with_friction(consistent_robot(estimate).robot))
         return RobotValidation(robot, mine, nominal, bodies)
-    closing, found = estimate.closing, estimate.numbers()
+    assert isinstance(part, SimulatedRobot)
+    closing, found = part.closing, part.numbers()
     mine, nominal = (
-        simulated_errors(closing, records, filtering, numbers)[0] for numbers in (found, nominal_numbers(robot, found))
+        simulated_errors(closing, records, filtering, numbers) for numbers in (found, nominal_numbers(robot, found))
     )
-    _require_unseen(mine, estimate.joint_errors)
+    _require_unseen(mine, own)
     if not np.all(np.isfinite(mine)):
         what = "references" if isinstance(closing, RobotLoop) else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
     bodies = None
-    if can_be_near(robot) and all(spring.shown for spring in estimate.springs):
+    if can_be_near(robot) and all(spring.shown for spring in part.springs):
         near = replace(RobotNumbers.of(consistent_robot(estimate).robot), log=found.log)
-        bodies = simulated_errors(closing, records, filtering, near)[0]
+        bodies = simulated_errors(closing, records, filtering, near)
     return RobotValidation(robot, mine, nominal, bodies, settled=estimate.fit.converged)
 
 

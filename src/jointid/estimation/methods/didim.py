@@ -407,8 +407,8 @@ def _at_rest(record: Record, settings: DIDIM) -> tuple[Parameter, ...]:
     assert record.reference is not None
     position, velocity = INITIAL_STATE
     home = float(record.reference.values[0])
-    known = position.fixed(home) if settings.minimiser == "nelder-mead" else replace(position, start=home)
-    return known, velocity.fixed(0.0)
+    known = position.fix(home) if settings.minimiser == "nelder-mead" else replace(position, start=home)
+    return known, velocity.fix(0.0)
 
 
 def _hanging(problem: ClosedLoopProblem) -> ClosedLoopProblem:

@@ -44,8 +44,8 @@ from jointid.models.linear import frequency_response
 from jointid.simulation.closed_loop import Outcome, Simulation
 from jointid.simulation.loop_input import LoopInput
 from jointid.solvers.regression import projection
+from jointid.uncertainty.model_tests import widened_to_second
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
-from jointid.uncertainty.second_solution import widened_to_second
 
 _PAIRS = 4  # of opposite forces that are simulated
 _ROUNDS = 8  # at most

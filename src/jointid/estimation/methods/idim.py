@@ -29,6 +29,7 @@ from jointid.estimation.methods.linear import (
     Rows,
     Solution,
     by_instruments,
+    describe_stop,
     ordinary,
     robust,
     simulated_instruments,
@@ -51,8 +52,7 @@ from jointid.models.disturbances import (
     require_effects,
 )
 from jointid.models.joints import Joint, acts_on_whole
-from jointid.models.motion import Motion
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Motion, PositionHarmonics
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import band_words, words
@@ -280,7 +280,7 @@ def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, foun
             initial=None,
             trace=solution.trace,
             simulations=max(len(solution.trace) - 1, 0),
-            stop=_stop(settings, solution),
+            stop=describe_stop(settings.estimator or "ols", solution),
             converged=solution.converged,
         ),
         checks=Checks(
@@ -297,24 +297,13 @@ def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, foun
         settings=Settings(
             method="idim",
             variant=_VARIANTS[settings.estimator or "ols"],
-            joint=joint,
+            system=joint,
             loop=None,
             filtering=filtering,
             delay=delay,
             effects=found.effects,
         ),
     )
-
-
-def _stop(settings: IDIM, solution: Solution) -> str:
-    if settings.estimator == "iv":
-        how = "converged: nothing changes any more" if solution.converged else "still changing"
-        return f"{how} after {solution.steps} simulations"
-    if settings.estimator in (None, "ols"):
-        return "a linear regression has one step"
-    lost = 100 * float(np.mean(solution.shares == 0.0))
-    without = f"; {lost:.2g} % of the rows do not fit and weigh nothing" if settings.estimator == "robust" else ""
-    return f"{solution.steps} reweightings until nothing changes{without}"
 
 
 def _of_rest(model: InverseModel) -> tuple[str, ...]:

@@ -105,6 +105,18 @@ class Solution:
     test: ChiSquareTest | None = None
 
 
+def describe_stop(estimator: str, solution: Solution) -> str:
+    """Return how an estimator ended, in a sentence."""
+    if estimator == "iv":
+        how = "converged: nothing changes any more" if solution.converged else "still changing"
+        return f"{how} after {solution.steps} simulations"
+    if estimator == "ols":
+        return "a linear regression has one step"
+    lost = 100 * float(np.mean(solution.shares == 0.0))
+    without = f"; {lost:.2g} % of the rows do not fit and weigh nothing" if estimator == "robust" else ""
+    return f"{solution.steps} reweightings until nothing changes{without}"
+
+
 def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
     """Return the covariance over rows, and of the load's equation over bands of frequency, where that is larger.
 

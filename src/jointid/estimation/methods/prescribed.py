@@ -105,7 +105,7 @@ class DriveSideFit(Method):
         """Return the parameters of the log, free where they are to be estimated."""
         delay = log_delay(self.log_delay, sample_time)
         lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
-        return delay, lag if self.current_lag is None else CURRENT_LAG.fixed(self.current_lag)
+        return delay, lag if self.current_lag is None else CURRENT_LAG.fix(self.current_lag)
 
     def identify(self, task: Task) -> FitResult:
         """Identify a joint from torque and motor position, whatever its controller.
@@ -183,7 +183,7 @@ def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, 
         unit |= {"load_inertia": 1.0, "stiffness": rate**2, "damping": 2 * _DAMPING * rate}
     forces = tuple(p.name for p in problem.joint.parameters if p.free and acts_on_whole(p.name))
     names = (inertia, *friction, *forces)
-    sought = (replace(p, free=True) if p.name in names else p.fixed(unit[p.name]) for p in problem.parameters)
+    sought = (replace(p, free=True) if p.name in names else p.fix(unit[p.name]) for p in problem.parameters)
     trial = replace(problem, parameters=tuple(sought))
     x = np.array([unit[p.name] for p in trial.free])
     error, J = trial.linearise(x)

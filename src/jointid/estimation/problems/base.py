@@ -104,7 +104,7 @@ def log_delay(known: float | None, sample_time: float) -> Parameter:
     """Return the log's delay as it is known, in seconds; where it is None free, within twenty samples."""
     late = _MOST_LATE * sample_time
     free = replace(LOG_DELAY, free=True, lower=-late, upper=late)
-    return free if known is None else free.fixed(known)
+    return free if known is None else free.fix(known)
 
 
 def _range(symbol: str, value: float, period: float | None) -> tuple[float, float]:
@@ -199,7 +199,7 @@ class RecordProblem:
 
     def keeping(self, values: Mapping[str, float]) -> Self:
         """Return the problem with parameters fixed at these values, by name; others are not added."""
-        return self.changed({p.name: p.fixed(values[p.name]) for p in self.parameters if p.name in values})
+        return self.changed({p.name: p.fix(values[p.name]) for p in self.parameters if p.name in values})
 
     def all_free(self) -> Self:
         """Return the problem with every parameter free, so that every derivative is there."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,8 +224,7 @@ class ClosedLoopProblem(RecordProblem):
         numbers = {n: v for n, v in values.items() if n not in own and of_law(n)}
         loop, experiment = self.loop, self.experiment
         if any(v != number(loop.controller, n) for n, v in numbers.items()):
-            loop = replace(loop, controller=with_numbers(loop.controller, numbers))
-            experiment = experiment.with_law(experiment.law_of(loop.controller))
+            loop, experiment = _change_law(loop, experiment, tuple(numbers.items()))
         joint = {n: values[n] / gain for n in own}
         return _Candidate(
             loop, experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
@@ -244,6 +244,15 @@ class ClosedLoopProblem(RecordProblem):
         if c.log_delay == 0.0:  # between two samples the shown torque has one slope, on a sample the mean of two
             return c.log_gain * (_shifted(torque, 1) - _shifted(torque, -1)) / (2 * self.sample_time)
         return c.log_gain * (_shifted(torque, whole + 1) - _shifted(torque, whole)) / self.sample_time
+
+
+@lru_cache(maxsize=2)
+def _change_law(
+    loop: ClosedLoop, experiment: LoopInput, numbers: tuple[tuple[str, float], ...]
+) -> tuple[ClosedLoop, LoopInput]:
+    """Return a loop with other numbers of its controller, and its input, the same for many runs of a candidate."""
+    changed = replace(loop, controller=with_numbers(loop.controller, dict(numbers)))
+    return changed, experiment.with_law(experiment.law_of(changed.controller))
 
 
 def _shifted(signal: FloatArray, samples: int) -> FloatArray:

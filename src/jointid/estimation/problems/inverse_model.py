@@ -21,7 +21,7 @@ from jointid.common.errors import RecordError
 from jointid.estimation.problems.rest import moving_weights
 from jointid.models.disturbances import Effect, effect_columns
 from jointid.models.joints import Joint
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.signals.filtering import (
     Filtering,

@@ -184,8 +184,8 @@ class Pass:
 
     def moved(self, step: FloatArray) -> Pass:
         """Return it as it is after a small step of the parameters."""
-        windows = tuple(replace(w, sums=w.sums.moved(step)) for w in self.windows)
-        places = {at: replace(place, sums=place.sums.moved(step)) for at, place in self.places.items()}
+        windows = tuple(replace(w, sums=w.sums.shift(step)) for w in self.windows)
+        places = {at: replace(place, sums=place.sums.shift(step)) for at, place in self.places.items()}
         return Pass(windows, places, self.still, self.ended)
 
 
@@ -311,7 +311,7 @@ def window_problem(
     Raises:
         RecordError: a channel is missing.
     """
-    known = tuple(p.fixed(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
+    known = tuple(p.fix(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
     return begin_window(torque_problem(record, loop, filtering, parameters, known).freeing(*free), record)
 
 

@@ -327,4 +327,4 @@ def _first_state(position: FloatArray, filtering: Filtering, period: float) -> t
     fastest = float(np.max(np.abs(speed)))
     first = replace(INITIAL_STATE[1], start=float(speed[0]), lower=-fastest, upper=fastest)
     resting = abs(float(speed[0])) < _STILL * float(np.sqrt(np.mean(speed**2)))
-    return INITIAL_STATE[0].fixed(float(position[0])), first.fixed(0.0) if resting else first
+    return INITIAL_STATE[0].fix(float(position[0])), first.fix(0.0) if resting else first

@@ -146,7 +146,7 @@ class RecordsProblem(RecordProblem):
         """Return the problem of records that were added up."""
         first, added, free = criterion.problems[0], layout.added[0], {p.name: p for p in criterion.free}
         shared = {
-            p.name: free.get(p.name) or p.fixed((p.start or 0.0) - added.get(p.name, 0.0))
+            p.name: free.get(p.name) or p.fix((p.start or 0.0) - added.get(p.name, 0.0))
             for p in first.parameters
             if p.name in free or not (p.free or p.name in INITIAL)
         }

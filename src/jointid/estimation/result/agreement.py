@@ -331,7 +331,7 @@ class _Fit:
     def of(cls, windows: Sequence[Window], x: FloatArray) -> _Fit:
         """Return the fit of some windows, a step from x."""
         sums = total([w.sums for w in windows])
-        step = step_of(sums, Bounds.none(x.size))
+        step = step_of(sums, Bounds.infinite(x.size))
         scale = scale_of(sums.A)
         values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
         kept = values > _SINGULAR * values[-1]
@@ -339,7 +339,7 @@ class _Fit:
         back = (vectors * roots) @ vectors.T / scale[:, np.newaxis]
         # A window takes part in what it is compared with, one that tells much more than one that tells little.
         apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in windows]
-        own = [back.T @ w.sums.moved(step).b for w in windows]
+        own = [back.T @ w.sums.shift(step).b for w in windows]
         scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)])
         stated = np.sum(vectors[:, kept] ** 2, axis=1) > _TOLD
         return cls(x + step, back, (len(windows) - 1) * scores.T @ scores, stated)

@@ -16,12 +16,14 @@ from typing import Any
 from jointid.common.messages import Message
 from jointid.common.text import interval, join, number, round_to
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
+from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import POOR_FIT, Reason, Status, StiffnessBound, Subject, Verdict
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
 _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
+_OF_ROBOT = (Subject.SOLVER, Subject.FIT, Subject.BOUNDS, Subject.REPEATABLE, Subject.LOOP)
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 
 
@@ -31,6 +33,7 @@ class Found(StrEnum):
     VALUE = "value"
     LOWER_BOUND = "lower_bound"
     NOT_DETERMINED = "not_determined"
+    PARAMETERS = "parameters"
 
 
 class Trust(StrEnum):
@@ -69,6 +72,8 @@ class Answer:
 
 def answer_of(estimate: EstimateParts) -> Answer:
     """Return the first line of an estimate."""
+    if estimate.robot is not None:
+        return Answer(_known_of_robot(estimate), _trust_of_robot(estimate))
     rows, of_records = estimate.params.rows, estimate.params.own
     free = [
         row
@@ -137,12 +142,13 @@ def told_bounds(estimate: EstimateParts) -> tuple[StiffnessBound, ...]:
     return estimate.checks.bounds if estimate.fit.filtered_error <= POOR_FIT else ()
 
 
-def _values(asked: EstimatedParameter, mode: float | None) -> dict[str, Any]:
+def _values(asked: EstimatedParameter | None, mode: float | None) -> dict[str, Any]:
+    deviation = None if asked is None else asked.deviation
     return {
-        "parameter": asked.name,
-        "value": asked.value,
-        "two_sigma": None if asked.deviation is None else 2 * asked.deviation,
-        "unit": asked.unit,
+        "parameter": None if asked is None else asked.name,
+        "value": None if asked is None else asked.value,
+        "two_sigma": None if deviation is None else 2 * deviation,
+        "unit": None if asked is None else asked.unit,
         "mode_hz": mode,
         "lower_bound": None,
     }
@@ -192,8 +198,7 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     if not asked.free:
         return Message(Trust.NOT_CHECKED, "It was declared, not identified", values)
     if not estimate.checks.verdicts:
-        left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.fit.compared} is not explained"
-        return Message(Trust.NOT_CHECKED, f"Checked by its fit only ({left}): validate it on another record", values)
+        return _fit_only(estimate)
     loop = loop_verdict(estimate)
     if estimate.settings.loop is not None and (loop is None or loop.status is Status.UNKNOWN):
         return Message(
@@ -205,10 +210,55 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     return Message(Trust.RELIABLE, words, values)
 
 
+def _fit_only(estimate: EstimateParts) -> Message:
+    left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.fit.compared} is not explained"
+    words = f"Checked by its fit only ({left}): validate it on another record"
+    return Message(Trust.NOT_CHECKED, words, {"reasons": [], "parameters": []})
+
+
 def _not_yet(against: list[Message]) -> Message:
     words = "; ".join(one.brief for one in against[:2])
     values = {"reasons": [str(one.code) for one in against], "parameters": []}
     return Message(Trust.NOT_YET, f"Do not rely on it yet: {words}", values)
+
+
+def _known_of_robot(estimate: EstimateParts) -> Message:
+    """Return how many parameters of a robot are known, and what is left of the torque."""
+    asked = [row for row in estimate.params.rows if row.free and row.of_joint]
+    known = [row for row in asked if row.value is not None and row.stderr is not None and _is_known(row)]
+    left = estimate.fit.axis_errors
+    worst = max(left, key=lambda axis: left[axis])
+    words = (
+        f"{len(known)} of {len(asked)} parameters known to a tenth, {number(100 * left[worst], 3)} % of the torque of "
+    )
+    words += f"{worst} not explained"
+    values = _values(None, None) | {"known": len(known), "asked": len(asked), "worst": worst}
+    return Message(Found.PARAMETERS, words, values)
+
+
+def _is_known(row: EstimatedParameter) -> bool:
+    return row.value is not None and row.stderr is not None and row.stderr < KNOWN * abs(row.value)
+
+
+def _trust_of_robot(estimate: EstimateParts) -> Message:
+    """Return whether to rely on the estimate of a robot."""
+    verdicts = estimate.checks.verdicts
+    of_springs = [v for v in verdicts if v.subject is Subject.STIFFNESS]
+    against = [v.reasons[0] for v in verdicts if v.status is Status.FAILED and v.subject in _OF_ROBOT]
+    if against:
+        return _not_yet(against)
+    values: dict[str, Any] = {"reasons": [], "parameters": []}
+    refused = [row.name for row in estimate.params.rows if row.value is None]
+    if any(v.status is Status.FAILED for v in of_springs):
+        words = "You can rely on it, but not on joints whose spring the record does not show"
+        return Message(Trust.PARTLY, words, {"reasons": [str(Reason.STIFFNESS_NOT_SHOWN)], "parameters": refused})
+    if not estimate.require_robot().has_controllers:
+        return _fit_only(estimate)
+    loop = loop_verdict(estimate)
+    if loop is None or loop.status is Status.UNKNOWN:
+        words = "You can rely on it if the controllers are as declared, which was not checked"
+        return Message(Trust.NOT_CHECKED, words, values)
+    return Message(Trust.RELIABLE, "You can rely on it", values)
 
 
 class Against(StrEnum):

@@ -21,7 +21,8 @@ class FitResult(EstimateParts):
 
     Attributes:
         problem, x: the closed loop that was simulated, and its free parameters; None for other methods.
-        record: the one record; None for several or for a log in windows.
+        record: the one record; None for several, for a log in windows or for a robot.
+        records: of the joints of a robot.
         at_bounds: values of the parameters that were kept at a bound, by name.
         before, after: warnings before and after those of the method.
         encoder_lag: that hides the spring between both encoders, where they were read.
@@ -31,6 +32,7 @@ class FitResult(EstimateParts):
     problem: ClosedLoopProblem | None = None
     x: FloatArray | None = None
     record: Record | None = None
+    records: tuple[Record, ...] = ()
     at_bounds: Mapping[str, float] | None = None
     before: tuple[str, ...] = ()
     after: tuple[str, ...] = ()
@@ -78,7 +80,11 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
     rows = tuple(_row(p, fit.at_bounds or {}, checked.widenings) for p in fit.params.rows)
     held = bounds_verdict(tuple(p.name for p in rows if p.at_bound is not None))
     subjects = {v.subject for v in checked.verdicts}
-    own = (held if v.subject is Subject.BOUNDS else v for v in fit.checks.verdicts if v.subject not in subjects)
+    own = (
+        held if v.subject is Subject.BOUNDS and fit.robot is None else v
+        for v in fit.checks.verdicts
+        if v.subject not in subjects
+    )
     basis = ", and for ".join((fit.params.basis, *(widening.why for widening in checked.widenings)))
     return Estimate(
         params=replace(fit.params, rows=rows, basis=basis),
@@ -96,6 +102,7 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
             torque_constant=torque_constant,
         ),
         settings=fit.settings,
+        robot=fit.robot,
     )
 
 

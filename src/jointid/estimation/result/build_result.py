@@ -287,7 +287,7 @@ def build_closed_loop_result(
         settings=Settings(
             "didim",
             variant,
-            joint=problem.joint,
+            system=problem.joint,
             loop=problem.loop_at(x),
             filtering=problem.filtering,
             delay=values.get("delay", problem.experiment.law.delay),
@@ -386,7 +386,7 @@ def build_prescribed_result(
         fit=fit,
         checks=Checks(warnings=warnings),
         data=build_data(record, channels, problem.sample_time),
-        settings=Settings(*method, joint=problem.joint, loop=None, filtering=problem.filtering, delay=delay),
+        settings=Settings(*method, system=problem.joint, loop=None, filtering=problem.filtering, delay=delay),
     )
 
 
@@ -428,7 +428,7 @@ def find_at_bound(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J
     """
     norms = np.linalg.norm(J, axis=0)
     size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
-    held = Bounds.of(free).reached(x, _NEAR * size)
+    held = Bounds.of(free).find_active(x, _NEAR * size)
     return tuple(p.name for p, at in zip(free, held, strict=True) if at)
 
 

@@ -72,7 +72,8 @@ class Estimate(EstimateParts, Documented):
 
     Example:
         >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+        >>> law = ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop)
@@ -128,7 +129,8 @@ class Estimate(EstimateParts, Documented):
 
     def __repr__(self) -> str:
         """Return model, method and answer: one line, or two."""
-        return f"<Estimate of a {self.settings.joint.model} joint by {self.settings.method}: {self.answer}>"
+        of = "robot" if self.robot is not None else f"{self.settings.joint.model} joint"
+        return f"<Estimate of a {of} by {self.settings.method}: {self.answer}>"
 
     @property
     def identified(self) -> IdentifiedJoint:
@@ -150,7 +152,7 @@ class Estimate(EstimateParts, Documented):
             data.record, data.fingerprint, law, settings.effects,
         )  # fmt: skip
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.
 
         Args:
@@ -206,11 +208,13 @@ class Estimate(EstimateParts, Documented):
 
         return jointid.figures.Plots(self)
 
-    def report(self, record: Record, *, name: str = "", profiles: Sequence[str] | None = None) -> jointid.Report:
+    def report(
+        self, record: Record | Sequence[Record], *, name: str = "", profiles: Sequence[str] | None = None
+    ) -> jointid.Report:
         """Return the report: one page with figures, see `jointid.Report.of`.
 
         Args:
-            record: that it was identified from.
+            record: that it was identified from; of a robot the record of each joint.
             name: of the joint, for the title.
             profiles: quantities whose criterion is followed; all free parameters when None, none when empty.
         """

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Documented
-from jointid.common.errors import UnknownName
+from jointid.common.errors import MethodError, UnknownName
 from jointid.common.messages import suggest
 from jointid.common.transmission import SIDES, OtherSide, Side, other_side
 from jointid.estimation.result.agreement import Agreement, DriftTest
+from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.robots.robot import Robot
 from jointid.records.checks import EncoderLag
 from jointid.records.record import Resampled
 from jointid.records.signals.filtering import Filtering
@@ -44,6 +46,7 @@ class EstimatedParameter:
         at_bound: the bound that holds it, where it does not follow the record; None where none does.
         lack_of_fit: by how much what the joint has and its model has not may move it, as one deviation; it is the same
             in every record of such a motion, so it is no part of `stderr`.
+        axis: the joint of a robot; empty for a single joint.
     """
 
     name: str
@@ -57,11 +60,7 @@ class EstimatedParameter:
     of_joint: bool = True
     at_bound: float | None = None
     lack_of_fit: float = 0.0
-
-    @property
-    def axis(self) -> str:
-        """The axis of a robot; empty for a joint."""
-        return self.name.rpartition(".")[0]
+    axis: str = ""
 
     @property
     def side(self) -> Side | None:
@@ -236,7 +235,7 @@ class Fit:
 
     Attributes:
         measured, predicted: (samples,) raw torque, and that of the model; of several records one after the other; empty
-            for a log that is too long for memory.
+            for a log that is too long for memory; of a robot (samples, n), in the order of its joints.
         borders: samples left out at each end of the raw error.
         relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, borders left out; a ratio.
         filtered_error: the same of the filtered and decimated torque: what was minimised.
@@ -252,6 +251,7 @@ class Fit:
         at_limit: share of the controller's periods at its limit, in a long log.
         stop: why the search ended, in a sentence; converged: whether that is a good end.
         interrupted: True if the last pass over a long log was: the estimate is of its beginning.
+        axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
     """
 
     measured: FloatArray
@@ -271,6 +271,7 @@ class Fit:
     passes: int = 0
     at_limit: float = 0.0
     interrupted: bool = False
+    axis_errors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def iterations(self) -> int:
@@ -404,7 +405,7 @@ class Settings:
 
     Attributes:
         method: its name, as in a joint file; variant: how it was run, in words.
-        joint: the model. loop: the closed loop, when the method simulated one.
+        system: the model, a joint or a robot. loop: the closed loop of a joint, when the method simulated one.
         filtering: as used.
         delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
         effects: torques beside the joint's own model; their parameters follow the joint's.
@@ -413,12 +414,23 @@ class Settings:
 
     method: str
     variant: str
-    joint: Joint
+    system: Joint | Robot
     loop: ClosedLoop | None
     filtering: Filtering
     delay: float = 0.0
     effects: tuple[Effect, ...] = ()
     weighting: str = ""
+
+    @property
+    def joint(self) -> Joint:
+        """The model of a joint.
+
+        Raises:
+            MethodError: the estimate is of a robot.
+        """
+        if isinstance(self.system, Robot):
+            raise MethodError("This needs the estimate of one joint, and received that of a robot; identify the joint.")
+        return self.system
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -431,6 +443,7 @@ class EstimateParts:
         checks: verdicts, identifiable combinations, tests, bounds, warnings.
         data: the record or records.
         settings: the model and the method, defaults filled in.
+        robot: what only a robot has; None for a joint.
     """
 
     params: Params
@@ -438,6 +451,25 @@ class EstimateParts:
     checks: Checks
     data: Data
     settings: Settings
+    robot: IdentifiedRobot | None = None
+
+    def require_joint(self) -> Joint:
+        """Return the model of the joint.
+
+        Raises:
+            MethodError: the estimate is of a robot.
+        """
+        return self.settings.joint
+
+    def require_robot(self) -> IdentifiedRobot:
+        """Return what only a robot has.
+
+        Raises:
+            MethodError: the estimate is of a joint.
+        """
+        if self.robot is None:
+            raise MethodError("This needs the estimate of a robot, and received that of a joint; identify a robot.")
+        return self.robot
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
@@ -451,7 +483,8 @@ class EstimateParts:
     @property
     def other(self) -> OtherSide | None:
         """The other side of the transmission; None without one."""
-        return other_side(self.settings.joint.transmission, self.data.torque_unit)
+        joint = self.settings.system
+        return None if isinstance(joint, Robot) else other_side(joint.transmission, self.data.torque_unit)
 
     @property
     def other_side(self) -> tuple[EstimatedParameter, ...]:

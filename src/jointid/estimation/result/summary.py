@@ -14,6 +14,7 @@ from jointid.estimation.result.answer import answer_of, moved_by_loop, told_boun
 from jointid.estimation.result.consequence import spares_answer
 from jointid.estimation.result.legend import SHOWN_SHIFT, field_symbol, legend
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, known_on_other_side
+from jointid.estimation.result.robot_summary import robot_document
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
@@ -26,10 +27,12 @@ def estimate_document(estimate: EstimateParts, *, details: bool = False) -> Docu
     """Return an estimate as a document.
 
     Args:
-        estimate: of one record, of several, or of a long log.
+        estimate: of one record, of several, of a long log, or of a robot.
         details: whether to show every verdict with all its reasons, tests, effort and settings; else only the verdicts
             that did not pass, a line each.
     """
+    if estimate.robot is not None:
+        return robot_document(estimate, tuple(_verdicts(estimate, details=details)), details=details)
     fit, checks = estimate.fit, estimate.checks
     facts = [*_results(estimate, details=details)]
     if details:

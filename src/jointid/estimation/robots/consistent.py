@@ -12,14 +12,13 @@ decides; where it says nothing, the model stays.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.estimation.result.parts import EstimateParts
 from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
 from jointid.uncertainty.covariance import Covariance
@@ -31,38 +30,6 @@ _THIN = 1e-6  # of a body's second moments: what a rod or a plate is given acros
 _FLOOR = 1e-10  # of the largest variance of a correlation: rounding
 _POSES = 1000
 _SETTLED = 1e-6  # relative, of the search
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sums:
-    """The parameters of an estimate as sums of a robot's own numbers.
-
-    Attributes:
-        values: (parameters,) as they were identified. covariance: of these.
-        of_standard: (parameters, 11 n) what inertial parameters, link by link, then rotors add to each.
-        of_others: (parameters, others) what all else adds: friction, offsets, springs.
-        others: (others,) about what these are. least: (others,) below which none of them is.
-        robot: makes a robot of inertial parameters, (n, 10), rotors, (n,), and the others.
-    """
-
-    values: FloatArray
-    covariance: Covariance
-    of_standard: FloatArray
-    of_others: FloatArray
-    others: FloatArray
-    least: FloatArray
-    robot: Callable[[FloatArray, FloatArray, FloatArray], Robot]
-
-
-class OfRobot(Protocol):
-    """An estimate of a robot, by whatever method."""
-
-    @property
-    def robot(self) -> Robot:
-        """The model that was begun with."""
-
-    def sums(self, prior: Robot) -> Sums:
-        """Return its parameters as sums of the numbers of a robot of this tree."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,11 +47,11 @@ class ConsistentRobot:
     least_inertia: float
 
 
-def consistent_robot(estimate: OfRobot, prior: Robot | None = None, spread: float = SPREAD) -> ConsistentRobot:
+def consistent_robot(estimate: EstimateParts, prior: Robot | None = None, spread: float = SPREAD) -> ConsistentRobot:
     """Return the robot nearest to a prior whose parameters are those of an estimate, as far as bodies can.
 
     Args:
-        estimate: by IDIM, by DIDIM or on the drive side.
+        estimate: of a robot, by any method.
         prior: the same tree with masses on all links; without it the model that the estimate began with.
         spread: how far the prior's bodies may be off, as a share.
 
@@ -94,8 +61,9 @@ def consistent_robot(estimate: OfRobot, prior: Robot | None = None, spread: floa
     """
     from scipy.optimize import least_squares
 
-    prior = estimate.robot if prior is None else _declared_as(estimate.robot, prior)
-    n, stated = len(prior), estimate.sums(prior)
+    found_robot = estimate.require_robot()
+    prior = found_robot.model if prior is None else _declared_as(found_robot.model, prior)
+    n, stated = len(prior), found_robot.sums(prior)
     theta0, scales = _prior_bodies(prior)
     rotors0 = prior.of_joints("rotor_inertia")
     sizes = np.maximum(rotors0, 0.1 * np.diag(mass_matrix_at(prior, np.zeros(n))))

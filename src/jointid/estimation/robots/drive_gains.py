@@ -58,7 +58,7 @@ class DriveGains(Documented):
         pairs = zip(self.joints, map(float, self.values), map(float, self.std), strict=True)
         return {name: {"value": value, "std": std} for name, value, std in pairs}
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the gains with their intervals; there are no further details."""
         del details
         rows = tuple(

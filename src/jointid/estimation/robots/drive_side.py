@@ -44,7 +44,6 @@ from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_drive_side import (
     PARTS,
     MotorMotion,
@@ -54,6 +53,7 @@ from jointid.simulation.robot_drive_side import (
     run_drive_side,
 )
 from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers, with_values
+from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import RobotOutcome
 
 _LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the row in which a link's frequency is looked for, and its ratio
@@ -100,9 +100,9 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         del keep
         return run_drive_side(self.prescribed, numbers)
 
-    def error(self, run: RobotDriveSideRun) -> FloatArray:
-        """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""
-        return self.decimated(self.measured - self.seen(run, run.torque))
+    def predicted(self, run: RobotDriveSideRun) -> FloatArray:
+        """Return the torque of a run as the log shows it, (samples, n)."""
+        return self.seen(run, run.torque)
 
     def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
         """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated.

@@ -32,6 +32,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, no_choice
+from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
@@ -59,32 +60,6 @@ _TURNS, _SETTLED = 4, 0.4  # descents with new sizes of the joints' errors, and 
 _OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
 _SHOWN = 4.0  # standard deviations by which a compliance is told from 0
 _TWO = 2.0  # of them: the bound of one that is not
-
-
-@dataclass(frozen=True, slots=True)
-class SpringVerdict:
-    """Whether the records show the spring of a joint.
-
-    Attributes:
-        joint: its name.
-        shown: whether they do.
-        stiffness: N m/rad or N/m; None where it is refused. deviation: of it, one standard deviation.
-        at_least: the stiffness that it has at least, two standard deviations of its compliance away.
-        unit: of these, N m/rad or N/m.
-    """
-
-    joint: str
-    shown: bool
-    stiffness: float | None
-    deviation: float | None
-    at_least: float
-    unit: str = "N m/rad"
-
-    def __str__(self) -> str:
-        if self.stiffness is None or self.deviation is None:
-            least = f"{self.at_least:.3g} {self.unit}"
-            return f"{self.joint}: the records do not show a spring; its stiffness is at least {least}"
-        return f"{self.joint}: stiffness {self.stiffness:.5g} +- {_TWO * self.deviation:.2g} {self.unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,8 +20,8 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.base_parameters import formula_of, group_columns
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
-from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, with_values
+from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import MassMotion
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation

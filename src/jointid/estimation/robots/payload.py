@@ -23,18 +23,20 @@ from jointid.common.document import Document, Documented, Paragraph, Table
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import interval, join
+from jointid.estimation.identify import fit_robot
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.robots.identify import fit_robot
-from jointid.estimation.robots.idim import KNOWN, RobotEstimate, identify_robot, solve_rows
+from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.result.robot import KNOWN
+from jointid.estimation.robots.idim import InverseModelRobot, identify_robot, solve_rows
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, require_reached
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
+from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
-from jointid.models.robots.friction_terms import offset_places
+from jointid.models.robots.friction_terms import offset_indices
 from jointid.models.robots.inertial import SYMBOLS, is_consistent, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -130,7 +132,7 @@ class Payload(Documented):
         """True if a body can have the ten parameters as they were found."""
         return is_consistent(self.payload.inertial)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the verdict first, then each number both ways; there are no further details."""
         del details
         rows = self.rows
@@ -213,12 +215,10 @@ def identify_payload(
     offsets = not isinstance(method, DIDIM | DriveSideFit) or method.offsets
     require_told(payload_columns(robot_parameters(robot, offsets=offsets)))
 
-    def identify(records: Sequence[Record], which: str) -> RobotTorqueEstimate:
-        estimate = fit_robot(
+    def identify(records: Sequence[Record], which: str) -> EstimateParts:
+        return fit_robot(
             records, model, method, filtering=filtering, progress=lambda text: progress(f"{which}: {text}")
         )
-        assert isinstance(estimate, RobotTorqueEstimate)
-        return estimate
 
     first, second = identify(empty, "without the payload"), identify(loaded, "with it")
     difference = payload_of_torques(first, second, same_friction=False)
@@ -296,7 +296,7 @@ def both_records(
     return Rows(np.concatenate([cut(first.Y), cut(second.Y)]), W, names, 2 * n, 2 * n)
 
 
-def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> PayloadParameters:
+def payload_difference(empty: EstimateParts, loaded: EstimateParts) -> PayloadParameters:
     """Return the payload that makes one estimate of a robot into the other, by generalised least squares.
 
     Args:
@@ -307,24 +307,25 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> PayloadPa
         MethodError: the estimates are of two robots, which does not tell all of a payload, or its mass comes out
             negative.
     """
-    if empty.names != loaded.names or not np.allclose(empty.base.grouping, loaded.base.grouping):
+    first, second = empty.require_robot(), loaded.require_robot()
+    assert isinstance(first, InverseModelRobot)
+    assert isinstance(second, InverseModelRobot)
+    if first.names != second.names or not np.allclose(first.base.grouping, second.base.grouping):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
-    if empty.settings.fixed or loaded.settings.fixed:
+    if not all(row.free for estimate in (empty, loaded) for row in estimate.params.rows):
         raise MethodError(
             "A parameter is fixed, which a payload would change; expected estimates of all: leave it free."
         )
-    n, size = len(empty.robot), len(empty.base)
-    offsets = size + np.array(offset_places(empty.robot))[np.any(empty.base.offsets, axis=1)]
+    robot, base = first.model, first.base
+    n, size, of_offsets = len(robot), len(base), np.any(base.offsets, axis=1)
+    offsets = size + np.array(offset_indices(robot))[of_offsets]
     read = np.concatenate([np.arange(size), offsets])  # a weight that is a constant torque is an offset's
-    columns = np.vstack([empty.base.grouping, empty.base.offsets[np.any(empty.base.offsets, axis=1)]])
-    columns = columns[:, 10 * (n - 1) : 10 * n]
-    matrix = (empty.covariance.matrix + loaded.covariance.matrix)[np.ix_(read, read)]
-    return _explain_change(empty.robot, columns, (loaded.values - empty.values)[read], matrix)
+    columns = np.vstack([base.grouping, base.offsets[of_offsets]])[:, 10 * (n - 1) : 10 * n]
+    matrix = (first.covariance.matrix + second.covariance.matrix)[np.ix_(read, read)]
+    return _explain_change(robot, columns, (second.values - first.values)[read], matrix)
 
 
-def payload_of_torques(
-    empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, *, same_friction: bool
-) -> PayloadParameters:
+def payload_of_torques(empty: EstimateParts, loaded: EstimateParts, *, same_friction: bool) -> PayloadParameters:
     """Return the payload that makes one estimate by simulation into the other, by generalised least squares.
 
     Args:
@@ -335,13 +336,16 @@ def payload_of_torques(
     Raises:
         MethodError: as of `payload_difference`; an estimate did not settle, or does not show a spring.
     """
-    first, second = empty.fit.parameters, loaded.fit.parameters
+    without, carrying = empty.require_robot(), loaded.require_robot()
+    assert isinstance(without, SimulatedRobot)
+    assert isinstance(carrying, SimulatedRobot)
+    first, second = without.fit.parameters, carrying.fit.parameters
     own, others = first.of_robot, second.of_robot
     names = [[name for name, mine in zip(one.names, one.of_robot, strict=True) if mine] for one in (first, second)]
     if names[0] != names[1] or not np.allclose(first.grouping[own], second.grouping[others]):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
     for estimate, record in ((empty, "without the payload"), (loaded, "with it")):
-        if hidden := [one.joint for one in estimate.springs if not one.shown]:
+        if hidden := [one.joint for one in estimate.require_robot().springs if not one.shown]:
             raise MethodError(
                 f"The record {record} does not show the spring of {join(hidden)}, so it does not part motor from "
                 "link there; expected records that do: leave this spring out of the robot file, or excite its mode."
@@ -354,9 +358,9 @@ def payload_of_torques(
     columns = payload_columns(first)[own]
     same = np.array([same_friction or not place.is_friction for place in first.places])[own]
     read = same | np.any(columns, axis=1)
-    one, other = empty.fit.covariance.matrix[np.ix_(own, own)], loaded.fit.covariance.matrix[np.ix_(others, others)]
-    change = loaded.fit.values[others] - empty.fit.values[own]
-    return _explain_change(empty.robot, columns[read], change[read], (one + other)[np.ix_(read, read)])
+    one, other = without.covariance.matrix[np.ix_(own, own)], carrying.covariance.matrix[np.ix_(others, others)]
+    change = carrying.values[others] - without.values[own]
+    return _explain_change(without.model, columns[read], change[read], (one + other)[np.ix_(read, read)])
 
 
 def payload_columns(parameters: RobotParameters) -> FloatArray:

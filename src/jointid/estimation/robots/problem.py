@@ -20,10 +20,9 @@ from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
-from jointid.simulation.robot_sensitivities import differentiate_torques
+from jointid.simulation.robot_sensitivities import columns_of, differentiate_torques
 from jointid.simulation.robots import (
     COARSE,
     FINE,
@@ -83,8 +82,12 @@ class RobotProblem(ABC, Generic[Run]):
         """Simulate a robot, and keep what its derivatives need."""
 
     @abstractmethod
+    def predicted(self, run: Run) -> FloatArray:
+        """Return the torque of a run as the log shows it, (samples, n)."""
+
     def error(self, run: Run) -> FloatArray:
-        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
+        """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""
+        return self.decimated(self.measured - self.predicted(run))
 
     @abstractmethod
     def slopes(self, run: Run, x: FloatArray) -> FloatArray:
@@ -266,9 +269,9 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
         """Return the problem simulated in steps twice as long."""
         return replace(self, stride=COARSE)
 
-    def error(self, run: RobotRun) -> FloatArray:
-        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
-        return self.decimated(self.measured - run.torque)
+    def predicted(self, run: RobotRun) -> FloatArray:
+        """Return the torque of a run, (samples, n)."""
+        return run.torque
 
     def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""

@@ -166,10 +166,22 @@ def motion_of_robot(
     )
 
 
-def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion) -> Rows:
-    """Return the regression of the base parameters, then of the numbers of the motors' friction."""
+def base_columns(robot: Robot, base: BaseParameters, motion: RobotMotion) -> FloatArray:
+    """Return the columns of base parameters, then of the motors' friction, (samples, n, parameters)."""
     links = inverse_columns(robot, motion.q, motion.v, motion.a)[:, :, base.chosen]
-    W = motion.thinned(np.concatenate([links, friction_columns(robot, motion.v)], axis=2))
+    return np.concatenate([links, friction_columns(robot, motion.v)], axis=2)
+
+
+def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion, columns: FloatArray | None = None) -> Rows:
+    """Return the regression of the base parameters, then of the numbers of the motors' friction.
+
+    Args:
+        robot: that moves.
+        base: its base parameters.
+        motion: of it.
+        columns: of `base_columns`, where they are known.
+    """
+    W = motion.thinned(base_columns(robot, base, motion) if columns is None else columns)
     names = (*base.symbols, *(term.symbol for term in friction_terms(robot)))
     return Rows(motion.thinned_torque(), W, names, len(robot), len(robot))
 

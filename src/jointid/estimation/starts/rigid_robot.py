@@ -20,7 +20,7 @@ from jointid.estimation.starts.inverse_controller import command_of, reconstruct
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.signals.filtering import apply_window, differentiate_twice, lowpass, settle, window_torque
-from jointid.simulation.robot_columns import columns_of
+from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
 
 _REWEIGHTINGS = 3

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.text import number
-from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_values, offset_places
+from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_values, offset_indices
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
 
@@ -87,22 +87,20 @@ class BaseParameters:
         See `friction_terms.friction_terms`; of the links' side there are none.
         """
         friction = friction_values(robot)
-        friction[offset_places(robot)] += self.offsets @ standard_values(robot)
+        friction[offset_indices(robot)] += self.offsets @ standard_values(robot)
         return np.concatenate([self.of(robot), friction])
 
 
-def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
-    """Return the base parameters of a robot's rigid dynamics: of its links and rotors, friction apart.
-
-    Args:
-        robot: its tree, gravity and coupling are read, not its masses.
-        seed: of the random motions.
-    """
+def base_parameters(robot: Robot) -> BaseParameters:
+    """Return the base parameters of links and rotors; only tree, gravity and coupling are read."""
     n = len(robot)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     q, v, a = random.uniform(-np.pi, np.pi, (_POSES, n)), *random.normal(0.0, 3.0, (2, _POSES, n))
     columns = inverse_columns(robot, q, v, a).reshape(_POSES * n, -1)
-    columns[:, _is_rounding(columns, n)] = 0.0
+    norms = np.linalg.norm(columns, axis=0)
+    dimensions = np.array([*n * ([0] + 3 * [1] + 6 * [2]), *n * [3]])  # columns of one number are in one unit
+    largest = np.array([norms[dimensions == kind].max() for kind in range(4)])
+    columns[:, norms <= _NOTHING * largest[dimensions]] = 0.0
     # Links from the base outwards, each rotor behind its link: a rotor joins its link's sum where it can.
     order = np.array([part for k in range(n) for part in (*(10 * k + i for i in _ORDER), 10 * n + k)])
     kept, sums = group_columns(np.column_stack([np.tile(np.eye(n), (_POSES, 1)), columns[:, order]]))
@@ -143,14 +141,6 @@ def group_columns(columns: FloatArray) -> tuple[list[int], FloatArray]:
     sums[np.abs(sums) < _ZERO] = 0.0
     sums[:, kept] = np.eye(len(kept))
     return kept, sums * scales / scales[kept][:, np.newaxis]
-
-
-def _is_rounding(columns: FloatArray, n: int) -> NDArray[np.bool_]:
-    """Return which columns, (11 n,), are nothing beside the largest of those in the same unit."""
-    norms = np.linalg.norm(columns, axis=0)
-    dimensions = np.array([*n * ([0] + 3 * [1] + 6 * [2]), *n * [3]])
-    largest = np.array([norms[dimensions == kind].max() for kind in range(4)])
-    return np.asarray(norms <= _NOTHING * largest[dimensions])
 
 
 def formula_of(weights: FloatArray, first: int, symbols: tuple[str, ...]) -> str:

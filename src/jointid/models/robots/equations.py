@@ -1,6 +1,6 @@
 """The equations of motion of a tree of links in one pass, and their derivatives by positions and velocities.
 
-All is seen from the base: with twists and wrenches about its origin the bodies beyond a joint are a sum. Of link i, S
+All is seen from the base: with twists and wrenches about its origin the bodies behind a joint are a sum. Of link i, S
 is the twist of its joint, V its velocity and A its acceleration (less gravity), I the inertia and f the force of all
 bodies that it carries::
 

@@ -62,7 +62,7 @@ class FrictionTerm:
         }[self.number]
 
     def column(self, v: FloatArray, joint: RobotJoint) -> FloatArray:
-        """Return what it is multiplied with at speeds of the motor, (samples,)."""
+        """Return its regressor column at speeds of the motor, (samples,)."""
         if self.number is Friction.RISE:
             assert joint.stribeck_speed is not None
             return np.asarray(np.sign(v) * low_speed_share(v / joint.stribeck_speed))
@@ -93,8 +93,8 @@ def friction_terms(robot: Robot) -> tuple[FrictionTerm, ...]:
     return tuple(found)
 
 
-def offset_places(robot: Robot) -> list[int]:
-    """Return where the offsets are among `friction_terms`, one for each joint."""
+def offset_indices(robot: Robot) -> list[int]:
+    """Return the indices of the offsets among `friction_terms`, one for each joint."""
     return [i for i, term in enumerate(friction_terms(robot)) if term.number is Friction.OFFSET]
 
 

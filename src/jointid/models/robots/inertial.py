@@ -103,8 +103,8 @@ def is_consistent(inertial: FloatArray) -> bool:
     return bool(np.linalg.eigvalsh(at_centre)[0] >= -_ROUNDING * scale)
 
 
-def in_parent(inertial: FloatArray, rotation: FloatArray, origin: FloatArray) -> FloatArray:
-    """Return the ten parameters of a body seen from another frame.
+def change_frame(inertial: FloatArray, rotation: FloatArray, origin: FloatArray) -> FloatArray:
+    """Return the ten parameters of a body in another frame.
 
     Args:
         inertial: (10,) in the body's own frame.

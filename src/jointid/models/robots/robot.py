@@ -86,7 +86,7 @@ class Link:
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class JointSpring:
-    """The spring between a motor and its link, and the friction beyond it.
+    """The spring between a motor and its link, and the friction behind it.
 
     Attributes:
         law: of the spring; what it has beside stiffness and damping is among `RobotJoint.numbers`.
@@ -261,7 +261,12 @@ class Robot:
         for number, link in enumerate(self.links):
             _check_link(link, number)
         for joint in self.joints:
-            _check_coupling(joint, self.names)
+            for other, factor in joint.coupling.items():
+                if other not in self.names or other == joint.name or not np.isfinite(factor):
+                    raise MethodError(
+                        f"The joint {joint.name} is coupled to {other} by {factor:g}; expected another joint's name "
+                        f"and a number: the joints are {', '.join(self.names)}."
+                    )
         if np.linalg.cond(self.coupling) > 1e6:
             raise MethodError(
                 "The coupling of the motors leaves a joint that no motor moves; expected as many independent motors as "
@@ -373,12 +378,3 @@ def _require_shape(what: str, values: FloatArray, shape: tuple[int, ...]) -> Non
     found = np.asarray(values)
     if found.shape != shape or not np.all(np.isfinite(found)):
         raise MethodError(f"The {what} has the shape {found.shape}; expected finite numbers of the shape {shape}.")
-
-
-def _check_coupling(joint: RobotJoint, names: tuple[str, ...]) -> None:
-    for other, factor in joint.coupling.items():
-        if other not in names or other == joint.name or not np.isfinite(factor):
-            raise MethodError(
-                f"The joint {joint.name} is coupled to {other} by {factor:g}; expected another joint's name and a "
-                f"number: the joints are {', '.join(names)}."
-            )

@@ -113,7 +113,8 @@ def export(
     Example:
         >>> import jointid as ji
         >>> record = ji.twin("L19", noise="none").record
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=160.18, velocity_gain=243.45, gain=35.15))
+        >>> law = ji.controller.Cascade(position_gain=160.18, velocity_gain=243.45, gain=35.15)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
         >>> rigid = ji.identify(record, loop, filtering=ji.Filtering(cutoff=5.0))
         >>> print(ji.export(rigid, "urdf").lost[0][:16])
         a constant force

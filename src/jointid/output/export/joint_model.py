@@ -23,8 +23,8 @@ from jointid.common.transmission import OtherSide, Side
 from jointid.common.units import Kind
 from jointid.estimation.result.parts import EstimatedParameter, on_other_side
 from jointid.models.friction import Directions
-from jointid.models.gravity import Gravity
 from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.position_forces import Gravity
 from jointid.models.springs import LinearSpring, Piece, Spring
 from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA, Json

@@ -155,7 +155,7 @@ def _slow(model: JointModel, prefix: str, velocity: str) -> str:
 def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[str, str]]:
     """Return the names of viscous and Coulomb friction, forwards and backwards; "0" where the law has none."""
     law = model.joint.friction
-    named = [[law.named(part, direction) for part in PARTS] for direction in DIRECTIONS]
+    named = [[law.coefficient_name(part, direction) for part in PARTS] for direction in DIRECTIONS]
     forwards, backwards = (tuple("0" if name is None else f"{prefix}{name}" for name in names) for names in named)
     viscous, coulomb = "{}", "{}"
     if isinstance(law, DriftingFriction):

@@ -5,9 +5,9 @@ With the motor's position and velocity, and the load's, as states and the torque
     ZZ1 a1  = tau - Fv1 v1 - K12 (q1 - q12) - F12 (v1 - v12)
     ZZ2 a12 =     - Fv2 v12 + K12 (q1 - q12) + F12 (v1 - v12) - rate q12
 
-`rate` is of a spring that carries the load (`models.gravity`). A rigid joint has the first line alone, without the
-spring. What is not linear, Coulomb friction and a weight that turns, is not in it, nor what is constant: it describes
-motion that does not reverse, about a steady one, less the constant forces.
+`rate` is of a spring that carries the load (`models.position_forces`). A rigid joint has the first line alone, without
+the spring. What is not linear, Coulomb friction and a weight that turns, is not in it, nor what is constant: it
+describes motion that does not reverse, about a steady one, less the constant forces.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Charts drawn by bokeh: plots on the screen that zoom, move and tell their values, linked along time."""
+"""Interactive charts drawn by bokeh, linked along time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FEW_TICKS = 3  # of a narrow panel: large numbers would run into each other
 
 
 def script() -> str:
-    """Return the library that draws the plots in a browser, from the installed package: nothing is loaded.
+    """Return the JavaScript library of the plots, from the installed package.
 
     Raises:
         ExtraError: bokeh is not installed.
@@ -49,8 +49,14 @@ def plot(chart: Chart) -> str:
     sources = _Sources()
     for panel in chart.panels:
         if panel.group and panel.group not in ranges:
-            ranges[panel.group] = Range1d(*_extent(chart, panel.group), bounds="auto")
-        figures.append(_figure(panel, ranges.get(panel.group), chart.columns, sources))
+            drawn = [
+                item
+                for one in chart.panels if one.group == panel.group
+                for item in one.items if isinstance(item, Line | Dots | Band)
+            ]  # fmt: skip
+            low, high = min(float(one.x.min()) for one in drawn), max(float(one.x.max()) for one in drawn)
+            ranges[panel.group] = Range1d(low, high, bounds="auto")
+        figures.append(_draw_panel(panel, ranges.get(panel.group), chart.columns, sources))
     rows = [figures[i : i + chart.columns] for i in range(0, len(figures), chart.columns)]
     layout = gridplot(
         rows, sizing_mode="stretch_width", merge_tools=True, toolbar_location="right",
@@ -60,12 +66,7 @@ def plot(chart: Chart) -> str:
     return json.dumps(_renumber(item), separators=(",", ":"))
 
 
-def _extent(chart: Chart, group: str) -> tuple[float, float]:
-    drawn = [i for p in chart.panels if p.group == group for i in p.items if isinstance(i, Line | Dots | Band)]
-    return min(float(i.x.min()) for i in drawn), max(float(i.x.max()) for i in drawn)
-
-
-def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figure:
+def _draw_panel(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figure:
     from bokeh.models import Legend, PrintfTickFormatter
     from bokeh.plotting import figure
 
@@ -101,7 +102,7 @@ def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figu
         made.yaxis[0].formatter = PrintfTickFormatter(format="%.6g")
     legend = []
     for item in panel.items:
-        drawn = _item(made, item, sources)
+        drawn = _draw_item(made, item, sources)
         label = getattr(item, "label", "")
         if label and not isinstance(item, Mark | Level) and drawn is not None:
             legend.append((label, [drawn]))
@@ -128,7 +129,7 @@ class _Sources:
         return source, [source.add(_short(column)) for column in values]
 
 
-def _item(made: figure, item: Item, sources: _Sources) -> Any:
+def _draw_item(made: figure, item: Item, sources: _Sources) -> Any:
     if isinstance(item, Line):
         source, (y,) = sources.column(item.x, item.y)
         line = made.line("x", y, source=source, color=item.colour, width=item.width, line_dash=item.dash)
@@ -142,11 +143,11 @@ def _item(made: figure, item: Item, sources: _Sources) -> Any:
         source, (low, high) = sources.column(item.x, item.low, item.high)
         return made.varea("x", low, high, source=source, color=item.colour, alpha=0.25)
     if isinstance(item, Cells):
-        return _cells(made, item)
-    return _rule(made, item)
+        return _draw_cells(made, item)
+    return _draw_rule(made, item)
 
 
-def _rule(made: figure, item: Mark | Level) -> None:
+def _draw_rule(made: figure, item: Mark | Level) -> None:
     """Draw a line across the plot, with its label beside it."""
     from bokeh.models import Label, Span
 
@@ -166,12 +167,12 @@ def _rule(made: figure, item: Mark | Level) -> None:
     made.add_layout(label)
 
 
-def _cells(made: figure, cells: Cells) -> None:
+def _draw_cells(made: figure, cells: Cells) -> None:
     names = cells.names
     rows, columns = np.divmod(np.arange(len(names) ** 2), len(names))
     values = cells.values.ravel()
     x, y = [names[i] for i in columns], [names[i] for i in rows]
-    made.rect(x, y, 1, 1, color=[_shade(float(v)) for v in values], line_color="white")
+    made.rect(x, y, 1, 1, color=[_choose_colour(float(v)) for v in values], line_color="white")
     made.text(
         x, y, text=[format_correlation(float(v)) for v in values], text_align="center", text_baseline="middle",
         text_font_size="11px", text_font={"value": _FONT},
@@ -180,8 +181,8 @@ def _cells(made: figure, cells: Cells) -> None:
     made.grid.visible = False
 
 
-def _shade(value: float) -> str:
-    """Return the colour of -1 to 1, between blue and red: that of matplotlib, which takes long to load, of eleven."""
+def _choose_colour(value: float) -> str:
+    """Return the colour of a value from -1 to 1, between blue and red as in matplotlib."""
     from bokeh.palettes import RdBu11
 
     if math.isnan(value):  # of a parameter that has no deviation
@@ -223,15 +224,15 @@ def _theme() -> Any:
 
 
 def _renumber(item: Any) -> Any:
-    """Return a plot whose parts are numbered from 1: bokeh counts on from whatever was drawn before."""
+    """Number the parts of a plot from 1: bokeh continues after the plot before."""
     names: dict[str, str] = {}
 
     def walk(part: Any) -> Any:
         if isinstance(part, dict):
-            return {key: renamed(value) if key in ("id", "root_id") else walk(value) for key, value in part.items()}
+            return {key: renumber(value) if key in ("id", "root_id") else walk(value) for key, value in part.items()}
         return [walk(value) for value in part] if isinstance(part, list) else part
 
-    def renamed(value: Any) -> Any:
+    def renumber(value: Any) -> Any:
         return names.setdefault(value, f"p{len(names) + 1}") if isinstance(value, str) else walk(value)
 
     return walk(item)

@@ -33,7 +33,7 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 
 if TYPE_CHECKING:
     from jointid.diagnostics.intervals import Intervals
@@ -147,7 +147,10 @@ def torque_word(unit: str) -> str:
 def torque_chart(axis: AxisSignals, motion_source: str = "") -> Chart:
     """Return the measured and the predicted signal of an axis, their difference, and the motion over time."""
     t, measured, predicted, remains = decimate(axis.time, axis.measured, axis.predicted, axis.error, most=_SAMPLES)
-    low, high = _liveliest(axis.measured)
+    size = max(int(_ZOOM * axis.measured.size), min(axis.measured.size, 10))
+    starts = range(0, max(axis.measured.size - size, 1), max(size // 4, 1))
+    low = max(starts, key=lambda start: float(np.std(axis.measured[start : start + size])))
+    high = min(low + size, axis.measured.size)
     near = axis.time[low:high]
     panels = [
         Panel(
@@ -212,14 +215,6 @@ def _with_time(panel: Panel) -> Panel:
 def _heights(axes: Sequence[AxisSignals], alone: int = 280) -> int:
     """Return the height of a panel, less for several axes."""
     return alone if len(axes) == 1 else 230
-
-
-def _liveliest(signal: FloatArray) -> tuple[int, int]:
-    """Return the ends of the stretch in which a signal varies most."""
-    size = max(int(_ZOOM * signal.size), min(signal.size, 10))
-    starts = range(0, max(signal.size - size, 1), max(size // 4, 1))
-    best = max(starts, key=lambda start: float(np.std(signal[start : start + size])))
-    return best, min(best + size, signal.size)
 
 
 def residual_chart(

@@ -25,8 +25,15 @@ _POINTS = 1500  # of a line: more than two for each point of print across a page
 def draw(chart: Chart) -> Figure:
     """Return a chart as a figure of matplotlib."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    from jointid.output.figures.shown_figure import ShownFigure
+    class ShownFigure(Figure):
+        """A figure that a notebook shows; one of matplotlib's own needs pyplot for it."""
+
+        def _repr_png_(self) -> bytes:
+            buffer = io.BytesIO()
+            self.savefig(buffer, format="png")
+            return buffer.getvalue()
 
     rows = [chart.panels[i : i + chart.columns] for i in range(0, len(chart.panels), chart.columns)]
     heights = [max(panel.height for panel in row) for row in rows] or [_EMPTY]
@@ -47,7 +54,7 @@ def draw(chart: Chart) -> Figure:
             axes.sharex(groups[panel.group])
         elif panel.group:
             groups[panel.group] = axes
-        _panel(axes, panel)
+        _draw_panel(axes, panel)
         if chart.columns > 2 and not panel.log_x:
             axes.locator_params(axis="x", nbins=4)
     return figure
@@ -59,19 +66,24 @@ def svg(chart: Chart) -> bytes:
 
     buffer = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": chart.name, "svg.fonttype": "path"}):
-        _laid_out(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return re.sub(rb' d="[^"]*"', _shorter, buffer.getvalue())
+        _lay_out(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+
+    def shorten(path: re.Match[bytes]) -> bytes:
+        # To two decimals: a hundredth of a point is finer than any print, and matplotlib writes six.
+        return re.sub(rb"\s*([MLQCz])\s*", rb"\1", re.sub(rb"(\.\d\d)\d+", rb"\1", path.group()))
+
+    return re.sub(rb' d="[^"]*"', shorten, buffer.getvalue())
 
 
 def png(chart: Chart, dpi: int = 150) -> bytes:
     """Return a chart as PNG; the same chart gives the same bytes."""
     buffer = io.BytesIO()
-    _laid_out(chart).savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    _lay_out(chart).savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
     return buffer.getvalue()
 
 
-def _laid_out(chart: Chart) -> Figure:
-    """Return a figure whose panels have their places: one that is yet to find them is drawn twice to be saved."""
+def _lay_out(chart: Chart) -> Figure:
+    """Draw a chart with a fixed layout: a figure without one is drawn twice when it is saved."""
     figure = draw(chart)
     engine = figure.get_layout_engine()
     assert engine is not None
@@ -80,12 +92,7 @@ def _laid_out(chart: Chart) -> Figure:
     return figure
 
 
-def _shorter(path: re.Match[bytes]) -> bytes:
-    """Return a path with two decimals: a hundredth of a point is finer than any print, and matplotlib writes six."""
-    return re.sub(rb"\s*([MLQCz])\s*", rb"\1", re.sub(rb"(\.\d\d)\d+", rb"\1", path.group()))
-
-
-def _panel(axes: Axes, panel: Panel) -> None:
+def _draw_panel(axes: Axes, panel: Panel) -> None:
     axes.set_xlabel(panel.x_label, fontsize=9)
     axes.set_ylabel(panel.y_label, fontsize=9)
     axes.set_title(panel.title, fontsize=9, loc="left").set_parse_math(False)  # a name is no formula
@@ -102,7 +109,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
         _write_powers(axes.yaxis)
     axes.margins(x=0)
     for item in panel.items:
-        _item(axes, item)
+        _draw_item(axes, item)
     if panel.x_range is not None:
         axes.set_xlim(*panel.x_range)
     if panel.y_range is not None:
@@ -120,20 +127,19 @@ def _write_powers(axis: Axis) -> None:
     """Write 10² as plain text: matplotlib parses it as a formula, which takes longer than all that is drawn."""
     from matplotlib.ticker import LogFormatterSciNotation
 
+    def as_text(formula: re.Match[str]) -> str:
+        factor = "" if formula["factor"] is None else f"{formula['factor']}\u2009×\u2009"
+        return f"{factor}10{formula['power'].translate(_RAISED)}"
+
     class Powers(LogFormatterSciNotation):
         def __call__(self, x: float, pos: int | None = None) -> str:
-            return _FORMULA.sub(_power, super().__call__(x, pos))
+            return _FORMULA.sub(as_text, super().__call__(x, pos))
 
     axis.set_major_formatter(Powers())
     axis.set_minor_formatter(Powers(labelOnlyBase=False))
 
 
-def _power(formula: re.Match[str]) -> str:
-    factor = "" if formula["factor"] is None else f"{formula['factor']}\u2009×\u2009"
-    return f"{factor}10{formula['power'].translate(_RAISED)}"
-
-
-def _item(axes: Axes, item: Item) -> None:
+def _draw_item(axes: Axes, item: Item) -> None:
     if isinstance(item, Line):
         axes.plot(
             *decimate(item.x, item.y, most=_POINTS), color=item.colour, linewidth=0.75 * item.width,
@@ -163,10 +169,10 @@ def _item(axes: Axes, item: Item) -> None:
                 textcoords="offset points", fontsize=7.5, color="0.2",
             )  # fmt: skip
     else:
-        _cells(axes, item)
+        _draw_cells(axes, item)
 
 
-def _cells(axes: Axes, cells: Cells) -> None:
+def _draw_cells(axes: Axes, cells: Cells) -> None:
     axes.grid(visible=False)
     axes.imshow(cells.values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="equal")
     at = range(len(cells.names))
@@ -176,13 +182,7 @@ def _cells(axes: Axes, cells: Cells) -> None:
     for row in at:
         for column in at:
             value = float(cells.values[row, column])
-            dark = abs(value) > 0.6
             axes.text(
-                column,
-                row,
-                format_correlation(value),
-                ha="center",
-                va="center",
-                fontsize=7,
-                color="white" if dark else "0.15",
-            )
+                column, row, format_correlation(value), ha="center", va="center", fontsize=7,
+                color="white" if abs(value) > 0.6 else "0.15",
+            )  # fmt: skip

@@ -19,7 +19,7 @@ from jointid.config import controller_text
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
-from jointid.output.json.estimates import Json, Shape, always, document, estimate_shape, keys, named, take
+from jointid.output.json.estimates import PARAMETER, Json, Shape, always, document, estimate_shape, keys, named, take
 
 REPORT_SCHEMA = "jointid.report/1"
 REPORT_ELEMENT = "jointid-answer"
@@ -46,9 +46,7 @@ def _law(learned: Any) -> Json:
 SHAPES: Mapping[str, Shape] = {
     # Estimates
     "Estimate": estimate_shape,
-    "EstimatedParameter": keys(
-        "symbol value std=stderr unit free identifiable lower_bound at_bound lack_of_fit",
-    ),
+    "EstimatedParameter": PARAMETER,
     "Gravity": keys("load angle"),  # its numbers are parameters
     "Transmission": {
         **keys("motor_per_load lead motor_kind=motor load_kind=load side"),
@@ -201,16 +199,6 @@ SHAPES: Mapping[str, Shape] = {
     "ProposedNotch": keys("notch.frequency notch.bandwidth notch.depth period numerator denominator"),
     "MinimumDetectableChange": keys("false_alarm power changes"),
     # Robots
-    "RobotEstimate": document(
-        "jointid.robot_estimate/1",
-        "robot=robot.name joints=robot.names estimator=settings.estimator converged parameters=rows left=joint_errors "
-        "nominal_left=nominal_errors",
-    ),
-    "RobotTorqueEstimate": document(
-        "jointid.robot_torque_estimate/1",
-        "robot=robot.name joints=robot.names fit.converged parameters=rows left=joint_errors "
-        "nominal_left=nominal_errors",
-    ),
     "RobotValidation": document(
         "jointid.robot_validation/1",
         "robot=robot.name joints=robot.names better_than_nominal=better bodies_better_than_nominal=bodies_better "
@@ -272,7 +260,8 @@ def to_dict(result: object) -> Json:
 
     Example:
         >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+        >>> law = ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)

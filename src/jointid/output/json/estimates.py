@@ -12,12 +12,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.result.parts import bounds_on_other_side, known_on_other_side, on_other_side
 from jointid.estimation.result.summary import describe_drift
 from jointid.models.disturbances import Drift, Effect, EncoderOffset
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 
 Json: TypeAlias = dict[str, Any]
 Shape: TypeAlias = "str | Callable[[Any], object] | Mapping[str, Shape]"
@@ -71,6 +72,9 @@ def named(path: str) -> Callable[[Any], Json]:
     return lambda value: {part.name: part for part in take(value, path)}
 
 
+PARAMETER: dict[str, Shape] = keys("symbol value std=stderr unit free identifiable lower_bound at_bound lack_of_fit")
+"""The shape of a parameter."""
+
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 TOGETHER_SCHEMA = "jointid.together/1"
 LONG_SCHEMA = "jointid.long/1"
@@ -118,9 +122,16 @@ def _controller_sha256(estimate: Estimate) -> str | None:
     return None if loop is None else law_fingerprint(loop)
 
 
+def _correlation(estimate: Estimate) -> FloatArray | None:
+    correlation = estimate.params.correlation
+    return correlation if np.all(np.isfinite(correlation)) else None
+
+
 def estimate_shape(estimate: Estimate) -> Json:
-    """Return the document of an estimate of one record, several records or a long log."""
-    if estimate.data.records:
+    """Return the document of an estimate of one record, several records, a long log or a robot."""
+    if estimate.robot is not None:
+        shape = _OF_A_ROBOT
+    elif estimate.data.records:
         shape = _OF_SEVERAL_RECORDS
     else:
         shape = _OF_ONE_RECORD if estimate.data.windows is None else _OF_A_LOG
@@ -174,9 +185,7 @@ _OF_ONE_RECORD: Shape = document(
         "name=data.record samples=fit.measured.size data.sample_time data.torque_unit torque_sha256=data.fingerprint "
         "data.resampled"
     ),
-    correlation=lambda estimate: (
-        estimate.params.correlation if np.all(np.isfinite(estimate.params.correlation)) else None
-    ),
+    correlation=_correlation,
     other_side=_all_of_other_side,
     controller_sha256=_controller_sha256,
     effects=_effects,
@@ -203,6 +212,31 @@ _OF_A_LOG: Shape = document(
     other_side=_other_side,
     drift=_drift,
     controller_sha256=_controller_sha256,
+)
+
+
+def _parameters_of_robot(estimate: Estimate) -> Json:
+    """Return each parameter with its axis, its nominal value and the sum that it stands for."""
+    part = estimate.require_robot()
+    rows = zip(estimate.params.rows, part.nominal, part.formulas, strict=True)
+    own: dict[str, Shape] = PARAMETER | keys("axis")
+    return {row.name: take(row, own) | {"nominal": float(n), "formula": formula} for row, n, formula in rows}
+
+
+_OF_A_ROBOT: Shape = document(
+    ESTIMATE_SCHEMA,
+    "answer settings.method settings.variant data.channels free=params.names "
+    "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error fit.compared "
+    "samples_left_out=fit.borders fit.rows settings.filtering fit.simulations fit.converged fit.stop "
+    "intervals=params.basis checks.warnings checks.verdicts",
+    model=always("robot"),
+    parameters=_parameters_of_robot,
+    record=keys("name=data.record data.sample_time data.torque_unit torque_sha256=data.fingerprint"),
+    correlation=_correlation,
+    robot={
+        **keys("robot.model.name joints=robot.model.names nominal_left=robot.nominal_errors"),
+        "left": lambda estimate: [*estimate.fit.axis_errors.values()],
+    },
 )
 
 _RECORD: Shape = {

@@ -5,24 +5,33 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 from jointid import Drive, Record
 from jointid.common.charts import Chart
-from jointid.common.document import Block
-from jointid.common.errors import JointidError
+from jointid.common.document import Block, Document, dumps, typeset_block
+from jointid.common.errors import JointidError, MethodError
+from jointid.common.files import write_folder, write_whole
 from jointid.common.messages import Progress, ignore_progress
+from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
+from jointid.diagnostics.robots.diagnose import FeedForwardName
+from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.output.figures.charts import report_charts
+from jointid.output.figures.matplotlib_backend import png, svg
 from jointid.output.json import plain
 from jointid.output.json.documents import REPORT_SCHEMA
-from jointid.output.report.pages import Pages, Repetition, repetition
+from jointid.output.report.page import page
+from jointid.output.report.pages import Repetition, repetition, require_page
+from jointid.output.report.robots import RobotReportData, robot_blocks, robot_charts, robot_contents
 from jointid.output.report.sections import report_blocks
-from jointid.output.report.summary import report_title
 from jointid.planning.joint_design import Design
+from jointid.planning.robot_design import RobotDesign
 from jointid.tuning.tuned import Tuned
 
 __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
@@ -38,8 +47,8 @@ _TEST = (
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Report(Pages):
-    """An estimate, told.
+class Report:
+    """Report of a joint or a robot: its figures and text, for the screen or for paper.
 
     Attributes:
         data: the results to present; `of` collects them.
@@ -49,22 +58,24 @@ class Report(Pages):
         design: the next test; likewise.
     """
 
-    data: ReportData
+    data: ReportData | RobotReportData
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
-    design: Design | None = None
+    design: Design | RobotDesign | None = None
 
     @classmethod
     def of(
         cls,
         estimate: Estimate,
-        record: Record,
-        checks: Sequence[Validation] = (),
+        record: Record | Sequence[Record],
+        checks: Sequence[Validation | RobotValidation] = (),
         *,
         name: str = "",
         profiles: Sequence[str] | None = None,
         tuned: Tuned | None = None,
+        controllers: Sequence[Controller | None] = (),
+        feed_forward: FeedForwardName = "none",
         repetition: Repetition | None = None,
         progress: Progress = ignore_progress,
     ) -> Report:
@@ -72,15 +83,20 @@ class Report(Pages):
 
         Args:
             estimate: by any method.
-            record: that it was identified from.
-            checks: validations of it on other records, from `validate`.
+            record: that it was identified from; of a robot the record of each joint.
+            checks: validations of it on other records, from `validate`; of a robot one at most.
             name: of the joint, for the title.
             profiles: quantities whose criterion is followed, as `intervals` takes them; none when empty. When None,
                 every free parameter of the joint along which the criterion is no parabola, and its compliance. Of DIDIM
                 only.
             tuned: margins and gains of the drive from `tune`, which then have a section.
+            controllers: of each joint of a robot, see `diagnose`.
+            feed_forward: of a robot's records, see `diagnose`.
             repetition: what it takes to do it again, where the files are known.
             progress: is told each step.
+
+        Raises:
+            MethodError: of a robot there is more than one validation, or `tuned`.
 
         Example:
             >>> import jointid as ji
@@ -91,8 +107,18 @@ class Report(Pages):
             >>> "## Checks" in told.markdown()
             True
         """
-        found = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
-        return cls(found, name, repetition or Repetition(), tuned)
+        again = repetition or Repetition()
+        if not isinstance(record, Record):
+            if len(checks) > 1 or tuned is not None:
+                raise MethodError("The report of a robot has one validation at most, and no tuning; leave them out.")
+            found = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
+            (validation,) = cast("Sequence[RobotValidation]", checks) or (None,)
+            return cls(RobotReportData(estimate, found, validation), name, again)
+        estimate.require_joint()
+        data = collect_report_data(
+            estimate, record, cast("Sequence[Validation]", checks), profiles=profiles, progress=progress
+        )
+        return cls(data, name, again, tuned)
 
     @property
     def estimate(self) -> Estimate:
@@ -102,17 +128,22 @@ class Report(Pages):
     @property
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
-        drawn = report_charts(self.data)
+        given = self.data
+        drawn = robot_charts(given.diagnosis) if isinstance(given, RobotReportData) else report_charts(given)
         if self.tuned is not None:
             drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
         if self.design is not None:
-            drawn["test"] = replace(self.design.chart(), caption=_TEST)
+            drawn["test"] = self.design.chart()
+            if isinstance(self.design, Design):
+                drawn["test"] = replace(drawn["test"], caption=_TEST)
         return drawn
 
     @property
     def title(self) -> str:
         """The axis, and the date of its record if it is known."""
-        return report_title(self.estimate, self.name, self.repetition.date)
+        given = self.data
+        own = given.diagnosis.robot.name if isinstance(given, RobotReportData) else given.estimate.data.record
+        return f"{self.name or own}{f', {self.repetition.date}' if self.repetition.date else ''}"
 
     def _repr_html_(self) -> str:
         """Return the answer and the parameters, as a notebook shows them; `save` writes the whole."""
@@ -120,6 +151,8 @@ class Report(Pages):
 
     def _contents(self) -> dict[str, Any]:
         given = self.data
+        if isinstance(given, RobotReportData):
+            return robot_contents(given) | ({} if self.design is None else {"design": self.design})
         return {
             "schema": REPORT_SCHEMA,
             "estimate": given.estimate,
@@ -135,8 +168,71 @@ class Report(Pages):
             "absent": given.absent,
         }
 
-    def _blocks(self, *, interactive: bool) -> Iterable[Block]:
-        return report_blocks(self.data, self.charts, self.repetition, self.tuned, self.design, interactive=interactive)
+    def _blocks(self, interactive: bool) -> Iterable[Block]:
+        given, charts, again, design = self.data, self.charts, self.repetition, self.design
+        if isinstance(given, RobotReportData):
+            assert not isinstance(design, Design)
+            return robot_blocks(given, charts, again, design, interactive=interactive)
+        assert not isinstance(design, RobotDesign)
+        return report_blocks(given, charts, again, self.tuned, design, interactive=interactive)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.title!r})"
+
+    def answer(self) -> str:
+        """Return the JSON that the page carries along."""
+        return dumps(plain(self._contents() | self.repetition.document))
+
+    def _document(self, *, interactive: bool) -> Document:
+        blocks = tuple(map(typeset_block, self._blocks(interactive)))
+        return Document(self.title, blocks, self.answer() if interactive else "")
+
+    def html(self) -> str:
+        """Return one self-contained HTML page.
+
+        Raises:
+            ExtraError: bokeh or jinja2 is not installed.
+        """
+        return page(self._document(interactive=True))
+
+    def markdown(self) -> str:
+        """Return the same as Markdown; its figures are SVG files beside it, which `save` writes."""
+        return self._document(interactive=False).markdown()
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page.
+
+        Args:
+            path: of the file, which ends in .html.
+
+        Raises:
+            RecordError: another suffix, or the file cannot be written.
+            ExtraError: bokeh or jinja2 is not installed.
+        """
+        path = Path(path)
+        require_page(path)
+        write_whole(path, self.html())
+        return path
+
+    def save_markdown(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write report.md and its figures into a folder, which is made; return what was written.
+
+        Raises:
+            RecordError: the folder or a file cannot be written.
+        """
+        document = self._document(interactive=False)
+        return write_folder(folder, {"report.md": document.markdown().encode()} | document.pictures)
+
+    def save_figures(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write every figure as PNG and as SVG into a folder, which is made; return what was written.
+
+        Raises:
+            RecordError: the folder or a file cannot be written.
+        """
+        files: dict[str, bytes] = {}
+        for name, chart in self.charts.items():
+            files |= {f"{name}.png": png(chart), f"{name}.svg": svg(chart)}
+        return write_folder(folder, files)
 
 
 def tune_to_limit(estimate: Estimate, drive: Drive, shown: Iterable[DriveNumber] = ()) -> Tuned | str | None:

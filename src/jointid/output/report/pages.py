@@ -1,4 +1,4 @@
-"""Base class of reports, and the data to repeat one."""
+"""Pictures of a report, and the data to repeat it."""
 
 from __future__ import annotations
 
@@ -6,25 +6,20 @@ import contextlib
 import hashlib
 import re
 import shlex
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from jointid import __version__
 from jointid.common.charts import Cells, Chart
-from jointid.common.document import Block, Code, Document, Paragraph, Picture, dumps
+from jointid.common.document import Block, Code, Paragraph, Picture
 from jointid.common.errors import RecordError
-from jointid.common.files import write_folder, write_whole
 from jointid.common.parallel import Aside
-from jointid.common.typography import typeset_block
 from jointid.output.figures.bokeh_backend import plot
-from jointid.output.figures.matplotlib_backend import png, svg
-from jointid.output.json import plain
-from jointid.output.report.page import page
+from jointid.output.figures.matplotlib_backend import svg
 
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
 _BLOCK = 1 << 20  # bytes that are read at once
@@ -138,89 +133,6 @@ def _find_date(record: Path) -> str:
         with contextlib.suppress(ValueError):
             return datetime.strptime(created[1].decode("ascii"), "%b %d %H:%M:%S %Y").date().isoformat()
     return datetime.fromtimestamp(record.stat().st_mtime, UTC).date().isoformat()
-
-
-class Pages(ABC):
-    """A report: it has figures, and becomes a document, for the screen or for paper."""
-
-    __slots__ = ()
-    repetition: Repetition
-
-    @property
-    @abstractmethod
-    def charts(self) -> dict[str, Chart]:
-        """Its figures by name."""
-
-    @property
-    @abstractmethod
-    def title(self) -> str:
-        """Its title."""
-
-    @abstractmethod
-    def _contents(self) -> dict[str, Any]:
-        """Return its JSON except for the repetition."""
-
-    @abstractmethod
-    def _blocks(self, *, interactive: bool) -> Iterable[Block]:
-        """Yield its blocks; where it is interactive its figures are plots, too."""
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.title!r})"
-
-    def answer(self) -> str:
-        """Return the JSON that the page carries along."""
-        return dumps(plain(self._contents() | self.repetition.document))
-
-    def _document(self, *, interactive: bool) -> Document:
-        blocks = tuple(map(typeset_block, self._blocks(interactive=interactive)))
-        return Document(self.title, blocks, self.answer() if interactive else "")
-
-    def html(self) -> str:
-        """Return one self-contained HTML page.
-
-        Raises:
-            ExtraError: bokeh or jinja2 is not installed.
-        """
-        return page(self._document(interactive=True))
-
-    def markdown(self) -> str:
-        """Return the same as Markdown; its figures are SVG files beside it, which `save` writes."""
-        return self._document(interactive=False).markdown()
-
-    def save(self, path: str | Path) -> Path:
-        """Write the page.
-
-        Args:
-            path: of the file, which ends in .html.
-
-        Raises:
-            RecordError: another suffix, or the file cannot be written.
-            ExtraError: bokeh or jinja2 is not installed.
-        """
-        path = Path(path)
-        require_page(path)
-        write_whole(path, self.html())
-        return path
-
-    def save_markdown(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write report.md and its figures into a folder, which is made; return what was written.
-
-        Raises:
-            RecordError: the folder or a file cannot be written.
-        """
-        document = self._document(interactive=False)
-        return write_folder(folder, {"report.md": document.markdown().encode()} | document.pictures)
-
-    def save_figures(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write every figure as PNG and as SVG into a folder, which is made; return what was written.
-
-        Raises:
-            RecordError: the folder or a file cannot be written.
-        """
-        files: dict[str, bytes] = {}
-        for name, chart in self.charts.items():
-            files |= {f"{name}.png": png(chart), f"{name}.svg": svg(chart)}
-        return write_folder(folder, files)
 
 
 def pictures_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,139 +11,106 @@ from jointid.common.document import Block, Facts, Heading, Listing, Paragraph, T
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
 from jointid.diagnostics.report_data import Spectra, estimate_spectra
-from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
+from jointid.diagnostics.robots.diagnose import RobotDiagnosis
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
 from jointid.diagnostics.robots.validation import RobotValidation
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
-from jointid.models.controllers import Controller
-from jointid.models.robots.robot import Robot
+from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
-from jointid.output.report.pages import Pages, Repetition, pictures_of
-from jointid.records.record import Record
+from jointid.output.report.pages import Repetition, pictures_of
+from jointid.output.report.summary import next_test, next_test_in_full
+from jointid.planning.robot_design import RobotDesign
 
 REPORT_OF_ROBOT = "jointid.robot_report/1"
 
 _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class RobotReport(Pages):
-    """A robot's estimate, told.
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotReportData:
+    """Results of a robot to present.
 
     Attributes:
-        estimate: of the robot.
-        diagnosis: what its record tells, joint by joint.
-        validation: against a record that it has not seen; None without one.
-        repetition: what it takes to do it again, where the files are known.
+        estimate: by any method.
+        diagnosis: of its record, joint by joint.
+        validation: on another record; None without one.
+        absent: reasons for missing parts, by name.
     """
 
-    estimate: RobotEstimate | RobotTorqueEstimate
+    estimate: Estimate
     diagnosis: RobotDiagnosis
     validation: RobotValidation | None = None
-    repetition: Repetition = field(default_factory=Repetition)
+    absent: dict[str, str] = field(default_factory=dict)
 
-    @classmethod
-    def of(
-        cls,
-        estimate: RobotEstimate | RobotTorqueEstimate,
-        records: Sequence[Record],
-        controllers: Sequence[Controller | None] = (),
-        validation: RobotValidation | None = None,
-        *,
-        feed_forward: FeedForwardName = "none",
-        repetition: Repetition | None = None,
-    ) -> RobotReport:
-        """Report a robot's estimate.
 
-        Args:
-            estimate: by IDIM or DIDIM.
-            records: of each joint, that it was identified from.
-            controllers: as declared, see `diagnose`.
-            validation: of the estimate on another record, from `validate`.
-            feed_forward: as declared, see `diagnose`.
-            repetition: what it takes to do it again, where the files are known.
+def robot_contents(given: RobotReportData) -> dict[str, Any]:
+    """JSON of a robot's report except for the repetition."""
+    return {
+        "schema": REPORT_OF_ROBOT,
+        "estimate": given.estimate,
+        "diagnosis": given.diagnosis,
+        "validation": given.validation,
+    }
 
-        Raises:
-            RecordError, MethodError: as of the identification.
-        """
-        found = diagnose_robot(estimate, records, controllers, feed_forward=feed_forward)
-        return cls(estimate, found, validation, repetition or Repetition())
 
-    @property
-    def robot(self) -> Robot:
-        """The nominal robot."""
-        return self.estimate.robot
-
-    @property
-    def title(self) -> str:
-        """The robot, and the date of its record where it is known."""
-        return f"{self.robot.name}{f', {self.repetition.date}' if self.repetition.date else ''}"
-
-    @property
-    def charts(self) -> dict[str, Chart]:
-        """Its figures by name."""
-        return _charts(self.diagnosis)
-
-    def _contents(self) -> dict[str, Any]:
-        return {
-            "schema": REPORT_OF_ROBOT,
-            "estimate": self.estimate,
-            "diagnosis": self.diagnosis,
-            "validation": self.validation,
-        }
-
-    def _blocks(self, *, interactive: bool) -> Iterable[Block]:
-        picture = pictures_of(self.charts, interactive=interactive)
-        tests = () if self.validation is None else self.validation.document().blocks[1:]
-        return (
-            Heading("Result"),
-            *self._result(),
-            Heading("Joints"),
-            *self.diagnosis.document().blocks[1:],
-            Heading("Parameters"),
-            *_parameters(self.diagnosis),
-            Heading("Torque"),
-            *picture("torque"),
-            *([Heading("A record that the estimate has not seen")] if tests else []),
-            *tests,
-            Heading("Appendix"),
-            Paragraph("What stands behind that: what is left of the torques, the sums, and how to repeat it."),
-            Heading("Residual"),
-            *picture("residual"),
-            *([Heading("Spectra"), *picture("spectra")] if "spectra" in self.charts else []),
-            Heading("Sums that the parameters stand for"),
-            *_sums(self.diagnosis),
-            Heading("Settings and data"),
-            *self._settings(),
+def robot_blocks(
+    given: RobotReportData,
+    charts: dict[str, Chart],
+    repetition: Repetition,
+    design: RobotDesign | None,
+    *,
+    interactive: bool,
+) -> Iterator[Block]:
+    """Yield a robot's report, with a section of each joint; where it is interactive its figures are plots, too."""
+    found, picture = given.diagnosis, pictures_of(charts, interactive=interactive)
+    yield Heading("Result")
+    yield from _result(given)
+    yield Heading("Joints")
+    yield from found.to_document().blocks[1:]
+    yield Heading("Parameters")
+    yield from _parameters(found)
+    yield Heading("Torque")
+    yield from picture("torque")
+    if given.validation is not None:
+        yield Heading("A record that the estimate has not seen")
+        yield from given.validation.to_document().blocks[1:]
+    yield from next_test(design, given.absent)
+    yield Heading("Appendix")
+    yield Paragraph("What stands behind that: what is left of the torques, the sums, and how to repeat it.")
+    yield Heading("Residual")
+    yield from picture("residual")
+    if "spectra" in charts:
+        yield Heading("Spectra")
+        yield from picture("spectra")
+    yield Heading("Sums that the parameters stand for")
+    yield from _sums(found)
+    yield from next_test_in_full(design, picture)
+    yield Heading("Settings and data")
+    yield from (block for block in given.estimate.to_document().blocks if isinstance(block, Facts))
+    filtering = given.estimate.settings.filtering
+    yield Facts(
+        (
+            ("filter", f"up to {number(filtering.cutoff, 4)} Hz, one sample in {filtering.decimation} kept"),
+            ("rows", f"{found.torques.time.size} of each joint"),
+            *repetition.facts,
         )
+    )
+    yield from repetition.blocks
 
-    def _result(self) -> Iterator[Block]:
-        """Yield the verdict, what it rests on, and how the robot was identified."""
-        estimate, found = self.estimate, self.diagnosis
-        if self.validation is not None:
-            yield self.validation.document().blocks[0]
-            yield Paragraph(found.answer)
-        else:
-            yield Paragraph(found.answer, lead=True, tone="open" if found.explained else "bad")
-            yield Paragraph(
-                "It was not held against a record that it has not seen, so nothing says yet that it predicts better "
-                "than the model did: --held-out RECORD does it."
-            )
-        yield from (b for b in estimate.document().blocks if isinstance(b, Paragraph))
-        yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
 
-    def _settings(self) -> Iterator[Block]:
-        estimate, filtering, repeated = self.estimate, self.estimate.filtering, self.repetition
-        yield from (b for b in estimate.document().blocks if isinstance(b, Facts))
-        yield Facts(
-            (
-                ("filter", f"up to {number(filtering.cutoff, 4)} Hz, one sample in {filtering.decimation} kept"),
-                ("rows", f"{self.diagnosis.torques.time.size} of each joint"),
-                *repeated.facts,
-            )
+def _result(given: RobotReportData) -> Iterator[Block]:
+    """Yield the verdict, what it rests on, and how the robot was identified."""
+    found = given.diagnosis
+    if given.validation is not None:
+        yield given.validation.to_document().blocks[0]
+        yield Paragraph(found.answer)
+    else:
+        yield Paragraph(found.answer, lead=True, tone="open" if found.explained else "bad")
+        yield Paragraph(
+            "It was not held against a record that it has not seen, so nothing says yet that it predicts better "
+            "than the model did: --held-out RECORD does it."
         )
-        yield from repeated.blocks
+    yield from (block for block in given.estimate.to_document().blocks if isinstance(block, Paragraph))
+    yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
 
 
 def _parameters(found: RobotDiagnosis) -> Iterator[Block]:
@@ -179,7 +146,7 @@ def _sums(found: RobotDiagnosis) -> Iterator[Block]:
     yield Listing(items) if items else Paragraph("Every parameter stands for itself.")
 
 
-def _charts(found: RobotDiagnosis) -> dict[str, Chart]:
+def robot_charts(found: RobotDiagnosis) -> dict[str, Chart]:
     """Return the charts that can be drawn, by name."""
     axes, torques = AxisSignals.of_robot(found), found.torques
     spectra: list[Spectra | None] = []

@@ -14,9 +14,9 @@ from jointid.common.document import (
     Listing,
     Paragraph,
     Table,
+    p_value,
 )
 from jointid.common.text import join, number, sentence
-from jointid.common.typography import p_value
 from jointid.diagnostics.faults.fault import FaultTest, Measure
 from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.report_data import ReportData
@@ -28,7 +28,7 @@ from jointid.estimation.result.summary import (
     settings_facts,
 )
 from jointid.output.report.pages import Repetition, pictures_of
-from jointid.output.report.summary import summary_blocks, verdicts_in_full
+from jointid.output.report.summary import next_test_in_full, summary_blocks, verdicts_in_full
 from jointid.planning.joint_design import Design
 from jointid.tuning.tuned import Tuned
 
@@ -58,11 +58,7 @@ def report_blocks(
         *_loop(given),
         *_tests(given),
         *([] if tuned is None else _tuning(tuned, picture)),
-        *(
-            []
-            if design is None
-            else [Heading("The next test in full"), *design.document().blocks[1:], *picture("test")]
-        ),
+        *next_test_in_full(design, picture),
         *_settings(given, repetition),
     )
 
@@ -113,7 +109,7 @@ def _settings(given: ReportData, repetition: Repetition) -> list[Block]:
 
 def _tuning(tuned: Tuned, picture: Callable[[str], list[Block]]) -> list[Block]:
     """Return margins, gains, feed-forward and notes, all of them, and the responses."""
-    blocks = (replace(block, level=3) if isinstance(block, Heading) else block for block in tuned.document().blocks)
+    blocks = (replace(block, level=3) if isinstance(block, Heading) else block for block in tuned.to_document().blocks)
     return [Heading("Tuning in full"), *blocks, *picture("tuning")]
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from jointid.common.document import Block, Heading, Listing, Paragraph, Tone, Verdicts
+from jointid.common.document import Block, Heading, Listing, Paragraph, Table, Tone, Verdicts
 from jointid.common.messages import Message
 from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
@@ -14,6 +14,7 @@ from jointid.estimation.result.consequence import consequence
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
 from jointid.planning.joint_design import Design
+from jointid.planning.robot_design import RobotDesign
 from jointid.tuning.tuned import Tuned
 
 _TONES: dict[Trust, Tone] = {
@@ -24,11 +25,6 @@ _TONES: dict[Trust, Tone] = {
     Trust.NOT_CHECKED: "open",
 }
 _CHANNELS = {"injected": "injected signal"}
-
-
-def report_title(estimate: Estimate, name: str = "", date: str = "") -> str:
-    """Return the title of a report: the axis, and the date of its record where it is known."""
-    return f"{name or estimate.data.record}{f', {date}' if date else ''}"
 
 
 def summary_blocks(
@@ -58,13 +54,26 @@ def summary_blocks(
         yield Heading("Tuning")
         yield Paragraph(tuned.sentence)
         yield from tuned.proposal()
-    if (why := given.absent.get("design")) is not None:
+    yield from next_test(design, given.absent)
+
+
+def next_test(design: Design | RobotDesign | None, absent: Mapping[str, str]) -> Iterator[Block]:
+    """Yield the next test in short, or why there is none."""
+    if (why := absent.get("design")) is not None:
         yield Heading("The next test")
         yield Paragraph(f"None was planned. {why}")
     if design is not None:
         yield Heading("The next test")
         yield Paragraph(design.sentence)
-        yield design.document().blocks[0]
+        yield next(block for block in design.to_document().blocks if isinstance(block, Table))
+
+
+def next_test_in_full(design: Design | RobotDesign | None, picture: Callable[[str], list[Block]]) -> tuple[Block, ...]:
+    """Return the next test but for its intervals, with its picture."""
+    if design is None:
+        return ()
+    tables = (block for block in design.to_document().blocks if not isinstance(block, Paragraph))
+    return (Heading("The next test in full"), *[*tables][1:], *picture("test"))
 
 
 def _source(estimate: Estimate) -> str:

@@ -221,15 +221,14 @@ def load_profile(name: str) -> Profile:
     if name not in profile_names():
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
     raw = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
-    channels = {channel: tuple(map(_parse_signal, signals)) for channel, signals in raw.pop("channels").items()}
+    types: dict[str, Callable[[Any], Any]] = {"names": tuple, "timing": Timing, "tap": Tap, "axes": tuple}
+    channels = {
+        channel: tuple(TraceSignal(**{key: types.get(key, str)(one[key]) for key in one}) for one in signals)
+        for channel, signals in raw.pop("channels").items()
+    }
     lists: dict[str, Any] = {key: tuple(raw.pop(key)) for key in ("sources", "assumed", "time") if key in raw}
     gains = tuple(DriveGain(one["name"], one["key"], tuple(one["units"])) for one in raw.pop("gains", ()))
     return Profile(name=name, channels=channels, gains=gains, **lists, **raw)
-
-
-def _parse_signal(raw: dict[str, Any]) -> TraceSignal:
-    types: dict[str, Callable[[Any], Any]] = {"names": tuple, "timing": Timing, "tap": Tap, "axes": tuple}
-    return TraceSignal(**{key: types.get(key, str)(value) for key, value in raw.items()})
 
 
 def _split_words(name: str) -> tuple[str, ...]:

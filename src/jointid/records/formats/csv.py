@@ -18,7 +18,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import pluralise, short
 from jointid.common.units import UnitError, unit
@@ -66,8 +65,40 @@ class Layout:
         rows = lines[:count]
         if self.closed:
             rows = [Line(i, row.rstrip(BLANKS).removesuffix(self.dialect.delimiter)) for i, row in rows]
-        values = _parse_values(self.file, rows, self.dialect, self.names, ends)
+        mark = None if self.dialect.delimiter == BLANKS else self.dialect.delimiter
+        try:
+            plain = point_rows(rows, self.dialect.decimal)
+            values = np.loadtxt(plain, dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
+        except ValueError:  # quotes, an empty cell or a fault: only the slow way can tell
+            values = np.array([self._parse_row(row, ends and row is rows[-1]) for row in rows])
         return Table(dict(zip(self.names, values.T, strict=True)), source=self.file)
+
+    def _parse_row(self, line: Line, last: bool) -> list[float]:
+        """Parse one row; raise the sentence on its fault."""
+        file, names = self.file, self.names
+        try:
+            cells = self.dialect.split(line.text)
+        except csv.Error as error:
+            raise RecordError(
+                f"{file}: line {line.number} cannot be split into cells ({error}); mend or delete that line."
+            ) from None
+        if len(cells) != len(names):
+            place = f"line {line.number}, the last," if last else f"line {line.number}"
+            remedy = "the file was cut off or ends in a remark; delete" if last else "mend or delete"
+            raise RecordError(
+                f"{file}: {place} has {pluralise(len(cells), 'cell')} for {pluralise(len(names), 'column')}; {remedy} "
+                "that line."
+            )
+        values = []
+        for name, cell in zip(names, cells, strict=True):
+            try:
+                values.append(self.dialect.number(cell))
+            except ValueError:
+                raise RecordError(
+                    f'{file}: line {line.number}, column "{name}" holds "{short(cell)}", which is not a number; '
+                    "mend it or leave the cell empty."
+                ) from None
+        return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,20 +188,17 @@ class Csv:
 
     def _layout(self, text: TextFile) -> Layout:
         try:
-            return self._find_layout(text)
+            fit = self._fit(text)
+            dialect, width = fit.dialect, fit.width
+            start = fit.first_row([line.text for line in text.lines])
+            rows = text.lines[start:]
+            # Where all rows end with the delimiter, their empty last cell is a column only if it has a name.
+            closed = dialect.delimiter != BLANKS and all(
+                row.text.rstrip(BLANKS).endswith(dialect.delimiter) for row in rows[:-1] or rows
+            )
+            header = self._names(text, start, fit, closed)
         except csv.Error as error:
             raise RecordError(f"{text.name} cannot be split into cells ({error}); is it delimited text?") from error
-
-    def _find_layout(self, text: TextFile) -> Layout:
-        fit = self._fit(text)
-        dialect, width = fit.dialect, fit.width
-        start = fit.first_row([line.text for line in text.lines])
-        rows = text.lines[start:]
-        # Where all rows end with the delimiter, their empty last cell is a column only if it has a name.
-        closed = dialect.delimiter != BLANKS and all(
-            row.text.rstrip(BLANKS).endswith(dialect.delimiter) for row in rows[:-1] or rows
-        )
-        header = self._names(text, start, fit, closed)
         unnamed = closed and (header is None or len(header) < width or not header[-1])
         width -= unnamed
         names = [name or str(i) for i, name in enumerate(header or [""] * width, start=1)][:width]
@@ -262,41 +290,6 @@ def _is_unit(text: str) -> bool:
     except UnitError:
         return False
     return True
-
-
-def _parse_values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[str], ends: bool) -> FloatArray:
-    """Parse rows to (rows, columns); the file may end with them."""
-    try:
-        mark = None if dialect.delimiter == BLANKS else dialect.delimiter
-        return np.loadtxt(point_rows(rows, dialect.decimal), dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
-    except ValueError:  # quotes, an empty cell or a fault: only the slow way can tell
-        return np.array([_parse_row(file, row, ends and row is rows[-1], dialect, names) for row in rows])
-
-
-def _parse_row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[str]) -> list[float]:
-    """Parse one row; raise the sentence on its fault."""
-    try:
-        cells = dialect.split(line.text)
-    except csv.Error as error:
-        raise RecordError(
-            f"{file}: line {line.number} cannot be split into cells ({error}); mend or delete that line."
-        ) from None
-    if len(cells) != len(names):
-        place = f"line {line.number}, the last," if last else f"line {line.number}"
-        remedy = "the file was cut off or ends in a remark; delete that line" if last else "mend or delete that line"
-        raise RecordError(
-            f"{file}: {place} has {pluralise(len(cells), 'cell')} for {pluralise(len(names), 'column')}; {remedy}."
-        )
-    values = []
-    for name, cell in zip(names, cells, strict=True):
-        try:
-            values.append(dialect.number(cell))
-        except ValueError:
-            raise RecordError(
-                f'{file}: line {line.number}, column "{name}" holds "{short(cell)}", which is not a number; '
-                "mend it or leave the cell empty."
-            ) from None
-    return values
 
 
 def _write_header(table: Table, delimiter: str) -> list[str]:

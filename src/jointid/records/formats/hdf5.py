@@ -215,7 +215,13 @@ class Contents:
         fields = tuple(field for field in dtype.names or () if dtype[field].kind in NUMBERS)
         if shape is None or not (dtype.kind in NUMBERS or (fields and len(shape) == 1 and not matlab)):
             return
-        why = refusal_reason(dataset) or _shape_refusal(shape)
+        why = refusal_reason(dataset)
+        if why is None and 0 in shape:
+            why = "it is empty"
+        elif why is None and len(shape) > 2:
+            why = f"it has {len(shape)} dimensions"
+        elif why is None and len(shape) == 2 and min(shape) > _WIDEST:
+            why = f"it is a matrix of {shape[0]} x {shape[1]}"
         if why is not None:
             self.passed[name] = why
         elif fields:
@@ -247,7 +253,10 @@ class Contents:
         if signal.place in self.kept:
             return self.kept[signal.place]
         dataset = self.file[signal.place]
-        room = _chunks_of_a_block(dataset, turned=signal.turned)
+        room = math.prod(dataset.chunks) * dataset.dtype.itemsize if dataset.chunks else 0
+        if dataset.chunks and dataset.ndim == 2:  # the chunks at one sample
+            across = 0 if signal.turned else 1
+            room *= math.ceil(dataset.shape[across] / dataset.chunks[across])
         if room <= _USUAL_CACHE or self.caches + room > _CACHES:
             return dataset
         dataset.id.close()  # one that is open keeps the cache that it has
@@ -310,28 +319,6 @@ def refusal_reason(dataset: Member) -> str | None:
     return None
 
 
-def _chunks_of_a_block(dataset: Member, *, turned: bool) -> int:
-    """Bytes of the chunks at one sample; 0 without chunks."""
-    if not dataset.chunks:
-        return 0
-    across = 1
-    if dataset.ndim == 2:
-        width, chunk = (dataset.shape[0], dataset.chunks[0]) if turned else (dataset.shape[1], dataset.chunks[1])
-        across = math.ceil(width / chunk)
-    return int(across * math.prod(dataset.chunks) * dataset.dtype.itemsize)
-
-
-def _shape_refusal(shape: tuple[int, ...]) -> str | None:
-    """Reason why a shape gives no columns; else None."""
-    if 0 in shape:
-        return "it is empty"
-    if len(shape) > 2:
-        return f"it has {len(shape)} dimensions"
-    if len(shape) == 2 and min(shape) > _WIDEST:
-        return f"it is a matrix of {shape[0]} x {shape[1]}"
-    return None
-
-
 def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns:
     shape = dataset.shape
     signal = DatasetColumns(dataset.name, (name,), shape[0], unit=_unit(dataset))
@@ -345,7 +332,6 @@ def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns
 
 
 def _unit(dataset: Member) -> str | None:
-    """Return the stated unit of a dataset."""
     for key in _UNITS:
         if key not in dataset.attrs or math.prod(dataset.attrs.get_id(key).shape or ()) != 1:
             continue

@@ -83,7 +83,13 @@ class Matlab:
         with explain_damage(path, "a MAT file", "save it again with -v7 in MATLAB"):
             found = _load_matrices(path)
         scalars = {name: float(array.item()) for name, array in found if array.size == 1}
-        pairs = [column for name, array in found if array.size > 1 for column in _split_columns(name, array)]
+        pairs = list[tuple[str, FloatArray]]()
+        for name, array in found:
+            if array.size > 1 and 1 in array.shape:
+                pairs.append((name, array.ravel()))
+            elif array.size > 1:  # the samples run along the longer side
+                samples_first = array if array.shape[0] >= array.shape[1] else array.T
+                pairs += [(f"{name}[{index}]", column) for index, column in enumerate(samples_first.T)]
         require_unique_names(path, [name for name, _ in pairs] + [name for name, array in found if array.size == 1])
         columns = dict(pairs)
         if not (columns or scalars):
@@ -134,27 +140,12 @@ def _is_hdf5(path: Path) -> bool:
     return any(head.startswith(SIGNATURE, offset) for offset in (0, _HEADER_73))
 
 
-def _split_columns(name: str, array: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield a vector as one column, a matrix as one column per signal."""
-    if 1 in array.shape:
-        yield name, array.ravel()
-        return
-    samples_first = array if array.shape[0] >= array.shape[1] else array.T
-    for index, column in enumerate(samples_first.T):
-        yield f"{name}[{index}]", column
-
-
 def _quote(names: list[str]) -> str:
     return ", ".join(f'"{name}"' for name in names)
 
 
 def _load_matrices(path: Path) -> list[tuple[str, FloatArray]]:
-    """Return the path and the values, shape (rows, columns), of every matrix of real numbers.
-
-    Raises:
-        RecordError: two variables have one name.
-        Exception: the file is damaged; SciPy raises errors of many classes.
-    """
+    """Return the path and the values, shape (rows, columns), of every matrix of real numbers."""
     from scipy.io.matlab import MatReadWarning, loadmat
 
     with warnings.catch_warnings():
@@ -192,7 +183,6 @@ def _scan(contents: Contents) -> None:
 
 
 def _note_variable(contents: Contents, path: str, member: Member, deep: int) -> None:
-    """Note a variable, or all that is in a structure."""
     h5py = extra("h5py", "logs", "Reading MAT files of version 7.3")
     if isinstance(member, h5py.Dataset):
         if _matlab_class(member) in _NUMERIC_73 and "MATLAB_empty" not in member.attrs:
@@ -220,7 +210,6 @@ def _note_elements(contents: Contents, path: str, name: str, field: Member, deep
 
 
 def _matlab_class(member: Member) -> str:
-    """Return the class of a variable, "" without one."""
     key = "MATLAB_class"
     if key not in member.attrs or member.attrs.get_id(key).dtype.kind != "S":  # MATLAB's have a fixed length
         return ""

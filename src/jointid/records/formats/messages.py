@@ -73,9 +73,9 @@ class _Decoder:
         fields = self.known[name]
         if not fields:
             self.take(1, 1)  # a message without fields is a byte long
-        return {field.name: self.field(field, deep) for field in fields}
+        return {field.name: self.member(field, deep) for field in fields}
 
-    def field(self, field: Field, deep: int) -> Value:
+    def member(self, field: Field, deep: int) -> Value:
         kind, length = field.type, field.length
         if length is None:
             return self.value(kind, deep)
@@ -138,7 +138,8 @@ def flatten_numbers(
     Arrays as long as the list of joint names beside or above them use these, "path/joint/field"; others use indices,
     "path/field[0]". Bytes, long arrays and text are skipped. `names` are joint names of the parent message.
     """
-    own = [value for key in _NAMING if _is_names(value := message.get(key))]
+    lists = [value for key in _NAMING if isinstance(value := message.get(key), list) and value]
+    own = [value for value in lists if all(isinstance(text, str) for text in value)]
     names = own[0] if own else names
     for key, value in message.items():
         inner = "" if key in _OF_ITS_OWN else f"/{key}"
@@ -159,10 +160,6 @@ def flatten_numbers(
         elif names and isinstance(value, list) and len(value) == len(names) and isinstance(value[0], dict):
             for name, part in zip(names, value, strict=True):
                 yield from flatten_numbers(part, f"{path}/{name}")
-
-
-def _is_names(value: Value) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(text, str) for text in value)
 
 
 _SQLITE = b"SQLite format 3\0"
@@ -201,8 +198,7 @@ def read_messages(file: Path) -> Iterator[tuple[Topic, int, bytes]]:
     for link in links:
         asked = (link.msgtype, str(link.msgdef.data) if link.msgdef.format.name == "MSG" else "")
         if asked not in known:
-            found = message_types(*asked)
-            known[asked] = {key: tuple(Field(*each) for each in own) for key, own in found.items()}
+            known[asked] = message_types(*asked)
         topics[link.id] = Topic(link.topic, link.msgtype, link.ext.serialization_format, known[asked])
     for link, time, data in storage.messages(links):
         yield topics[link.id], time, data
@@ -222,7 +218,8 @@ def _require_plain_tables(file: Path) -> None:
     with closing(sqlite3.connect(place, uri=True)) as base:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**26)
         for kind, name in base.execute("SELECT type, name FROM sqlite_master"):
-            if kind in ("view", "trigger") or (kind == "table" and _has_generated_column(base, name)):
+            described = base.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,)) if kind == "table" else ()
+            if kind in ("view", "trigger") or any(hidden in _HIDDEN for (hidden,) in described):
                 raise RecordError(
                     f"{file.name} has a {kind} {name!r} whose content is computed, which no bag has; record it again."
                 )
@@ -230,14 +227,8 @@ def _require_plain_tables(file: Path) -> None:
         _require_few_topics(file, count)
 
 
-def _has_generated_column(base: sqlite3.Connection, name: str) -> bool:
-    """Test for a generated column."""
-    described = base.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
-    return any(hidden in _HIDDEN for (hidden,) in described)
-
-
-def message_types(name: str, text: str) -> dict[str, list[tuple[str, str, int | None]]]:
-    """Fields (type, name, length) of a message type and its dependencies, if known.
+def message_types(name: str, text: str) -> dict[str, Definition]:
+    """Definitions of a message type and its dependencies, if known.
 
     An empty text selects ROS's own definition.
     """
@@ -248,22 +239,20 @@ def message_types(name: str, text: str) -> dict[str, list[tuple[str, str, int | 
         own = get_types_from_msg(text, name) if text.strip() else {}
     except TypesysError:
         own = {}
-    found: dict[str, list[tuple[str, str, int | None]]] = {}
+    found: dict[str, Definition] = {}
     wanted = [name]
     while wanted:
         kind = wanted.pop()
         definition = own.get(kind) or FIELDDEFS.get(kind)
         if definition is None or kind in found:
             continue
-        found[kind] = [_parse_type(key, *described) for key, described in definition[1]]
-        wanted += [inner for inner, _, _ in found[kind] if "/" in inner]
+        found[kind] = tuple(_parse_field(key, *described) for key, described in definition[1])
+        wanted += [field.type for field in found[kind] if "/" in field.type]
     return found
 
 
-def _parse_type(name: str, shape: Any, described: Any) -> tuple[str, str, int | None]:
-    """Parse a field: type, name, and length (None: one value, -1: any number)."""
+def _parse_field(name: str, shape: Any, described: Any) -> Field:
     if shape.name in ("BASE", "NAME"):
-        return (described[0] if shape.name == "BASE" else described), name, None
+        return Field(described[0] if shape.name == "BASE" else described, name, None)
     (_, inner), length = described
-    kind = inner if isinstance(inner, str) else inner[0]
-    return kind, name, length if shape.name == "ARRAY" else -1
+    return Field(inner if isinstance(inner, str) else inner[0], name, length if shape.name == "ARRAY" else -1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -107,7 +107,6 @@ class Parquet:
 
 
 def _to_block(table: Table) -> Block:
-    """Wrap rows in memory as a block."""
     return Block(table.rows, partial(table.cut, 0))
 
 
@@ -205,8 +204,11 @@ def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
     lists = [entry.name for entry in schema if types.is_list(entry.type) or types.is_large_list(entry.type)]
     decoding = _Decoder(passed=dict.fromkeys(lists, _ANY_LENGTH))
     require_unique_names(path, list(schema.names))
-    units = {entry.name: unit for entry in schema if (unit := _read_unit(entry.metadata))}
-    scalars = _read_scalars(schema.metadata or {})
+    stated = {entry.name: (entry.metadata or {}) for entry in schema}
+    texts = {name: (each.get(_UNITS[0]) or each.get(_UNITS[1]) or b"") for name, each in stated.items()}
+    units = {name: unit for name, text in texts.items() if (unit := text.decode("utf-8", "replace").strip())}
+    kept = json.loads((schema.metadata or {}).get(_SCALARS, "{}"))
+    scalars = {str(name): float(text) for name, text in kept.items()}
     wanted = [entry.name for entry in schema if _may_be_numbers(entry.type)]
     units |= {entry.name: "s" for entry in schema if str(entry.type).startswith(("timestamp", "duration", "time"))}
     for batch in file.iter_batches(batch_size=_BATCH, columns=wanted, use_threads=False):
@@ -226,15 +228,3 @@ def _may_be_numbers(kind: Arrow) -> bool:
     if types.is_dictionary(kind) or types.is_fixed_size_list(kind):
         return _may_be_numbers(kind.value_type)
     return bool(types.is_primitive(kind) or types.is_decimal(kind))
-
-
-def _read_unit(metadata: Mapping[bytes, bytes] | None) -> str:
-    texts = (metadata or {}).get(_UNITS[0]) or (metadata or {}).get(_UNITS[1]) or b""
-    return texts.decode("utf-8", "replace").strip()
-
-
-def _read_scalars(metadata: Mapping[bytes, bytes]) -> dict[str, float]:
-    """Read the scalars from the metadata."""
-    if _SCALARS not in metadata:
-        return {}
-    return {str(name): float(text) for name, text in json.loads(metadata[_SCALARS]).items()}

@@ -100,7 +100,12 @@ class ReaderProcess:
             _EndedError: the process ended, or exceeded `patience` seconds.
             JointidError, OSError, MemoryError: from reading the file.
         """
-        watch = Timer(patience, self._end_late)
+
+        def end_late() -> None:
+            self.late = True
+            self.process.kill()
+
+        watch = Timer(patience, end_late)
         watch.start()
         self.busy = True
         try:
@@ -128,10 +133,6 @@ class ReaderProcess:
         with contextlib.suppress(Exception):  # whatever it is, the file was read
             return bool(self.ask({"do": "close"}, _BUSY * SECONDS)["free"])
         return False
-
-    def _end_late(self) -> None:
-        self.late = True
-        self.process.kill()
 
     def end(self) -> int:
         """End the process, and return its exit code."""
@@ -172,7 +173,6 @@ def _read_table(answers: IO[bytes], described: dict[str, Any]) -> Table:
 
 
 def _require_good(answer: dict[str, Any]) -> dict[str, Any]:
-    """Return an answer, or raise the error that it describes."""
     if (error := answer.get("error")) is None:
         return answer
     kind, faults = error["kind"], error["faults"]

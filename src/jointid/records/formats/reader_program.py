@@ -59,7 +59,11 @@ def main(memory: int, lifeline: int | None) -> None:
                     _send(answers, {"free": address_space() <= begin + LIBRARIES + _TIRED})
         except Exception as error:  # reported to the parent
             blocks, block = iter(()), None
-            _send(answers, {"error": _describe(error)})
+            faults = [str(fault) for fault in getattr(error, "faults", (str(error),))]
+            answer: dict[str, Any] = {"kind": type(error).__name__, "faults": faults}
+            if isinstance(error, OSError):
+                answer |= {"errno": error.errno, "strerror": error.strerror}
+            _send(answers, {"error": answer})
 
 
 def _end_with(lifeline: int) -> None:
@@ -89,13 +93,6 @@ def _prepare(order: dict[str, Any]) -> tuple[Any, Any]:
 
     limit_resource("RLIMIT_CPU", int(time.process_time()) + 1 + order["seconds"])
     return format_of(order["path"], **order["options"]), Path(order["path"])
-
-
-def _describe(error: Exception) -> dict[str, Any]:
-    """Describe an error as JSON: kind, sentences and system error."""
-    faults = getattr(error, "faults", (str(error),))
-    answer = {"kind": type(error).__name__, "faults": [str(fault) for fault in faults]}
-    return answer | {"errno": error.errno, "strerror": error.strerror} if isinstance(error, OSError) else answer
 
 
 def _send(answers: IO[bytes], answer: dict[str, Any]) -> None:

@@ -93,7 +93,9 @@ def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Tabl
     clocks: dict[str, str] = {}
     alike = len({values[start].tobytes() for start in scope.starts}) == 1
     for group in scope.groups():
-        time, channels = _drop_fill(values[group.start], {names[c]: values[c] for c in group[1:]})
+        repeated = np.all([np.diff(values[column]) == 0 for column in group], axis=0)  # the export's padding
+        kept = np.concatenate([[True], ~repeated])
+        time, channels = values[group.start][kept], {names[c]: values[c][kept] for c in group[1:]}
         first = names[group[1]]
         _check_step(text.name, time, scope.cell("SampleTime[ms]", group[1]), first)
         clock = "time [ms]" if alike else f"time of {first.partition(' [')[0]} [ms]"
@@ -158,17 +160,7 @@ def _bracket_unit(scope: Scope, column: int) -> str:
     return f" [{symbol}]" if symbol else ""
 
 
-def _drop_fill(time: FloatArray, values: Mapping[str, FloatArray]) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Drop rows that the export repeated as padding."""
-    same = np.diff(time) == 0
-    for column in values.values():
-        same &= np.diff(column) == 0
-    kept = np.concatenate([[True], ~same])
-    return time[kept], {name: column[kept] for name, column in values.items()}
-
-
 def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
-    """Check that a time column matches the channel's sample time."""
     try:
         expected = float(stated.replace(",", "."))
     except ValueError:

@@ -177,7 +177,6 @@ class Format(Protocol):
             RecordError: the file is not of this format, or is damaged.
             OSError: the file cannot be opened.
         """
-        ...
 
     def write(self, path: Path, table: Table) -> None:
         """Write `table` so that `read` restores it exactly, except unsupported units.
@@ -186,11 +185,9 @@ class Format(Protocol):
             RecordError: the format cannot hold this table.
             OSError: the file cannot be written.
         """
-        ...
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
         """Return the nearest column name that a file can hold."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +234,6 @@ class Streamed(Protocol):
             NotStreamedError: this file has no consecutive rows.
             OSError: the file cannot be opened.
         """
-        ...
 
 
 class NotStreamedError(RecordError):

@@ -157,23 +157,28 @@ def _open(path: Path) -> Iterator[_Contents]:
             file = nptdms.TdmsFile.open(raw)
             if file.file_status.incomplete_final_segment:
                 raise RecordError(f"{path.name} ends in the middle of its data; {_REMEDY}.")
-            contents = _Contents(path, list(_list_channels(file)), dict(_list_scalars(file)))
+            owners = {"": file.properties} | {f"{group.name}/": group.properties for group in file.groups()}
+            scalars = {
+                f"{prefix}{name}": float(value)
+                for prefix, properties in owners.items()
+                for name, value in properties.items()
+                if isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            }
+            contents = _Contents(path, list(_list_channels(file)), scalars)
         require_unique_names(path, [channel.name for channel in contents.channels])
         if not contents.channels:
             raise RecordError(f"{path.name} holds no channel of numbers; log the signals as numbers.")
         yield contents
 
 
-def _find_beginning(channel: Nptdms) -> np.datetime64 | None:
-    """First instant of a waveform or channel; None if not stated."""
-    is_instants = np.dtype(channel.dtype).kind == "M"
-    found = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
-    return found if isinstance(found, np.datetime64) and found >= _UNSET else None
-
-
 def _list_channels(file: Nptdms) -> Iterator[_Channel]:
     every = [channel for group in file.groups() for channel in group.channels() if len(channel)]
-    begins = {channel.path: begin for channel in every if (begin := _find_beginning(channel)) is not None}
+    begins = {}  # the first instant of a waveform, or of a channel of instants
+    for channel in every:
+        is_instants = np.dtype(channel.dtype).kind == "M"
+        begin = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
+        if isinstance(begin, np.datetime64) and begin >= _UNSET:
+            begins[channel.path] = begin
     late = {path: float((begin - min(begins.values())) / np.timedelta64(1, "s")) for path, begin in begins.items()}
     for group in file.groups():
         prefix = "" if group.name == _NAMELESS else f"{group.name}/"
@@ -195,14 +200,6 @@ def _list_channels(file: Nptdms) -> Iterator[_Channel]:
             yield channel._replace(clock=clock)
             if clock and not is_common:
                 yield channel._replace(name=clock, unit="s", is_time=True)
-
-
-def _list_scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
-    """Yield the numeric properties of the file and its groups."""
-    for prefix, properties in (("", file.properties), *((f"{g.name}/", g.properties) for g in file.groups())):
-        for name, value in properties.items():
-            if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-                yield f"{prefix}{name}", float(value)
 
 
 def _read_unit(channel: Nptdms) -> str:

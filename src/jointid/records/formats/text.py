@@ -70,9 +70,8 @@ def read_lines(path: Path) -> TextFile:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
     # str.splitlines would also split at form feeds and other marks that occur inside names.
     every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    return build_text(
-        path.name, [_line(path, number, line) for number, line in enumerate(every, start=1) if _has_content(line)]
-    )
+    filled = ((number, line) for number, line in enumerate(every, start=1) if line and not line.isspace())
+    return build_text(path.name, [_line(path, number, line) for number, line in filled])
 
 
 def build_text(name: str, filled: list[Line]) -> TextFile:
@@ -101,7 +100,7 @@ def stream_lines(path: Path) -> Iterator[Line]:
         # Not by iteration: a file may be one line that does not fit into memory.
         for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
             text = line.rstrip("\n")
-            if _has_content(text):
+            if text and not text.isspace():
                 yield _line(path, number, text)
 
 
@@ -113,10 +112,6 @@ def _line(path: Path, number: int, text: str) -> Line:
             "matrix that lies on its side, or no text?"
         )
     return Line(number, text)
-
-
-def _has_content(line: str) -> bool:
-    return bool(line) and not line.isspace()
 
 
 def point_rows(rows: Sequence[Line], decimal: str) -> list[str]:

@@ -88,7 +88,7 @@ class Drive(NamedTuple):
 
 
 class _Segment(NamedTuple):
-    """Where one segment begins and ends: in the deflection, and in the speeds of motor and load."""
+    """Bounds of one segment: deflection, and speeds of motor and load."""
 
     low: float
     high: float
@@ -99,7 +99,7 @@ class _Segment(NamedTuple):
 
 
 class _Gravity(NamedTuple):
-    """What depends on the position: the row of coefficients that `run` is given."""
+    """Gravity coefficients, as `run` takes them."""
 
     cos: float
     sin: float
@@ -170,7 +170,7 @@ NO_FEEDBACK = Feedback(
 
 
 class SampledLoop(NamedTuple):
-    """What drives a joint: the sampled controller, and all that does not depend on the joint.
+    """Sampled controller and inputs, independent of the joint.
 
     Attributes:
         lengths: (parts,) seconds of each part of a controller period, first to last.
@@ -188,7 +188,7 @@ class SampledLoop(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """What a simulation leaves, filled by `run`.
+    """Output arrays of a simulation, filled by `run`.
 
     Attributes:
         u: (periods,) the torque that acts.
@@ -200,7 +200,7 @@ class Trace(NamedTuple):
             one it began in; empty when `states` is, and of smooth laws.
         accelerations: (periods * parts, 2) of smooth laws, those of motor and load just after the torque of each part
             begins to act; or (0, 2).
-        tape: (rows, TAPE) the Taylor steps of the parts with events; their number is counted beyond the rows, too.
+        tape: (rows, TAPE) the Taylor steps of the parts with events; their number is counted above the rows, too.
         counts: (4,) events, Taylor steps, periods simulated, periods at the limit.
     """
 
@@ -248,7 +248,7 @@ def _drive_of(segments: FloatArray, i: int) -> tuple[Drive, _Segment]:
 
 
 @inline_kernel
-def _find_segment(segments: FloatArray, x: FloatArray) -> int:
+def _segment_of(segments: FloatArray, x: FloatArray) -> int:
     """Return the segment that a state is in."""
     found = 0
     for i in range(segments.shape[0]):
@@ -272,7 +272,7 @@ def _reach(segments: FloatArray, h: float) -> float:
 
 
 @inline_kernel
-def _between(low: float, high: float, start: float, end: float, margin: float) -> bool:
+def _inside(low: float, high: float, start: float, end: float, margin: float) -> bool:
     """Prove that a function stays between two edges, from its values at both ends of a period, within a margin."""
     return min(min(start, end) - low, high - max(start, end)) > margin
 
@@ -282,16 +282,16 @@ def _within(
     edges: _Segment, start: State, end: State, deflections: float, m1: int, m2: int, bend1: float, bend2: float
 ) -> bool:
     """Prove that a period stays inside its segment, from both its ends and how far it can bend from its chords."""
-    inside = _between(edges.low, edges.high, start[2] - start[0], end[2] - end[0], deflections)
+    inside = _inside(edges.low, edges.high, start[2] - start[0], end[2] - end[0], deflections)
     if inside and m1 != 0:  # a mass at rest is in the slowest band
-        inside = _between(edges.slowest1, edges.fastest1, m1 * start[1], m1 * end[1], bend1)
+        inside = _inside(edges.slowest1, edges.fastest1, m1 * start[1], m1 * end[1], bend1)
     if inside and m2 != 0:
-        inside = _between(edges.slowest2, edges.fastest2, m2 * start[3], m2 * end[3], bend2)
+        inside = _inside(edges.slowest2, edges.fastest2, m2 * start[3], m2 * end[3], bend2)
     return inside
 
 
 @inline_kernel
-def _settled(p: Drive, x: State, s: float, mass: int) -> int:
+def _settle(p: Drive, x: State, s: float, mass: int) -> int:
     """Return the mode of a mass at rest: 0 while its Coulomb force can hold the push, else the push's direction."""
     spring = p.stiffness * (x[2] - x[0]) + p.damping * (x[3] - x[1])
     push, forwards, backwards = s - p.offset1 + spring, p.coulomb1, p.coulomb1_back
@@ -401,7 +401,7 @@ def _margins(p: Drive, f: _Motion, m1: int, m2: int, h: float) -> tuple[float, f
 
 @inline_kernel
 def _positive(start: float, slope: float, end: float, margin: float) -> bool:
-    """Prove that a function is positive between two ends that are not negative.
+    """Prove that a function is positive between two non-negative ends.
 
     It differs from the parabola with the same ends and first slope by at most h^3/6 max|f'''| t^2 (1 - t), t from 0
     to 1. `slope` is h f', and `margin` h^3/6 max|f'''|.
@@ -410,7 +410,7 @@ def _positive(start: float, slope: float, end: float, margin: float) -> bool:
 
 
 @inline_kernel
-def _held(forwards: float, backwards: float, start: float, slope: float, end: float, margin: float) -> bool:
+def _holds(forwards: float, backwards: float, start: float, slope: float, end: float, margin: float) -> bool:
     """Prove that the push on a mass at rest stays within its cone."""
     return _positive(forwards - start, -slope, forwards - end, margin) and _positive(
         backwards + start, slope, backwards + end, margin
@@ -442,12 +442,12 @@ def _calm(
         calm = m1 * y1 > 0.0 and _positive(m1 * x1, m1 * a1 * h, m1 * y1, bend1 * third)
     else:
         push = s - p.offset1
-        calm = _held(p.coulomb1, p.coulomb1_back, push + spring, slope * h, push + end, bend1 * third)
+        calm = _holds(p.coulomb1, p.coulomb1_back, push + spring, slope * h, push + end, bend1 * third)
     if m2 != 0:
         calm = calm and m2 * y3 > 0.0 and _positive(m2 * x3, m2 * a2 * h, m2 * y3, bend2 * third)
     else:
         push = -p.offset2
-        calm = calm and _held(p.coulomb2, p.coulomb2_back, push - spring, -slope * h, push - end, bend2 * third)
+        calm = calm and _holds(p.coulomb2, p.coulomb2_back, push - spring, -slope * h, push - end, bend2 * third)
     return calm, root
 
 
@@ -479,7 +479,7 @@ def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, l
 
 
 @inline_kernel
-def _first_event(
+def _locate_first(
     c: FloatArray, p: Drive, s: float, m1: int, m2: int, known1: int, known2: int
 ) -> tuple[float, int, int]:
     """Return when the first event is (2.0: not in this step), in steps, its mass, and the mode that comes loose to.
@@ -543,7 +543,7 @@ def _travel(
         steps += 1
         loose1, loose2 = m1 != 0 and known1 == 2, m2 != 0 and known2 == 2
         _series(c, p, _motion(p, m1, m2), (x0, x1, x2, x3), s, step, loose1, loose2)
-        first, mass, loose = _first_event(c, p, s, m1, m2, known1, known2)
+        first, mass, loose = _locate_first(c, p, s, m1, m2, known1, known2)
         if segments.shape[0] > 0:
             first, mass, loose = _first_edge(c, segments[segment], m1, m2, crossed, first, mass, loose)
         t = min(first, 1.0)
@@ -565,10 +565,10 @@ def _travel(
             p, _ = _drive_of(segments, segment)
             # The damper may act in one of both segments only, and its push begins at once.
             if m1 == 0 and abs(loose) == 1:
-                m1 = _settled(p, (x0, x1, x2, x3), s, 0)
+                m1 = _settle(p, (x0, x1, x2, x3), s, 0)
                 known1 = 1 if m1 != 0 else known1
             if m2 == 0 and abs(loose) == 1:
-                m2 = _settled(p, (x0, x1, x2, x3), s, 1)
+                m2 = _settle(p, (x0, x1, x2, x3), s, 1)
                 known2 = 1 if m2 != 0 else known2
             if taped < tape.shape[0]:
                 tape[taped, 8], tape[taped, 9] = _EDGE, 9 * segment + 3 * m1 + m2 + 4
@@ -578,11 +578,11 @@ def _travel(
             if mass == 0:
                 if stopped:
                     x1 = 0.0
-                m1, known1 = mode_after(m1, loose, back1, _settled(p, (x0, x1, x2, x3), s, 0))
+                m1, known1 = mode_after(m1, loose, back1, _settle(p, (x0, x1, x2, x3), s, 0))
             else:
                 if stopped:
                     x3 = 0.0
-                m2, known2 = mode_after(m2, loose, back2, _settled(p, (x0, x1, x2, x3), s, 1))
+                m2, known2 = mode_after(m2, loose, back2, _settle(p, (x0, x1, x2, x3), s, 1))
             if stopped and taped < tape.shape[0]:
                 tape[taped, 8], tape[taped, 9] = mass, m1 if mass == 0 else m2
             events = events + 1 if events < _EVENTS else -1
@@ -593,7 +593,7 @@ def _travel(
 def _first_edge(
     c: FloatArray, segment: FloatArray, m1: int, m2: int, crossed: int, first: float, mass: int, loose: int
 ) -> tuple[float, int, int]:
-    """Return the first event as `_first_event` does, where the motion may come to a side of its segment before it.
+    """Return the first event as `_locate_first` does, where the motion may come to a side of its segment before it.
 
     The sides are 1 of the deflection, 2 of the motor's speed, 3 of the load's; negative where it is the low one. Where
     the motion came in over a side a moment ago (`crossed`), that root is divided out.
@@ -622,7 +622,7 @@ def _first_edge(
 
 @inline_kernel
 def mode_after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, int]:
-    """Return the mode of a mass after its event, and what is then known of it (see `_first_event`)."""
+    """Return the mode of a mass after its event, and its `known` state (see `_locate_first`)."""
     after, known = settled, 1 if settled != 0 else 0
     if mode == 0:
         after, known = loose, 2
@@ -648,15 +648,9 @@ def _small(feedback: Feedback, nz: int) -> tuple[float, ...]:
 
 @inline_kernel
 def control_any(
-    feedback: Feedback,
-    w: FloatArray,
-    k: int,
-    q: float,
-    z: FloatArray,
-    new: FloatArray,
-    out: FloatArray,
+    feedback: Feedback, w: FloatArray, k: int, q: float, z: FloatArray, new: FloatArray, out: FloatArray,
     cut: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Evaluate any law: write what its elements put out and what their limits and gates took; move its states.
 
     At its limit an element puts out that limit to the last bit: the derivatives ask whether it is there.
@@ -820,7 +814,7 @@ def run(
         before: torque that acted before the first period.
         z: (nz,) state of the controller's feedback; may be overwritten.
         x: (4,) initial state, overwritten.
-        far: a motor position beyond which the loop counts as diverged.
+        far: a motor position above which the loop counts as diverged.
         trace: out.
         gravity: (5,) factors of the cosine and the sine of an angle, and of the position; the angle per position; 1 if
             it is the load's, whose spring then holds it, and 0 if it is the motor's; or (0,) where there is none.
@@ -830,15 +824,8 @@ def run(
             beside gravity.
     """
     w, post, lengths, lags, feedback = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback
-    u, tapped, excess, states, tape, counts = (
-        trace.u,
-        trace.tapped,
-        trace.excess,
-        trace.states,
-        trace.tape,
-        trace.counts,
-    )
-    modes = trace.modes
+    u, tapped, excess, counts = trace.u, trace.tapped, trace.excess, trace.counts
+    states, modes, tape = trace.states, trace.modes, trace.tape
     n, parts, nz = w.shape[1], lengths.size, z.size
     p = drive_of(drive)
     part_length = 0.0
@@ -851,7 +838,7 @@ def run(
         count, reach = segments.shape[0], _reach(segments, part_length)
         for i in range(count):
             fastest = max(fastest, _fastest_rate(_drive_of(segments, i)[0]))
-        segment = _find_segment(segments, x)
+        segment = _segment_of(segments, x)
         p, edges = _drive_of(segments, segment)
     longest = _STEP / fastest
     if part_length > _PIECES * longest:
@@ -934,9 +921,9 @@ def run(
                 stood, hung = x2, x2 + shift
                 x2 = hung
             if x1 == 0.0:
-                m1 = _settled(p, (x0, x1, x2, x3), s, 0)
+                m1 = _settle(p, (x0, x1, x2, x3), s, 0)
             if x3 == 0.0:
-                m2 = _settled(p, (x0, x1, x2, x3), s, 1)
+                m2 = _settle(p, (x0, x1, x2, x3), s, 1)
             mode = 9 * segment + 3 * m1 + m2 + 4
             if keep:
                 modes[k * parts + part] = mode

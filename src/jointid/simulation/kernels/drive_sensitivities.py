@@ -68,18 +68,16 @@ class Slopes(NamedTuple):
     states: FloatArray
 
 
-LANES = 8  # columns that are followed at a time: one vector of a wide machine, two of others; `_written` names each
+LANES = 8  # columns followed at a time: one vector of a wide machine, two of others; `_write_output` names each
 
 _ORDER = 11  # of the Taylor series
 _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
 _AT_REST = 4  # the mode of both masses
 _LINE = 8  # numbers of a cache line
 _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
-NOTHING = (
-    1e-200  # what falls below it is 0: near the smallest numbers there are, many machines are a hundred times slower
-)
+NOTHING = 1e-200  # below it is 0: near the smallest numbers there are, many machines are a hundred times slower
 _EDGE = 2  # on the tape, of the spring's segment, where the index of a mass may stand
-OFTEN = 64  # periods after which that is looked for
+OFTEN = 64  # periods after which that is checked
 _WIDE = 4 * LANES  # of the derivatives of a state
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 
@@ -190,7 +188,7 @@ def _fill(
 
 
 @inline_kernel
-def _pushed(q: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float) -> None:
+def _push(q: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float) -> None:
     """Write what the parameters change in the map of a part, for the motion there is."""
     wide_vectors()
     m = np.uint64(b)  # Numba looks for negative indices among the signed
@@ -209,7 +207,7 @@ def _step(
     p10, p11, p12, p13 = phi[b, 4], phi[b, 5], phi[b, 6], phi[b, 7]
     p20, p21, p22, p23 = phi[b, 8], phi[b, 9], phi[b, 10], phi[b, 11]
     g0, g1, g2, g3 = phi[b, 12], phi[b, 13], phi[b, 14], phi[b, 15]
-    _pushed(q, M, b, v1, stretch, v2, s)
+    _push(q, M, b, v1, stretch, v2, s)
     for j in range(LANES):
         a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
         a, d = a2 - a0, q[_DS + j]
@@ -220,7 +218,7 @@ def _step(
 
 
 @inline_kernel
-def _written(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
+def _write_output(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
     """Write the derivatives of the law's output: all are read first, so that the machine need not fear an overlap."""
     wide_vectors()
     a, b, c, d = q[_OUT], q[_OUT + 1], q[_OUT + 2], q[_OUT + 3]
@@ -250,7 +248,7 @@ def _glide(
         for i in range(explicit.shape[2]):
             q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
         v1, stretch, v2, s = states[at, 1], states[at, 2] - states[at, 0], states[at, 3], u[at] + post[at]
-        _pushed(q, M, mode, v1, stretch, v2, s)
+        _push(q, M, mode, v1, stretch, v2, s)
         for j in range(LANES):
             a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
             z0, z1 = q[_Z + j], q[_Z + LANES + j]
@@ -263,7 +261,7 @@ def _glide(
             q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
             q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
             q[_OUT + j] = d
-        _written(q, at, du)
+        _write_output(q, at, du)
         k += 1
     return k
 
@@ -286,7 +284,7 @@ def _rest(
             q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
             q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
             q[_OUT + j] = (law.d * a0 + q[_EXPLICIT + j]) + z0
-        _written(q, at, du)
+        _write_output(q, at, du)
         k += 1
     return k
 
@@ -342,7 +340,7 @@ def _over_edge(
     q: FloatArray, drives: FloatArray, seeds: FloatArray, side: FloatArray, sides: FloatArray, now: int, code: int,
     one: int, two: int, s: float, motion: Motion,
 ) -> None:  # fmt: skip
-    """Kick the derivatives of the velocities where the deflection comes over an edge, for a damper that begins there.
+    """Kick the velocities' derivatives at an edge of the deflection with another damping.
 
     The event comes later by what the deflection lacks, over its rate; until then the accelerations are those before.
     """
@@ -426,7 +424,7 @@ def control_small(
             q[_Z + j] = (law.b0 * position + law.e0 * cut) + (law.own * z0 + z1)
             q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + law.other * z0
             q[_OUT + j] = out
-    _written(q, row, du)
+    _write_output(q, row, du)
 
 
 @compile_kernel
@@ -521,7 +519,7 @@ def _rate(drive: FloatArray, side: FloatArray) -> float:
 
 
 @inline_kernel
-def aligned(size: int) -> FloatArray:
+def aligned_zeros(size: int) -> FloatArray:
     """Return so many zeros that begin with a line of the cache, as every row of a wide vector then does."""
     room = np.zeros(size + _LINE)
     first = (-(room.ctypes.data // 8)) % _LINE
@@ -577,9 +575,9 @@ def follow(
         rate = max(rate, _rate(drives[i], sides[i]))
     spring, side, dside = drives[0, 2:4], sides[0], dsides[0]
     phi = np.empty((9 * count * parts, 4 * _INPUTS))
-    M = aligned(9 * count * parts * _INPUTS * _WIDE).reshape((9 * count * parts, _INPUTS * _WIDE))
+    M = aligned_zeros(9 * count * parts * _INPUTS * _WIDE).reshape((9 * count * parts, _INPUTS * _WIDE))
     filled = np.zeros(9 * count * parts, dtype=np.bool_)
-    q, scratch, z = aligned(SCRATCH), aligned(SCRATCH), np.zeros((2 * nz, LANES))
+    q, scratch, z = aligned_zeros(SCRATCH), aligned_zeros(SCRATCH), np.zeros((2 * nz, LANES))
     e = np.zeros((elements, LANES))
     for one in (q, scratch):
         _take(one, dseeds, 0)

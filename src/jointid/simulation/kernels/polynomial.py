@@ -95,7 +95,7 @@ def first_root(c: FloatArray) -> float:
 
 @compile_kernel
 def _isolate(c: FloatArray) -> tuple[float, float]:
-    """Return an interval in which the polynomial in row SOUGHT has its first sign change, and only that; 2.0: none.
+    """Isolate the first sign change of the polynomial in row SOUGHT; 2.0 without one.
 
     The signs of its Bernstein coefficients bound the number of roots: none changes, no root; one change, one
     root. Otherwise the interval is halved, left half first.

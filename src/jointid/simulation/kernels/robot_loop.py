@@ -17,7 +17,7 @@ change, is decided together with all others that stand still: sliding one way or
 accelerations minimise ``a' M a / 2 - f' a + sum Fc |a_i|`` over the masses that stand still, which has one minimum;
 its modes are found by least-index pivoting (K. G. Murty: Note on a Bard-type scheme for solving the complementarity
 problem, Opsearch 11, 1974), which ends for every positive definite M. A velocity that only touches 0 and comes
-back within a step is looked for by the cubic through its ends; a resting mass that comes loose and rests again
+back within a step is found by the cubic through its ends; a resting mass that comes loose and rests again
 within one step is not.
 
 Masses are the links, in their order, then the rotors of flexible joints. Where motors are coupled a link's position is
@@ -124,13 +124,13 @@ class Controllers(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """What drives a robot beside the motion of its motors.
+    """Inputs of a robot beside the motion of its motors.
 
     Attributes:
         w: (n, elements, periods) answers of the controllers, as in `kernels.drive.run`, each of its own periods.
         post: (n, clock) what is added after the limits.
         before: (n,) torques that acted before the first period.
-        far: (n,) positions of motors beyond which the loop counts as diverged.
+        far: (n,) positions of motors above which the loop counts as diverged.
     """
 
     w: FloatArray
@@ -140,7 +140,7 @@ class Driven(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What the controllers put out, filled by `run`.
+    """Output of the controllers, filled by `run`.
 
     Attributes:
         command: (n, clock) the torque that acts, held between periods.
@@ -161,8 +161,8 @@ class RobotTape(NamedTuple):
         lasting: (pieces,) s; or (0,), and nothing is kept.
         places: (pieces, masses) positions at its beginning.
         speeds: (pieces, masses) velocities at its beginning.
-        begun: (pieces, masses) accelerations at its beginning.
-        ended: (pieces, masses) accelerations at its end.
+        initial_acceleration: (pieces, masses).
+        final_acceleration: (pieces, masses).
         directions: (pieces, masses) 1 or -1, 0 of a mass at rest.
         laws: (pieces, 8, masses) where the laws are; or (pieces, 0, 0).
         stopped: (pieces,) the guard whose event ended it, of a mass its number; or -1.
@@ -172,8 +172,8 @@ class RobotTape(NamedTuple):
     lasting: FloatArray
     places: FloatArray
     speeds: FloatArray
-    begun: FloatArray
-    ended: FloatArray
+    initial_acceleration: FloatArray
+    final_acceleration: FloatArray
     directions: FloatArray
     laws: FloatArray
     stopped: IntArray
@@ -187,13 +187,13 @@ class RobotTape(NamedTuple):
         return cls(*whole, places, speeds, started, ended, directions, laws, np.empty(pieces, dtype=np.int64))
 
     def until(self, parts: int, pieces: int) -> RobotTape:
-        """Return what was filled of it."""
+        """Return the filled part."""
         kept = {name: getattr(self, name)[:pieces] for name in self._fields[1:]}
         return RobotTape(self.first[:parts], **kept)
 
 
 def shape_of_laws(bodies: Bodies) -> tuple[int, int]:
-    """Return the shape of what says where the laws are."""
+    """Return the shape of the laws' states."""
     in_pieces = bodies.bands.shape[1] > 1 or bodies.pieces.shape[1] > 1
     smooth = bool(np.any(bodies.masses[:, PRESLIDING:]) or np.any(bodies.bends))
     return (8, len(bodies.masses)) if in_pieces or smooth else (0, 0)
@@ -243,7 +243,7 @@ class Room(NamedTuple):
 
 @inline_kernel
 def wound_up(wound: float, since: float, direction: float, x: float, over: float) -> float:
-    """Return what is wound up at a place, in a direction since the last reversal, over a displacement."""
+    """Return the wound-up share at a position, from the last reversal."""
     return direction - (direction - wound) * math.exp(-direction * (x - since) / over)
 
 
@@ -252,7 +252,7 @@ def _load_laws(
     bodies: Bodies, laws: FloatArray, modes: FloatArray, time: float, q: FloatArray, v: FloatArray, grip: FloatArray,
     springs: FloatArray, push: FloatArray,
 ) -> None:  # fmt: skip
-    """Add friction and springs whose laws are not one line each to what pushes the masses, and fill their grip."""
+    """Add friction and springs of nonlinear laws to the push on the masses, and fill their grip."""
     rotors, masses, bands, pieces, bends = bodies.rotors, bodies.masses, bodies.bands, bodies.pieces, bodies.bends
     for i in range(push.size):
         band = int(laws[BAND, i])
@@ -393,7 +393,7 @@ def _turn_slider(bodies: Bodies, laws: FloatArray, at: State, i: int) -> None:
 
 @compile_kernel
 def _align(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State) -> None:
-    """Turn what stands still, and now begins to move the other way, or where another torque has begun to act.
+    """Turn the laws of masses and springs that reverse from standstill.
 
     Forces go on where they were, so no acceleration changes.
     """
@@ -437,7 +437,7 @@ def accelerate(
     rotors: IntArray, masses: FloatArray, M: FloatArray, L: FloatArray, push: FloatArray, links: IntArray,
     torque: FloatArray, modes: FloatArray, grip: FloatArray, a: FloatArray, held: FloatArray,
 ) -> bool:  # fmt: skip
-    """Fill the accelerations in given modes, and what friction holds in masses that rest; False if M is not positive.
+    """Fill accelerations and holding forces in given modes; False if M is not positive.
 
     Args:
         rotors: (n,) of `Bodies`.
@@ -494,7 +494,7 @@ def accelerate(
 
 @compile_kernel
 def settle(bodies: Bodies, room: Room, torque: FloatArray, modes: FloatArray, at: State) -> bool:
-    """Decide which masses that stand still rest and which way the others begin to slide; arguments of `accelerate`."""
+    """Decide which standing masses rest and which way the others slide; arguments of `accelerate`."""
     push, v, a, held, grip, rests = room.push, at.v, at.a, at.held, at.grip, bodies.rests
     rotors, masses, M, L, order = bodies.rotors, bodies.masses, room.M, room.L, room.order
     for _ in range(_PIVOTS * push.size):
@@ -568,7 +568,7 @@ def _watch_again(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State)
 
 @compile_kernel
 def _earliest(h: float, now: State, ahead: State) -> tuple[int, float]:
-    """Return the guard that seems to have the first event in a step, and where: 1 if it is negative at the end.
+    """Return the guard of the apparently first event in a step, and where: 1 if negative at the end.
 
     Less than 1 is the bottom of a dip of one that is positive at both ends. No guard, -1, if there is no event.
     """
@@ -651,7 +651,7 @@ def _advance(
             for _other in range(now.guard.size + 1):
                 if event < 0:
                     break
-                # Between a guard that is positive and one that is not: by Newton's steps, to a little beyond the root,
+                # Between a guard that is positive and one that is not: by Newton's steps, to a little behind the root,
                 # where its slope is known, else by the secant, its idle end halved (Illinois). A guard that begins at
                 # 0 is divided by the time since, and has the secant.
                 low, above = 0.0, now.guard[event]
@@ -701,8 +701,8 @@ def _advance(
                     return CHATTERING
                 tape.lasting[row], tape.stopped[row] = taken, event
                 for i in range(nd):
-                    tape.places[row, i], tape.speeds[row, i], tape.begun[row, i] = q[i], v[i], a[i]
-                    tape.ended[row, i], tape.directions[row, i] = a1[i], modes[i]
+                    tape.places[row, i], tape.speeds[row, i], tape.initial_acceleration[row, i] = q[i], v[i], a[i]
+                    tape.final_acceleration[row, i], tape.directions[row, i] = a1[i], modes[i]
                 for i in range(laws.shape[0]):
                     assign(tape.laws[row, i], laws[i])
             counts[1] += 1

@@ -173,7 +173,7 @@ def _control(
 
 @inline_kernel
 def _winding(wound: float, since: float, way: float, x: float, over: float) -> tuple[float, float]:
-    """Return the derivatives of what is wound up, by what it was at the last reversal and by its displacement."""
+    """Return the derivatives of the wound-up share by its value at the last reversal and by its displacement."""
     faded = math.exp(-way * (x - since) / over)
     return faded, -(way - wound) * faded * way * (x - since) / (over * over)
 
@@ -250,7 +250,7 @@ def _turn(
     bodies: Bodies, tape: RobotTape, seeds: Seeds, parameters: IntArray, piece: int, dq: FloatArray, wound: FloatArray,
     since: FloatArray, stretched: FloatArray, stretch_since: FloatArray,
 ) -> None:  # fmt: skip
-    """Take the derivatives of what is wound up, where it turns at the end of a piece."""
+    """Update the derivatives of wound-up shares at a reversal."""
     n, nd, count = bodies.rotors.size, bodies.masses.shape[0], dq.shape[1]
     laws, after = tape.laws[piece], tape.laws[piece + 1]
     for i in range(nd):
@@ -333,7 +333,8 @@ def differentiate_run(
     lags, every, dq, dv, dz = clock.lags, clock.every, moved.dq, moved.dv, moved.dz
     before = moved.before
     first, lasting, places, speeds = tape.first, tape.lasting, tape.places, tape.speeds
-    started, ended, directions, stopped = tape.begun, tape.ended, tape.directions, tape.stopped
+    started, ended = tape.initial_acceleration, tape.final_acceleration
+    directions, stopped = tape.directions, tape.stopped
     n, nd, count = rotors.size, len(dq), len(parameters)
     parts, steps, pieces = lags.shape[1], command.shape[1], lasting.size
     dtau, rows, other = np.zeros((n, count)), np.zeros((n, count)), np.zeros((nd, count))

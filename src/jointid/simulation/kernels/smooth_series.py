@@ -52,7 +52,7 @@ class Modes(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What is known of the guards at the start of a step: those of motor, load, the spring's rate and its torque.
+    """Known zeros of the guards at a step's start: motor, load, spring rate, spring torque.
 
     How many leading coefficients of a velocity are 0 by construction, or the direction of the edge of its cone where a
     mass is at rest (`kernels.drive`); 1 where rate or torque have just gone through 0.

@@ -60,7 +60,7 @@ STEP_TAPE = 19
 
 
 @inline_kernel
-def _shortened(c: FloatArray, share: float) -> None:
+def _shorten(c: FloatArray, share: float) -> None:
     """Count time in a share of the step."""
     power = 1.0
     for k in range(1, TERMS + 1):
@@ -96,7 +96,7 @@ def series_value(c: FloatArray, row: int, t: float) -> float:
 
 @inline_kernel
 def _clear(c: FloatArray, row: int, sign: float) -> bool:
-    """Prove that a guard is positive throughout a step, from the sum of what could make it fall."""
+    """Prove that a guard is positive throughout a step by its negative coefficients."""
     lowest = sign * c[row, 0]
     for k in range(1, TERMS + 1):
         lowest += min(sign * c[row, k], 0.0)
@@ -104,7 +104,7 @@ def _clear(c: FloatArray, row: int, sign: float) -> bool:
 
 
 @inline_kernel
-def _first_event(
+def _locate_first(
     p: Drive, b: SmoothLaws, m: Modes, known: Known, c: FloatArray, roots: FloatArray
 ) -> tuple[float, int]:
     """Return when the first event is (2.0: not in this step), in steps, and its guard.
@@ -160,7 +160,7 @@ def _first_event(
 
 @inline_kernel
 def _push(p: Drive, b: SmoothLaws, places: FloatArray, y: FloatArray, mass: int, torque: float) -> tuple[float, float]:
-    """Return what pushes a mass but its friction, and the spring's torque."""
+    """Return the push on a mass without its friction, and the spring's torque."""
     e = y[2] - y[0]
     spring = (p.stiffness + b.spring.cubic * e * e) * e + p.damping * (y[3] - y[1]) + b.spring.slips * y[WOUND]
     push = torque - p.offset1 + spring
@@ -185,7 +185,7 @@ def _bounds(p: Drive, b: SmoothLaws, mass: int, spring: float, time: float) -> t
 
 
 @inline_kernel
-def _settled(
+def _settle(
     p: Drive, b: SmoothLaws, places: FloatArray, mode: int, y: FloatArray, mass: int, time: float, torque: float
 ) -> int:
     """Return the mode of a mass at rest: 0 while friction can hold it, else the way it is pushed."""
@@ -230,14 +230,14 @@ def accelerations_of(
 def _begin_part(
     p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
 ) -> tuple[Modes, Known]:
-    """Return the modes, and what is known of the guards, where another torque begins to act."""
+    """Return modes and known guards at the beginning of a part."""
     motor, load, rate, sign = m.motor, m.load, m.rate, m.torque
     if y[1] == 0.0:
-        motor = _settled(p, b, places, motor, y, 0, time, torque)
+        motor = _settle(p, b, places, motor, y, 0, time, torque)
     _, spring = _push(p, b, places, y, 1, torque)
     sign = -sign if sign * spring < 0.0 else sign
     if y[3] == 0.0:
-        load = _settled(p, b, places, load, y, 1, time, torque)
+        load = _settle(p, b, places, load, y, 1, time, torque)
     still = y[3] == y[1]
     if b.spring.slider > 0.0 and still:
         a1, a2 = accelerations_of(p, b, places, Modes(motor, load, rate, sign), y, time, torque)
@@ -269,7 +269,7 @@ def _after(
             mode, known_mass = -mode, 1
         else:
             mode, known_mass = mode_after(
-                mode, loose if mode == 0 else 0, back, _settled(p, b, places, mode, y, mass, time, torque)
+                mode, loose if mode == 0 else 0, back, _settle(p, b, places, mode, y, mass, time, torque)
             )
         if mass == 0:
             motor, known1 = mode, known_mass
@@ -287,7 +287,7 @@ def _after(
 
 @inline_kernel
 def _advance(b: SmoothLaws, m: Modes, c: FloatArray, t: float, y: FloatArray) -> None:
-    """Write the state after a share of a step, in which what is all but wound up is wound up."""
+    """Write the state after a share of a step; complete what is nearly wound up."""
     for i in range(STATES):
         if (
             (4 <= i <= 5 and b.spring.swing_share == 0.0)
@@ -336,19 +336,12 @@ def run(
         z: state of the feedback, overwritten.
         x: (4,) initial state, overwritten.
         sliding: 1 or -1 where friction is wound up at the first sample, the direction of the motion; else 0.
-        far: a motor position beyond which the loop counts as diverged.
+        far: a motor position above which the loop counts as diverged.
         trace: out; its tape is (rows, STEP_TAPE), of as many steps as it holds.
     """
     w, post, lengths, lags, feedback = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback
-    u, tapped, excess, states, tape, counts = (
-        trace.u,
-        trace.tapped,
-        trace.excess,
-        trace.states,
-        trace.tape,
-        trace.counts,
-    )
-    accelerations = trace.accelerations
+    u, tapped, excess, counts = trace.u, trace.tapped, trace.excess, trace.counts
+    states, accelerations, tape = trace.states, trace.accelerations, trace.tape
     n, parts = w.shape[1], lengths.size
     p = drive_of(drive)
     y, c, roots = np.zeros(STATES), np.zeros((ROWS, TERMS + 1)), np.empty(ROOM)
@@ -394,18 +387,18 @@ def run(
                 h = left
                 fill_series(p, b, places, m, known, y, time, torque, h, c, turns)
                 share = _share(c, fastest)
-                while share == 0.0 and h > _SHORTEST * period:  # beyond the largest number
+                while share == 0.0 and h > _SHORTEST * period:  # above the largest number
                     h *= 0.1
                     fill_series(p, b, places, m, known, y, time, torque, h, c, turns)
                     share = _share(c, fastest)
                 if share < 1.0:
-                    _shortened(c, share)
+                    _shorten(c, share)
                     h *= share
                 steps += 1
                 if (h < left and h < _SHORTEST * period) or steps > _WORK * n + 10_000:
                     status = TOO_STIFF
                     break
-                moment, which = _first_event(p, b, m, known, c, roots)
+                moment, which = _locate_first(p, b, m, known, c, roots)
                 t = min(moment, 1.0)
                 taped = steps - 1 if steps <= tape.shape[0] else -1
                 if taped >= 0:

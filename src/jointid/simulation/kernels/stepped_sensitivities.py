@@ -26,7 +26,7 @@ from jointid.simulation.kernels.drive_sensitivities import (
     SCRATCH,
     Columns,
     Slopes,
-    aligned,
+    aligned_zeros,
     begin_small,
     control_slopes,
     control_small,
@@ -57,8 +57,8 @@ from jointid.simulation.kernels.stepped_drive import accelerations_of, series_va
 # coefficients of one order; of that order the deflection, its rate, the spring's torque, by how much the load's Coulomb
 # force is larger, what pulls an elastic load, and what products add to the spring's torque and to the pushes on motor
 # and load; what winds up, a row recalled, the velocities of the order before, the torque, the viscous and Coulomb
-# coefficients of motor and load in their directions; then the derivatives of the drive's numbers and of what is beyond
-# them, relative ones (`_write_relative`), and what friction of motor and load is wound up to, of that order.
+# coefficients of motor and load in their directions; then the derivatives of the drive's numbers and of the smooth
+# laws', relative ones (`_write_relative`), and what friction of motor and load is wound up to, of that order.
 _S, _X, _E, _APART, _SPRING, _MORE, _PULL = (LANES * row for row in (0, 9, 18, 19, 20, 21, 22))
 _BENT, _PUSHED1, _PUSHED2, _WINDS, _PAST = (LANES * row for row in (23, 24, 25, 26, 27))
 _BEFORE1, _BEFORE2, _TORQUE, _VISCOUS1, _COULOMB1 = (LANES * row for row in (28, 29, 30, 31, 32))
@@ -98,7 +98,7 @@ def _hang(
     q: FloatArray, to: int, past: FloatArray, k: int, c: FloatArray, places: FloatArray, turns: FloatArray,
     dplaces: FloatArray, side: int,
 ) -> None:  # fmt: skip
-    """Take from a row what a force that follows the position of its side holds back."""
+    """Subtract the derivatives of position-dependent forces on a side from a row."""
     at = 2 * side
     for n in range(places.shape[0]):
         if places[n, 4] != side:
@@ -135,7 +135,7 @@ def _wind(
 
 
 @compile_kernel
-def _tangent(
+def _move_derivatives(
     q: FloatArray, past: FloatArray, p: Drive, b: SmoothLaws, places: FloatArray, dplaces: FloatArray, m: Modes,
     time: float, h: float, c: FloatArray, turns: FloatArray,
 ) -> None:  # fmt: skip
@@ -182,7 +182,7 @@ def _tangent(
         e, v1, v2, spring = c[2, k] - c[0, k], c[MOTOR, k], c[LOAD, k], c[TORQUE, k] * m.torque
         apart, wound, wound1, wound2 = v2 - v1, c[WOUND, k], c[WOUND1, k], c[WOUND2, k]
         e2, apart2 = c[4, k] - c[2, k], c[5, k] - v2
-        cube = (c[CUBE, k] if b.spring.cubic != 0.0 else _cube_alone(c, k)) if bends else 0.0
+        cube = (c[CUBE, k] if b.spring.cubic != 0.0 else _cube_term(c, k)) if bends else 0.0
         if b.spring.cubic != 0.0:
             for j in range(LANES):
                 q[_E + j], q[_BENT + j] = q[_Q2 + j] - q[_Q1 + j], 0.0
@@ -260,8 +260,8 @@ def _tangent(
 
 
 @inline_kernel
-def _cube_alone(c: FloatArray, k: int) -> float:
-    """Return the coefficient of order k of the deflection's cube, where the spring has none of it."""
+def _cube_term(c: FloatArray, k: int) -> float:
+    """Return the coefficient of order k of the deflection's cube."""
     total = 0.0
     for i in range(k + 1):
         for n in range(k - i + 1):
@@ -293,7 +293,7 @@ def _write_relative(p: Drive, b: SmoothLaws, q: FloatArray) -> None:
 
 @inline_kernel
 def _fastest_rate(p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: FloatArray) -> float:
-    """Bound in 1/s on how fast the motion can change here, that of masses which the run itself hardly moves, too."""
+    """Bound in 1/s on the rates of the motion, also of hardly moving masses."""
     mobility1, mobility2 = 1.0 / p.inertia1, 1.0 / ((1.0 - b.spring.swing_share) * p.inertia2)
     e, both = y[2] - y[0], mobility1 + mobility2
     stiffness = p.stiffness + max(3.0 * b.spring.cubic * e * e, 0.0) + b.spring.slider * abs(1.0 - m.rate * y[WOUND])
@@ -362,7 +362,7 @@ def follow_steps(
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
     p = drive_of(drive)
     c, turns = np.zeros((ROWS, TERMS + 1)), np.zeros((places.shape[0], 2, TERMS + 2))
-    q, past, scratch = aligned(_SCRATCH), np.zeros(_KEPT * (TERMS + 1) * LANES), aligned(SCRATCH)
+    q, past, scratch = aligned_zeros(_SCRATCH), np.zeros(_KEPT * (TERMS + 1) * LANES), aligned_zeros(SCRATCH)
     z, e = np.zeros((2 * nz, LANES)), np.zeros((elements, LANES))
     for i in range(nz):
         assign(z[i], Z[i])
@@ -428,7 +428,7 @@ def follow_steps(
                     h /= pieces
                     for piece in range(pieces):
                         fill_series(p, b, places, m, known, y, time, torque, h, c, turns)
-                        _tangent(q, past, p, b, places, dplaces, m, time, h, c, turns)
+                        _move_derivatives(q, past, p, b, places, dplaces, m, time, h, c, turns)
                         known = Known(0, 0, 0, 0)
                         time += h
                         for i in range(STATES if piece + 1 < pieces else 0):

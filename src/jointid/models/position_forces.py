@@ -1,6 +1,6 @@
-"""Gravity: what the load of a joint weighs, and the known part of it that a counterbalance carries.
+"""Forces that follow the position: gravity with a known counterbalance, and ripple.
 
-It acts on the load, and on the one inertia of a rigid joint. For a link that turns in a vertical plane, with the
+Gravity acts on the load, and on the one inertia of a rigid joint. For a link that turns in a vertical plane, with the
 joint's position q on the motor's side and ``angle`` radians of the link per unit of it::
 
     g(q) = gMX cos(angle q) + gMY sin(angle q)
@@ -8,6 +8,8 @@ joint's position q on the motor's side and ``angle`` radians of the link per uni
 gMX and gMY are the first moments of the link times g, seen through the transmission: gravity is linear in them whatever
 the zero of the position (Khalil and Dombre, Modeling, Identification and Control of Robots, chapter 9). A vertical axis
 has a constant load gM. A counterbalance takes ``b0 + bX cos(angle q) + bY sin(angle q) + bK q`` off either.
+
+A ripple comes back with the position, of a motor's slots, a screw's pitch or a gear's teeth.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
+from jointid.common.transmission import Side
 from jointid.common.units import Kind
 from jointid.models.friction import Friction
 
@@ -41,6 +44,15 @@ GRAVITY_PARAMETERS: Mapping[Load, tuple[str, ...]] = {
     load: tuple(f"gravity_{term}" for term in terms) for load, terms in _LOADS.items()
 }
 """Names of the parameters of each load."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """The motion of one side of a joint, each (samples,)."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
 
 
 @add_settings_to_docstring
@@ -75,7 +87,7 @@ class _Term:
 class Gravity:
     """The load's gravity on a joint.
 
-    A constant load and the offset of a motor's torque cannot be told apart by the torque, nor by the motor's position:
+    A constant load and the offset of a motor's torque cannot be distinguished by torque and motor position:
     a constant load takes the offset's place, and is the sum of both. The cosine, the sine and the offset are three
     functions only where the link travels far: over a few degrees nothing tells one from the other.
 
@@ -114,7 +126,7 @@ class Gravity:
             )
         if self.load == "constant" and not friction.offset_identifiable:
             raise MethodError(
-                f"A constant load cannot be told apart from {friction.name} friction: it adds to the Coulomb force "
+                f"A constant load cannot be distinguished from {friction.name} friction: it adds to the Coulomb force "
                 "forwards and takes as much from it backwards; use symmetric friction, or leave gravity out."
             )
 
@@ -125,7 +137,7 @@ class Gravity:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Weight of the load, then the counterbalance's numbers that are not 0, which are fixed."""
+        """Weight of the load, then the counterbalance's numbers other than 0, which are fixed."""
         return tuple(one.parameter for one in self._terms)
 
     def columns(self, position: FloatArray) -> FloatArray:
@@ -165,8 +177,77 @@ class Gravity:
             for name, symbol in _LOADS[self.load].items()
         ]
         known = [
-            _Term(Parameter(f"counterbalance_{name}", f"b{index}", quantity).fixed(given), names.index(name), -1.0)
+            _Term(Parameter(f"counterbalance_{name}", f"b{index}", quantity).fix(given), names.index(name), -1.0)
             for name, (index, quantity) in _TERMS.items()
             if (given := getattr(self.counterbalance, name)) != 0.0
         ]
         return (*load, *known)
+
+
+@add_settings_to_docstring
+@dataclass(frozen=True, slots=True)
+class PositionHarmonics:
+    """``sum over k of a_k cos(2 pi k q / period) + b_k sin(2 pi k q / period)``: ripple of a screw, gear or motor.
+
+    A sum of n harmonics of any period lowers the residual of the record it is fitted to; judge it by a cross test.
+    """
+
+    period: float | None = setting(
+        None,
+        "of the first harmonic, such as the pitch of a screw; without it searched for in the record, and refined",
+        unit="m or rad",
+        above=0,
+    )
+    harmonics: int = setting(1, "how many, from the first", at_least=1)
+    side: Side = setting("motor", "whose position it follows and on which side it acts")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitude of cosine and sine of each harmonic, in the unit of the torque."""
+        prefix, index = ("", "") if self.side == "motor" else ("load_", "2")
+        return tuple(
+            Parameter(f"{prefix}harmonic_{k}_{word}", f"{letter}{index}_{k}", Quantity.FORCE)
+            for k in range(1, self.harmonics + 1)
+            for word, letter in (("cosine", "a"), ("sine", "b"))
+        )
+
+    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
+        """Return cosine and sine of each harmonic, (samples, 2 harmonics)."""
+        return self.columns_at(motion.position)
+
+    def columns_at(self, position: FloatArray) -> FloatArray:
+        """Return the columns at positions, (samples,)."""
+        phases = self._phases(position)
+        return np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phases), -1)
+
+    def require(self, model: str) -> None:
+        """Raise a `MethodError` if a joint of that model cannot be simulated with it."""
+        if self.period is None:
+            raise MethodError(
+                "A joint with a ripple is simulated, which needs its period; received none: give it, or find it with "
+                "the harmonics of IDIM, which searches for it."
+            )
+        if model == "rigid" and self.side == "load":
+            raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
+
+    def places(self, values: Mapping[str, float]) -> FloatArray:
+        """Return it as forces that follow a position, (harmonics, 5), for the simulation in steps."""
+        assert self.period is not None
+        amplitudes = np.array([values[p.name] for p in self.parameters]).reshape(-1, 2)
+        waves = 2 * math.pi / self.period * np.arange(1, self.harmonics + 1)
+        side = np.full(self.harmonics, float(self.side == "load"))
+        return np.column_stack([amplitudes, np.zeros(self.harmonics), waves, side])
+
+    def period_column(self, motion: Motion, amplitudes: FloatArray) -> FloatArray:
+        """Return the derivative of the force by the period, (samples,), at amplitudes in the order of `parameters`."""
+        assert self.period is not None
+        phases = self._phases(motion.position)
+        by_phase = -amplitudes[::2] * np.sin(phases) + amplitudes[1::2] * np.cos(phases)
+        return np.asarray((-phases / self.period * by_phase).sum(axis=1))
+
+    def _phases(self, position: FloatArray) -> FloatArray:
+        assert self.period is not None, "a period that is searched for has no columns yet"
+        return np.outer(position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))

@@ -1,0 +1,261 @@
+"""A robot identified by simulating it, by DIDIM or on the drive side, its joints rigid or flexible.
+
+Beside it stands the nominal robot: the masses, rotors and springs of model and robot file, with the friction that was
+found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parameters import TORQUE_UNIT, unit_of
+from jointid.common.text import join
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.parts import EstimatedParameter
+from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict, Sums
+from jointid.estimation.robots.build import build_robot_result
+from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
+from jointid.estimation.robots.flexible import identify_flexible_robot
+from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
+from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, robot_problem
+from jointid.models.robots.dynamics import IntArray
+from jointid.models.robots.inertial import SYMBOLS, UNITS
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, robot_with, with_values
+from jointid.simulation.robots import RobotLoop
+
+_WITHOUT = (
+    "no joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
+    "excite the modes. How friction and inertia are split between motors and links is not to be used"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SimulatedRobot(IdentifiedRobot):
+    """Friction, rotors, springs and base parameters of a robot that was simulated.
+
+    Attributes:
+        fit: of the search.
+    """
+
+    closing: RobotLoop | RobotDriveSide
+    fit: RobotFit
+
+    def numbers(self) -> RobotNumbers:
+        """Return the robot that was identified, as it is simulated."""
+        return self.fit.parameters.numbers(self.fit.values)
+
+    def sums(self, prior: Robot) -> Sums:
+        """Return the parameters as sums of the numbers of a robot of this tree, with springs at the same joints.
+
+        Raises:
+            MethodError: the record does not show a spring.
+        """
+        if hidden := [one.joint for one in self.springs if not one.shown]:
+            raise MethodError(
+                f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
+                "leave this spring out of the robot file, or excite its mode."
+            )
+        n, parameters, numbers = len(prior), self.fit.parameters, RobotNumbers.of(prior)
+        numbers = replace(numbers, beside=parameters.base.beside, log=parameters.base.log)
+        places = (*parameters.places, *parameters.dropped)
+        both = np.hstack([np.eye(len(parameters.places)), parameters.grouping])
+        of_standard, apart = np.zeros((len(both), 11 * n)), list[int]()
+        for column, place in enumerate(places):
+            if place.of is NumberOf.LINK:
+                of_standard[:, 10 * place.row + place.column] = both[:, column]
+            elif place.of is NumberOf.MASS and place.column == 0:
+                of_standard[:, 10 * n + int(np.flatnonzero(numbers.rotors == place.row)[0])] = both[:, column]
+            else:
+                apart.append(column)
+        own = tuple(places[column] for column in apart)
+        about = np.array(
+            [place.read(self.numbers() if c < len(both) else numbers) for c, place in zip(apart, own, strict=True)]
+        )
+        least = np.array([0.0 if place.is_positive else -np.inf for place in own])
+
+        def made(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
+            there = with_values(replace(numbers, inertials=inertials), own, others)
+            there.masses[there.rotors, 0] = rotors
+            return robot_with(prior, there)
+
+        return Sums(self.fit.values, self.fit.covariance, of_standard, both[:, apart], about, least, made)
+
+    def parameters_of(self, robot: Robot) -> FloatArray | None:
+        """Return the same parameters of a known robot."""
+        return self.fit.parameters.group(RobotNumbers.of(robot))
+
+
+def identify_simulated_robot(
+    model: RobotLoop | RobotDriveSide,
+    records: Sequence[Record],
+    settings: DIDIM | DriveSideFit | None = None,
+    *,
+    filtering: Filtering | None = None,
+    progress: Progress = ignore_progress,
+) -> FitResult:
+    """Identify a robot by DIDIM, or on the drive side; joints with a spring are flexible, all others rigid.
+
+    Args:
+        model: the robot under its controllers, or along the motion of its motors, with its nominal numbers.
+        records: of each joint, of one log: with torque and reference, positions are not read; or with torque and motor
+            position behind the gear, references are not read.
+        settings: of the method.
+        filtering: of positions, torques and derivatives.
+        progress: is told the steps.
+
+    Raises:
+        RecordError, MethodError: see `identify_rigid_robot`, `identify_flexible_robot`, `identify_flexible_drive_side`.
+    """
+    springs: tuple[SpringVerdict, ...] = ()
+    if isinstance(model, RobotDriveSide):
+        side = settings if isinstance(settings, DriveSideFit) else DriveSideFit()
+        found = identify_flexible_drive_side(
+            model.robot, records, filtering, frequencies=side.frequencies or None, offsets=side.offsets,
+            evaluations=side.evaluations, delay=side.log_delay, progress=progress,
+        )  # fmt: skip
+        fit, springs = found.fit, found.springs
+        method = "drive_side", "drive side of a robot, from motor torques and motor positions"
+    else:
+        didim = settings if isinstance(settings, DIDIM) else DIDIM()
+        if any(model.robot.flexible):
+            found = identify_flexible_robot(
+                model, records, filtering, frequencies=didim.frequencies or None, offsets=didim.offsets,
+                evaluations=didim.evaluations, progress=progress,
+            )  # fmt: skip
+            fit, springs = found.fit, found.springs
+        else:
+            fit = identify_rigid_robot(
+                model, records, filtering, offsets=didim.offsets, iterations=didim.iterations, progress=progress
+            )
+        method = "didim", "DIDIM of a robot, from torques and references alone"
+    robot, parameters = model.robot, fit.parameters
+    problem: RobotProblem[Any] = problem_of(model, records, robot_parameters(robot), filtering)
+    nominal = nominal_numbers(robot, parameters.numbers(fit.values))
+    part = SimulatedRobot(
+        closing=model,
+        names=fit.names,
+        values=fit.values,
+        covariance=fit.covariance,
+        nominal=parameters.group(RobotNumbers.of(robot)),
+        nominal_errors=_errors(problem, nominal),
+        formulas=tuple(parameters.formulas(robot)),
+        springs=springs,
+        fit=fit,
+    )
+    longer = "evaluations" if springs else "iterations"
+    steps = f"after {fit.iterations} {'simulations' if springs else 'iterations'}"
+    stop = f"settled {steps}"
+    if not fit.converged:
+        stop = f"did not settle {steps}: allow more by method.{longer}, or record longer and livelier motions"
+    kind = "of springs, rotors and links" if springs else "of rigid joints"
+    return build_robot_result(
+        records,
+        part,
+        _rows(part, parameters),
+        fit.relative_error,
+        (problem.measured, problem.predicted(fit.run)),
+        (method[0], f"{method[1]}, {kind}"),
+        problem.filtering,
+        problem.decimated(problem.measured).size,
+        (stop, fit.converged),
+        fit.iterations,
+        warnings=(_WITHOUT,) if springs and not any(one.shown for one in springs) else (),
+    )
+
+
+def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedParameter, ...]:
+    """Return the table of the parameters; of a spring that is not shown, a bound at most."""
+    robot, rotors = part.model, parameters.base.rotors
+    hidden = [one for one in part.springs if not one.shown]
+    refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
+    refused |= {f"{one.joint}.damping": None for one in hidden}
+    rows = []
+    named = zip(parameters.parameters, parameters.places, part.values, part.covariance.std, strict=True)
+    units = parameter_units(robot, parameters)
+    for one, place, value, std in named:
+        joint, told = _joint_of(place, rotors), one.name not in refused
+        rows.append(
+            EstimatedParameter(
+                name=one.name,
+                symbol=one.name,
+                unit=units[one.name],
+                value=float(value) if told else None,
+                stderr=float(std) if told else None,
+                free=True,
+                identifiable=told,
+                lower_bound=refused.get(one.name),
+                of_joint=not place.is_of_record,
+                axis="" if joint is None else robot.names[joint],
+            )
+        )
+    return tuple(rows)
+
+
+def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]:
+    """Return the unit of each parameter by its name."""
+    found = {}
+    for one, place in zip(parameters.parameters, parameters.places, strict=True):
+        if one.symbol in SYMBOLS:
+            found[one.name] = UNITS[SYMBOLS.index(one.symbol)]
+        else:
+            joint = _joint_of(place, parameters.base.rotors)
+            kind = "revolute" if joint is None else robot.links[joint].kind
+            found[one.name] = unit_of(one.quantity, kind, TORQUE_UNIT[kind])
+    return found
+
+
+def _joint_of(place: NumberPlace, rotors: IntArray) -> int | None:
+    """Return the joint of a parameter, or that carries its link; None of a number of the whole log."""
+    if place.of is NumberOf.LOG:
+        return None
+    own = np.flatnonzero(rotors == place.row) if place.of is NumberOf.MASS else np.zeros(0)
+    return int(own[0]) if own.size else place.row
+
+
+def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
+    """Return the nominal robot with the friction that was found: one without friction is no opponent.
+
+    The log's delay is not the robot's, and is as it was found, too.
+    """
+    numbers = RobotNumbers.of(robot)
+    masses = numbers.masses.copy()
+    masses[:, 1:] = found.masses[:, 1:]
+    return replace(numbers, masses=masses, log=found.log)
+
+
+def simulated_errors(
+    setup: RobotLoop | RobotDriveSide, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
+) -> FloatArray:
+    """Return what a robot leaves of each joint's filtered torque, (n,), infinite if it cannot be simulated."""
+    return _errors(problem_of(setup, records, robot_parameters(setup.robot), filtering), numbers)
+
+
+def _errors(problem: RobotProblem[Any], numbers: RobotNumbers) -> FloatArray:
+    error = problem.error_of(numbers)
+    return np.full(problem.sigma.size, np.inf) if error is None else problem.norms(error) / problem.sizes
+
+
+def problem_of(
+    setup: RobotLoop | RobotDriveSide,
+    records: Sequence[Record],
+    parameters: RobotParameters,
+    filtering: Filtering | None = None,
+) -> RobotLoopProblem | RobotDriveSideProblem:
+    """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion."""
+    if isinstance(setup, RobotLoop):
+        return robot_problem(setup, records, parameters, filtering)
+    return drive_side_problem(setup.robot, records, parameters, filtering)

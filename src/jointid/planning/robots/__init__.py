@@ -1,1 +1,0 @@
-"""Informative motions of a robot within its joint limits."""

@@ -1,0 +1,123 @@
+"""The estimate of a robot is that of a joint: its checks, its trust, its document, and what refuses it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError, RecordError
+from jointid.estimation.result.answer import Trust
+from jointid.output.json.reading import read_identified
+from jointid.records.record import Record
+from jointid.simulation.robots import RobotLoop
+from jointid.uncertainty.verdict import Status, Subject
+from tests.estimation.robots.test_rigid_robots import recorded
+from tests.robots_plants import two
+
+
+@cache
+def logged() -> tuple[RobotLoop, tuple[Record, ...]]:
+    loop = two().loop()
+    return loop, tuple(recorded(loop, two().records(6.0), 0.01)[0])
+
+
+@cache
+def estimate(*, checks: bool = True) -> ji.Estimate:
+    loop, records = logged()
+    return ji.identify(records, loop, checks=checks)
+
+
+def verdicts(found: ji.Estimate) -> dict[Subject, Status]:
+    return {verdict.subject: verdict.status for verdict in found.checks.verdicts}
+
+
+def test_a_robot_under_its_declared_controllers_is_relied_on() -> None:
+    found = estimate()
+    assert set(verdicts(found).values()) == {Status.PASSED}
+    assert {Subject.SOLVER, Subject.FIT, Subject.BOUNDS, Subject.REPEATABLE, Subject.LOOP} == set(verdicts(found))
+    assert found.answer.trust.code is Trust.RELIABLE and found.success
+    row = found.params["joint2.coulomb"]
+    assert (row.axis, row.unit, row.side) == ("joint2", "N m", None)
+    low, high = found.conf_int()["joint2.coulomb"]
+    assert low < 1.5 < high
+    assert found.covariance.shape == (len(found.params),) * 2
+    assert found.residual.shape == found.fit.measured.shape and found.fit.measured.shape[1] == 2
+    assert list(found.fit.axis_errors) == ["joint1", "joint2"]
+
+
+def test_checks_that_are_left_out_are_said() -> None:
+    found = estimate(checks=False)
+    assert verdicts(found)[Subject.LOOP] is Status.UNKNOWN
+    assert "the checks were left out" in found.summary()
+    assert found.answer.trust.code is Trust.NOT_CHECKED
+
+
+def test_a_controller_that_is_not_as_declared_speaks_against_a_robot() -> None:
+    loop, records = logged()
+    first, second = loop.controllers
+    wrong = replace(loop, controllers=(first, replace(second, torque_filters=(ji.filters.FirstOrder(0.02),))))
+    found = ji.identify(records, wrong)
+    assert verdicts(found)[Subject.LOOP] is Status.FAILED
+    assert found.answer.trust.code is Trust.NOT_YET
+    assert "declared controller of joint2" in found.sentence
+
+
+def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> None:
+    loop, records = logged()
+    robot = replace(loop.robot, joints=(replace(loop.robot.joints[0], coupling={}), loop.robot.joints[1]))
+    torque = records[1].torque
+    assert torque is not None
+    spoilt = (records[0], replace(records[1], torque=replace(torque, values=torque.values[::-1].copy())))
+    found = ji.identify(spoilt, robot, ji.IDIM())
+    assert verdicts(found)[Subject.FIT] is Status.FAILED
+    assert found.answer.trust.code is Trust.NOT_YET
+    assert "of the filtered torque of joint" in found.sentence
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        ji.tune,
+        lambda found: ji.export(found, "mjcf"),
+        lambda found: ji.diagnose(found, logged()[1][0]),
+        lambda found: ji.validate(found, logged()[1][0]),
+        lambda found: ji.advise(found, logged()[1][0]),
+        lambda found: found.report(logged()[1][0]),
+        lambda found: found.plot.torque(),
+        lambda found: found.plot.response(),
+        lambda found: found.identified,
+    ],
+)
+def test_what_is_for_a_joint_alone_refuses_a_robot_in_a_sentence(use: Callable[[ji.Estimate], object]) -> None:
+    with pytest.raises(MethodError, match=r"of a robot|of each joint"):
+        use(estimate())
+
+
+def test_what_is_for_a_robot_refuses_a_joint_in_a_sentence() -> None:
+    axis = ji.twin(noise="none")
+    joint = ji.identify(axis.record, axis.loop.joint, checks=False)
+    with pytest.raises(MethodError, match="needs the estimate of a robot"):
+        ji.consistent_robot(joint)
+
+
+def test_a_robot_needs_a_record_of_each_joint() -> None:
+    loop, (first, _) = logged()
+    with pytest.raises(MethodError, match="from the records of its joints"):
+        ji.identify(first, loop)
+
+
+def test_its_file_is_of_the_same_schema_and_is_no_joint(tmp_path: Path) -> None:
+    found = estimate()
+    answer = found.to_dict()
+    assert answer["schema"] == "jointid.estimate/1" and answer["model"] == "robot"
+    assert answer["answer"]["trust"]["code"] == "reliable"
+    row = answer["parameters"]["joint1.viscous"]
+    assert row["axis"] == "joint1" and row["formula"] == "joint1.viscous" and row["nominal"] == pytest.approx(3.0)
+    assert len(answer["correlation"]) == len(answer["free"]) == len(found.params)
+    with pytest.raises(RecordError, match="is no estimate of schema"):
+        read_identified(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"), None)
