@@ -16,7 +16,7 @@ from studies.mechanics import spoiled
 from tests.estimates import identify
 
 
-@pytest.mark.parametrize("seed", [100, pytest.param(102, marks=pytest.mark.slow), 103])
+@pytest.mark.parametrize("seed", [100, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (102, 103))])
 def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     made = spoiled(seed, "cogging", 8.0)
     assert made is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -27,11 +28,12 @@ from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.run_checks import worst_shift
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.answer import Trust
+from jointid.estimation.result.estimate import Estimate
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
 from jointid.uncertainty.verdict import Reason
 from studies.healthy import drive
-from studies.mechanics import simulate, spoiled
+from studies.mechanics import Spoiled, simulate, spoiled
 from tests.estimates import identify
 from tests.faults import problem, setting
 
@@ -70,6 +72,14 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
         assert 0.5 < np.linalg.norm(column) / np.linalg.norm(steady) < 2.0
 
 
+@cache
+def identified(fault: str, seed: int, longest: float = 8.0) -> tuple[Spoiled, Estimate]:
+    """Return a drive with a fault, and its estimate without checks."""
+    made = spoiled(seed, fault, longest)
+    assert made is not None
+    return made, identify(made.record, made.axis.loop)
+
+
 @pytest.mark.parametrize(
     ("fault", "seed", "named"),
     [
@@ -82,9 +92,8 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
     ],
 )
 def test_what_is_wrong_is_named_first(fault: str, seed: int, named: Fault) -> None:
-    made = spoiled(seed, fault, 8.0 if seed < 1000 else 12.0)
-    assert made is not None
-    check = check_loop(identify(made.record, made.axis.loop), made.record)
+    made, estimate = identified(fault, seed, 8.0 if seed < 1000 else 12.0)
+    check = check_loop(estimate, made.record)
     assert check.findings[0].test.fault is named
     assert {CUBIC_SPRING, BACKLASH} - {one.test.fault for one in check.findings}  # two words for one thing
     asked = {CUBIC_SPRING: "three-piece", BACKLASH: "backlash", SECOND_MODE: "elastic-load"}.get(named)
@@ -103,9 +112,8 @@ def test_a_small_second_mode_is_found_by_a_search() -> None:
 
 @pytest.mark.parametrize(("fault", "seed"), [("second mode", 135), ("cubic spring", 164)])
 def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, seed: int) -> None:
-    made = spoiled(seed, fault, 8.0)
-    assert made is not None
-    plain, found = identify(made.record, made.axis.loop), ji.identify(made.record, made.axis.loop)
+    made, plain = identified(fault, seed)
+    found = ji.identify(made.record, made.axis.loop)
     before, after = plain["stiffness"], found["stiffness"]
     assert before.value is not None and before.stderr and after.value == before.value
     assert after.stderr == before.stderr  # from run to run it scatters as before
@@ -119,11 +127,7 @@ def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, se
 
 
 def test_a_joint_with_a_fault_is_identified_near_the_truth() -> None:
-    made = spoiled(135, "second mode", 8.0)
-    assert made is not None
-    estimate = identify(made.record, made.axis.loop)
-    from jointid.diagnostics.intervals import rebuild_problem
-
+    made, estimate = identified("second mode", 135)
     own, x = rebuild_problem(estimate, made.record, "")
     fit = solve_with_fault(own, x, SECOND_MODE)
     assert fit is not None

@@ -112,7 +112,7 @@ def test_didim_recovers_the_noise_free_twin(loop: str, settings: DIDIM, identifi
     assert estimate.fit.simulations <= 700
 
 
-@pytest.mark.parametrize("loop", ["L19", "L30"])
+@pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])
 def test_any_known_frequency_leads_to_the_same_answer(loop: str, identified: Callable[..., Estimate]) -> None:
     """On L30 the halved inertia of (13) is an unstable loop: other load shares must be tried."""
     axis = twin(loop, noise="white")  # type: ignore[arg-type]

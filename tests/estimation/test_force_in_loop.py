@@ -23,7 +23,7 @@ from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.position_dependent_error import uncertainty
 from tests.servos import Servo, servo
 
-RESTING = (5, 8, 14, 25)
+RESTING = (5, 8, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (14, 25)))
 """Servos under forces of 1 to 6 % of the torque of their ramps: their Coulomb friction comes out 13 to 45 % small."""
 
 

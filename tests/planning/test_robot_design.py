@@ -42,7 +42,7 @@ def measured(q: FloatArray, noise: FloatArray, seed: int) -> tuple[Record, ...]:
 
 
 def test_a_motion_keeps_every_limit_and_begins_at_rest() -> None:
-    found = design_robot_test(two().robot, LIMITS, duration=8.0, sample_time=T, seconds=2.0)
+    found = design_robot_test(two().robot, LIMITS, duration=8.0, sample_time=T, seconds=1.0)
     q = found.reference
     v, a = np.gradient(q, T, axis=0), np.gradient(np.gradient(q, T, axis=0), T, axis=0)
     for k, one in enumerate(LIMITS):
@@ -54,7 +54,7 @@ def test_a_motion_keeps_every_limit_and_begins_at_rest() -> None:
     assert np.abs(v[0]).max() < 2e-3 and np.abs(a[2]).max() < 0.2, "begins at rest"
     assert np.abs(q[-1] - q[0]).max() < 2e-3, "and ends where it began"
     weak = replace(LIMITS[0], torque=20.0)
-    tight = design_robot_test(two().robot, (weak, LIMITS[1]), duration=8.0, sample_time=T, seconds=2.0)
+    tight = design_robot_test(two().robot, (weak, LIMITS[1]), duration=8.0, sample_time=T, seconds=1.0)
     assert np.abs(tight.torque[:, 0]).max() < 20.0 < np.abs(found.torque[:, 0]).max()
 
 
@@ -109,7 +109,7 @@ def test_a_first_record_says_its_noise_and_what_its_motion_tells() -> None:
     first = first_record(identified(two().robot, records), records)
     np.testing.assert_allclose(first.noise, noise, rtol=0.15)
     found = design_robot_test(
-        two().robot, LIMITS, duration=first.duration, sample_time=T, seconds=2.0, noise=first.noise,
+        two().robot, LIMITS, duration=first.duration, sample_time=T, seconds=1.0, noise=first.noise,
         present=first.motion,
     )  # fmt: skip
     assert found.ratio is not None and found.ratio < 0.5

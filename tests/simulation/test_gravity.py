@@ -12,13 +12,14 @@ from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Channel, Record, Timing
-from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_torque
+from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.kernels import drive as kernels
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.prescribed import prescribed_motion, simulate_drive_side, simulate_open_loop
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import rotary
+from tests.simulation.differences import error_beside_differences
 from tests.simulation.kernel_case import run
 from tests.simulation.oracle import Law, Plant
 from tests.simulation.oracle import simulate as reference_of
@@ -146,35 +147,17 @@ def test_a_constant_load_is_an_offset_to_the_torque_and_a_preload_to_the_spring(
 
 
 def check_slopes(loop: ClosedLoop, record: Record, values: dict[str, float], start: Initial) -> int:
-    """Check the derivatives of torque and position against central differences; return the events.
-
-    A difference has an error of its own, rounding where the step is short and curvature where it is long.
-    """
+    """Check the derivatives of torque and position against central differences; return the events."""
     experiment = prepare(loop, record)
     names = [*(p.name for p in loop.joint.parameters), "initial_position"]
     found = simulate_sensitivities(loop, experiment, values, names, start, positions=True)
     assert found.response.outcome is Outcome.FINISHED
     assert np.array_equal(found.response.torque, simulate_torque(loop, experiment, values, start).torque)
-
-    def moved(name: str, by: float) -> Simulation:
-        if name == "initial_position":
-            return simulate(loop, experiment, values, Initial((start.position or 0.0) + by))
-        return simulate(loop, experiment, {**values, name: values[name] + by}, start)
-
     for j, name in enumerate(names):
         force = values.get("motor_coulomb", values.get("coulomb", 0.0))
-        worst, size = [], force if name == "offset" else abs(values.get(name, 1.0))
-        for share in (1e-8, 1e-7, 1e-6, 1e-5, 1e-4):
-            step = share * size
-            low, high = moved(name, -step), moved(name, step)
-            torque, position = high.torque - low.torque, high.motor_position - low.motor_position
-            worst.append(
-                max(
-                    np.linalg.norm(slope - ends / (2 * step)) / np.linalg.norm(slope)
-                    for slope, ends in ((found.torque[:, j], torque), (found.motor_position[:, j], position))
-                )
-            )
-        assert min(worst) < 2e-5, (name, worst)
+        size, columns = force if name == "offset" else abs(values.get(name, 1.0)), (found.torque, found.motor_position)
+        steps, own = tuple(size * np.logspace(-8, -4, 5)), tuple(column[:, j] for column in columns)
+        assert error_beside_differences(own, loop, record, values, name, steps, start) < 2e-5, name
     return found.response.events
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,39 +13,14 @@ from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
+from jointid.simulation.closed_loop import Initial, Outcome, simulate_torque
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import prismatic, rotary
+from tests.simulation.differences import error_beside_differences
 
 TWIN = twin("L19", noise="none")
-
-
-def difference(
-    loop: ClosedLoop, record: Record, values: dict[str, float], name: str, start: Initial, step: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Torque and motor position by central differences; towards longer delays by one-sided ones."""
-    ends = []
-    for by in (0.0 if name == "delay" else -step, step):
-        moved, begun, driven = dict(values), start, loop
-        if name in values:
-            moved[name] += by
-        elif name == "initial_position":
-            begun = replace(start, position=(start.position or 0.0) + by)
-        elif name == "initial_velocity":
-            begun = replace(start, velocity=(start.velocity or 0.0) + by)
-        else:
-            driven = replace(loop, controller=replace(loop.controller, **{name: getattr(loop.controller, name) + by}))
-        run = simulate(driven, prepare(driven, record), moved, begun)
-        assert run.outcome is Outcome.FINISHED
-        ends.append((run.torque, run.motor_position))
-    width = step if name == "delay" else 2 * step
-    return (ends[1][0] - ends[0][0]) / width, (ends[1][1] - ends[0][1]) / width
-
-
-def worst(found: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
 
 @pytest.mark.parametrize("make", [prismatic, rotary])
@@ -60,11 +34,10 @@ def test_agree_with_central_differences_on_random_plants(make: Callable, seed: i
     assert np.array_equal(found.response.torque, simulate_torque(case.loop, experiment, case.truth).torque)
     for j, name in enumerate(names):
         size = case.truth["motor_coulomb" if name == "offset" else name]
-        # A difference has an error of its own: rounding where the step is short, curvature where it is long.
-        steps = [share * size for share in (1e-6, 1e-5)]
-        expected = [difference(case.loop, record, case.truth, name, Initial(), step)[0] for step in steps]
-        found_by = [worst(found.torque[:, j], column) for column in expected]
-        assert min(found_by) < (3e-4 if name == "damping" else 1e-4), (name, found_by)
+        error = error_beside_differences(
+            (found.torque[:, j],), case.loop, record, case.truth, name, (1e-6 * size, 1e-5 * size)
+        )
+        assert error < (3e-4 if name == "damping" else 1e-4), name
 
 
 REFERENCE = trapezoids((0.05, 0.1), 1.0, 0.1, 1e-3, rest=0.15)
@@ -126,10 +99,10 @@ def test_agree_for_the_loop_and_the_start(controller: Cascade, names: tuple[str,
             or {"initial_position": 0.1, "initial_velocity": 0.1, "offset": 10.0, "delay": 1e-3}.get(name)
             or float(getattr(controller, name))
         )
-        torque, position = difference(loop, record, VALUES, name, start, (1e-5 if name == "delay" else 1e-6) * size)
-        limit = 3e-4 if name == "damping" else 2e-4
-        assert worst(found.torque[:, j], torque) < limit, name
-        assert worst(found.motor_position[:, j], position) < limit, name
+        columns, step = (found.torque[:, j], found.motor_position[:, j]), (1e-5 if name == "delay" else 1e-6) * size
+        back = 0.0 if name == "delay" else 1.0  # a delay of 0 is the shortest
+        error = error_beside_differences(columns, loop, record, VALUES, name, (step,), start, back=back)
+        assert error < (3e-4 if name == "damping" else 2e-4), name
 
 
 def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> None:
@@ -163,8 +136,9 @@ def test_a_delay_moves_the_edges_in_an_averaged_measured_torque(delay: float) ->
     found = simulate_sensitivities(loop, prepare(loop, record), values, ["delay", "inertia"])
     for j, name in enumerate(("delay", "inertia")):
         step = 1e-8 if name == "delay" else 1e-4
-        expected, _ = difference(loop, record, values, name, Initial(), step)
-        assert worst(found.torque[:, j], expected) < 2e-4, name
+        back = 0.0 if name == "delay" else 1.0
+        error = error_beside_differences((found.torque[:, j],), loop, record, values, name, (step,), back=back)
+        assert error < 2e-4, name
 
 
 def test_a_candidate_that_cannot_be_simulated_has_no_slope() -> None:

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number, with_numbers
+from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Outcome, Response, simulate_torque
+from jointid.simulation.closed_loop import Initial, Outcome
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
+from tests.simulation.differences import error_beside_differences
 
 COMMAND, LOG = 2e-3, 1e-3
 REFERENCE = trapezoids((0.05, 0.1), 1.0, 0.05, COMMAND, rest=0.1)[:300]
@@ -53,20 +54,6 @@ LIMITS = (
 )
 
 
-def moved(loop: ClosedLoop, values: dict[str, float], start: Initial, name: str, by: float, tap: Tap) -> Response:
-    """The loop with one of its parameters moved."""
-    values = dict(values)
-    if name in values:
-        values[name] += by
-    elif name.startswith("initial_"):
-        key = name.removeprefix("initial_")
-        start = replace(start, **{key: getattr(start, key) + by})
-    else:
-        controller = with_numbers(loop.controller, {name: number(loop.controller, name) + by})
-        loop = replace(loop, controller=controller)
-    return simulate_torque(loop, prepare(loop, driven(tap)), values, start)
-
-
 def driven(tap: Tap) -> Record:
     samples = round(REFERENCE.size * COMMAND / LOG)
     torque = Channel(np.zeros(samples), "N", LOG, Timing.HELD)
@@ -85,12 +72,9 @@ def check(law: Any, joint: Joint, names: tuple[str, ...], tap: Tap) -> tuple[flo
     assert found.response.outcome is Outcome.FINISHED
     for j, name in enumerate(wanted):
         size = SIZES.get(name) or values.get(name) or number(law, name)
-        errors = []
-        for share in (1e-6, 1e-5, 1e-4):  # rounding where it is short, curvature where it is long
-            low, high = (moved(loop, values, start, name, sign * share * size, tap).torque for sign in (-1, 1))
-            slope = (high - low) / (2 * share * size)
-            errors.append(np.linalg.norm(found.torque[:, j] - slope) / np.linalg.norm(slope))
-        assert min(errors) < (1e-3 if name == "damping" else 2e-4), (name, errors)
+        steps = tuple(share * size for share in (1e-6, 1e-5, 1e-4))
+        error = error_beside_differences((found.torque[:, j],), loop, driven(tap), values, name, steps, start)
+        assert error < (1e-3 if name == "damping" else 2e-4), name
     return found.response.at_limit, found.torque
 
 
@@ -156,12 +140,9 @@ def test_what_is_0_has_a_slope_all_the_same() -> None:
              "reference_delay", "velocity_feedforward_delay", "torque_filters.0.depth")  # fmt: skip
     found = simulate_sensitivities(loop, prepare(loop, driven(Tap.COMMAND)), RIGID, names, start)
     for j, name in enumerate(names):
-        errors = []
-        for by in (1e-9, 1e-8, 1e-7) if name.endswith("delay") else (1e-5, 1e-3, 1e-1):
-            low, high = (moved(loop, RIGID, start, name, size, Tap.COMMAND).torque for size in (0.0, by))
-            slope = (high - low) / by
-            errors.append(np.linalg.norm(found.torque[:, j] - slope) / np.linalg.norm(slope))
-        assert min(errors) < 3e-4, (name, errors)
+        steps = (1e-9, 1e-8, 1e-7) if name.endswith("delay") else (1e-5, 1e-3, 1e-1)
+        own, record = (found.torque[:, j],), driven(Tap.COMMAND)
+        assert error_beside_differences(own, loop, record, RIGID, name, steps, start, back=0.0) < 3e-4, name
 
 
 def test_what_is_not_there_has_no_slope() -> None:

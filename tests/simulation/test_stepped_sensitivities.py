@@ -8,33 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.arrays import FloatArray
 from jointid.models.controllers import numbers_of, with_numbers
-from jointid.models.joints import ClosedLoop
 from jointid.simulation.closed_loop import Initial, simulate
-from jointid.simulation.loop_input import LoopInput, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import Case, prismatic, rotary
+from tests.simulation.differences import error_beside_differences
 from tests.smooth_laws import LAWS, with_law
 
 _STEP = 3e-6
-
-
-def _moved(loop: ClosedLoop, experiment: LoopInput, values: dict[str, float], begin: Initial, name: str, by: float):
-    if name in values:
-        values = values | {name: values[name] + by}
-    elif name.startswith("initial_"):
-        word = name.removeprefix("initial_")
-        begin = replace(begin, **{word: getattr(begin, word) + by})
-    else:
-        controller = with_numbers(loop.controller, {name: numbers_of(loop.controller)[name] + by})
-        experiment = experiment.with_law(experiment.law_of(controller))
-        loop = replace(loop, controller=controller)
-    return simulate(loop, experiment, values, begin)
-
-
-def _signals(run) -> tuple[FloatArray, FloatArray, FloatArray]:
-    return run.torque, run.motor_position, run.load_position
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -53,10 +35,8 @@ def test_derivatives_are_those_of_differences_of_runs(make: Callable[[int], Case
     for i, name in enumerate(names):
         now = values.get(name) or numbers_of(loop.controller).get(name) or speed
         step = _STEP * (abs(now) or 1e-3)
-        ends = [_signals(_moved(loop, experiment, values, begin, name, by)) for by in (-step, step)]
-        for low, high, exact in zip(*ends, columns, strict=True):
-            expected = (high - low) / (2 * step)
-            assert np.linalg.norm(exact[:, i] - expected) <= 2e-3 * np.linalg.norm(expected), name
+        own = tuple(column[:, i] for column in columns)
+        assert error_beside_differences(own, loop, case.clean, values, name, (step,), begin) <= 2e-3, name
 
 
 def test_a_delay_moves_no_edge_of_a_torque_that_goes_on() -> None:
@@ -92,9 +72,8 @@ def test_friction_that_winds_up_within_a_sample_is_followed(share: float) -> Non
     found = simulate_sensitivities(loop, experiment, values, list(values))
     for i, name in enumerate(values):
         step = _STEP * (abs(values[name]) or 1e-3)
-        low, high = (_moved(loop, experiment, values, Initial(), name, by).torque for by in (-step, step))
-        expected = (high - low) / (2 * step)
-        assert np.linalg.norm(found.torque[:, i] - expected) <= 5e-3 * np.linalg.norm(expected), name
+        error = error_beside_differences((found.torque[:, i],), loop, case.clean, values, name, (step,))
+        assert error <= 5e-3, name
 
 
 @pytest.mark.parametrize("law", ["none", "drifting"])
@@ -106,13 +85,12 @@ def test_a_limit_that_acts_and_a_delay_are_followed(make: Callable[[int], Case],
     gain = numbers_of(loop.controller)["gain"]
     controller = with_numbers(loop.controller, {"limit": 0.65 * peak / gain, "delay": 1.5e-4})
     loop = replace(loop, controller=controller)
-    experiment, begin = prepare(loop, case.clean), Initial()
+    experiment = prepare(loop, case.clean)
     run = simulate(loop, experiment, values)
     assert run.at_limit > 0.001
     names = ["stiffness", "limit", "delay", "position_gain"]
     found = simulate_sensitivities(loop, experiment, values, names)
     for i, name in enumerate(names):
         step = _STEP * (values.get(name) or numbers_of(controller)[name])
-        low, high = (_moved(loop, experiment, values, begin, name, by).torque for by in (-step, step))
-        expected = (high - low) / (2 * step)
-        assert np.linalg.norm(found.torque[:, i] - expected) <= 1e-3 * np.linalg.norm(expected), name
+        error = error_beside_differences((found.torque[:, i],), loop, case.clean, values, name, (step,))
+        assert error <= 1e-3, name

@@ -12,7 +12,7 @@ from studies.registry import STUDIES
 from studies.stored import read_entries
 from studies.study import FAILED, HELD, UNCOUNTED, Share, Study
 
-SIMULATED = 20_000
+SIMULATED = 5_000
 
 
 def made(count: int, *shares: Share) -> Study:
