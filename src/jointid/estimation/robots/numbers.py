@@ -10,12 +10,14 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.base_parameters import formula_of, group_columns
 from jointid.models.robots.inertial import SYMBOLS
@@ -122,6 +124,43 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
         tuple(places[i] for i in dropped),
         sums[:, dropped],
     )
+
+
+def keep_known(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
+    """Return the parameters without those of fixed values, and with the bounds of the others.
+
+    Args:
+        parameters: of a robot.
+        known: by name; of those that are not free the start is the value. Names that are not there are left out.
+    """
+    bounded, kept = list[Parameter](), list[int]()
+    base = parameters.base
+    for i, (one, place) in enumerate(zip(parameters.parameters, parameters.places, strict=True)):
+        stated = known.get(one.name, one)
+        if not stated.free and stated.start is not None:
+            base = with_values(base, (place,), np.array([stated.start]))
+            continue
+        kept.append(i)
+        bounded.append(replace(one, lower=max(one.lower, stated.lower), upper=min(one.upper, stated.upper)))
+    return replace(
+        parameters, parameters=tuple(bounded), places=tuple(parameters.places[i] for i in kept),
+        logarithmic=parameters.logarithmic[kept], base=base, grouping=parameters.grouping[kept],
+    )  # fmt: skip
+
+
+def require_friction(robot: Robot, names: Iterable[str]) -> None:
+    """Require that names are those of friction or of a constant torque.
+
+    Raises:
+        MethodError: one is not.
+    """
+    known = [one.name for one in robot_parameters(robot).parameters if one.symbol in _OF_MASS[1:]]
+    for name in names:
+        if name not in known:
+            raise MethodError(
+                f"{name} has a value or bounds to keep, and the methods of a robot keep those of friction and constant "
+                f"torques alone, {', '.join(known)}: give a start, or leave it out."
+            )
 
 
 def _ordered(robot: Robot, numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
