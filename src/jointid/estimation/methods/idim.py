@@ -107,7 +107,7 @@ class IDIM(Method):
 
     @classmethod
     def called(cls, model: str) -> str:
-        """Return what a sentence on its needs calls it: they are the joint model's."""
+        """Return its name in sentences on its needs."""
         return "IDIM of a flexible joint" if model == "flexible" else cls.title
 
     @classmethod
@@ -166,7 +166,7 @@ class IDIM(Method):
             return _answer(task, self, filtering, delay, solved(own))
         whole = regression(tuple(effect for effect in own if effect not in unknown))
         started: dict[Effect, PositionHarmonics] = {
-            ripple: _searched(ripple, whole, filtering, sample_time) for ripple in unknown
+            ripple: _search_period(ripple, whole, filtering, sample_time) for ripple in unknown
         }
         effects = tuple(started.get(effect, effect) for effect in own)
         return _answer(task, self, filtering, delay, _with_periods(effects, list(started.values()), solved))
@@ -372,10 +372,10 @@ class PeriodColumn:
         return self.ripple.period_column(motion, self.amplitudes)[:, np.newaxis]
 
 
-def _searched(
+def _search_period(
     effect: PositionHarmonics, whole: _Regression, filtering: Filtering, sample_time: float
 ) -> PositionHarmonics:
-    """Return a ripple with the period that explains most of what the effects that are whole leave (see the module)."""
+    """Return a ripple with the period that explains most of the residual, see the module."""
     from scipy.optimize import minimize_scalar
 
     model, rows = whole.model, whole.rows
