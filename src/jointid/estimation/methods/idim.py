@@ -26,14 +26,12 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.common.transmission import Side
 from jointid.estimation.methods.linear import (
+    ESTIMATORS,
     Rows,
     Solution,
     by_instruments,
     describe_stop,
-    ordinary,
-    robust,
     simulated_instruments,
-    weighted,
 )
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
@@ -151,8 +149,7 @@ class IDIM(Method):
         def solved(effects: tuple[Effect, ...]) -> _Found:
             made = regression(effects)
             if self.estimator != "iv":
-                solve = {"ols": ordinary, "weighted": weighted, "robust": robust}[self.estimator or "ols"]
-                return _Found(made, solve(made.rows), effects)
+                return _Found(made, ESTIMATORS[self.estimator or "ols"](made.rows), effects)
             assert loop is not None
             columns = simulated_instruments(record, loop, made.model, made.parameters, filtering, effects)
             return _Found(made, by_instruments(made.rows, columns, made.kept, made.free), effects)

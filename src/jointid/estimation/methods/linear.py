@@ -20,7 +20,7 @@ bound, and effects that the loop does not have (ripple, drift) are put on the si
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -162,6 +162,10 @@ def robust(rows: Rows) -> Solution:
     first = least_squares(rows.W, rows.Y, rows.names)
     huber = _reweight(rows, first, _huber_share, _huber_slope, _mad)
     return _reweight(rows, huber.fit, _bisquare_share, _bisquare_slope, _mad, huber.steps)
+
+
+ESTIMATORS: Mapping[str, Callable[[Rows], Solution]] = {"ols": ordinary, "weighted": weighted, "robust": robust}
+"""The estimators without instruments, by name."""
 
 
 def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
