@@ -51,7 +51,7 @@ _HALVINGS = 6  # of a step to a candidate that cannot be simulated
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotFit:
-    """What was identified of a robot from the records of its joints.
+    """The fit of a robot to the records of its joints.
 
     Attributes:
         parameters: what they are. values: (parameters,) of them. covariance: of their errors.
@@ -152,7 +152,7 @@ def fixed_point(
     progress: Progress = lambda _: None,
     settled: float = SETTLED,
 ) -> RobotFit:
-    """Return where steps by the regressor of the simulated motion lead to, from a start that could be simulated."""
+    """Iterate with the regressor of the simulated motion from a valid start."""
     bounds, size, floor = Bounds.of(problem.free), problem.sizes, problem.floor
     arrived, made = False, 0
     for number in range(iterations):
@@ -165,7 +165,7 @@ def fixed_point(
         after = bounds.clip(x + step)
         arrived = bool(np.all(np.abs(after - x) <= settled * std))
         made = number + 1
-        x, run = _moved(problem, x, after, run)
+        x, run = _take_step(problem, x, after, run)
         if arrived:
             break
     return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived)
@@ -204,8 +204,8 @@ def conclude(
     )
 
 
-def _moved(problem: RobotProblem[Run], x: FloatArray, after: FloatArray, run: Run) -> tuple[FloatArray, Run]:
-    """Return where a step leads, halved while it cannot be simulated there."""
+def _take_step(problem: RobotProblem[Run], x: FloatArray, after: FloatArray, run: Run) -> tuple[FloatArray, Run]:
+    """Return the end of a step, halved until it can be simulated."""
     for _ in range(_HALVINGS):
         found = problem.run(after)
         if found.outcome is RobotOutcome.FINISHED:

@@ -327,7 +327,7 @@ class SearchOfSprings:
         row = [_LOWEST * _APART**i for i in range(math.floor(math.log(highest / _LOWEST) / math.log(_APART)) + 1)]
         ways = [self._one_by_one(start, row), self._together(start, row)]
         costs = in_threads(lambda way: self._whole(start, way), ways)
-        placed = self._swept(start, row, ways[int(np.argmin(costs))])
+        placed = self._sweep(start, row, ways[int(np.argmin(costs))])
         for joint, hertz in placed.items():
             self.progress(f"{start.names[joint]}: its link swings behind its motor at {hertz:.3g} Hz")
         shares = np.sqrt((start.rotors + start.links) / np.where(start.rotors > 0.0, start.rotors, 1.0))
@@ -356,7 +356,7 @@ class SearchOfSprings:
                     left.remove(joint)
         return placed
 
-    def _swept(self, start: StartOfSprings, row: Sequence[float], placed: dict[int, float]) -> dict[int, float]:
+    def _sweep(self, start: StartOfSprings, row: Sequence[float], placed: dict[int, float]) -> dict[int, float]:
         """Return the frequencies after each joint was tried again, beside the others, while all torques gain by it."""
         least = self._whole(start, placed)
         for _ in range(_SWEEPS):
@@ -389,7 +389,7 @@ class SearchOfSprings:
     def _costs(
         self, start: StartOfSprings, placed: Mapping[int, float], joints: Sequence[int] | None = None
     ) -> FloatArray:
-        """Return what is left of each joint's torque, squared, as a share, with springs where they are placed.
+        """Return the squared residual share of each joint's torque for given springs.
 
         Of all joints, or of some; 1 where the robot cannot be simulated.
         """
@@ -407,7 +407,7 @@ class SearchOfSprings:
         return np.array([self._left(run, joint) for joint in asked])
 
     def _left(self, run: RobotDriveSideRun, joint: int) -> float:
-        """Return what is left of a joint's torque beside what rotor, friction and a share of its load explain."""
+        """Return the squared residual share of a joint's torque, fitted by rotor, friction and load."""
         motor, measured = int(run.numbers.rotors[joint]), self._measured[joint]
         own = [motion[:, motor] for motion in (run.motion.acceleration, run.motion.velocity, run.motion.direction)]
         columns = np.column_stack([*own, np.ones(len(run.torque)), run.torque[:, joint]])

@@ -65,7 +65,7 @@ _TWO = 2.0  # of them: the bound of one that is not
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlexibleRobotFit:
-    """What was identified of a robot with flexible joints.
+    """The fit of a robot with flexible joints.
 
     Attributes:
         fit: all parameters; of a spring that is refused, and of its joint's two sides, no interval is to be believed.
@@ -144,7 +144,7 @@ def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> No
 
 
 def require_frequencies(frequencies: Mapping[str, float] | None, sample_time: float) -> None:
-    """Raise MethodError if a frequency is none that is looked for in such a log."""
+    """Refuse a frequency outside the range of the search."""
     highest = STIFFEST / sample_time
     for name, hertz in (frequencies or {}).items():
         if not 0.0 < hertz <= highest:
@@ -230,7 +230,7 @@ def search_springs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _End:
-    """Where a descent ended.
+    """The end of a descent.
 
     Attributes:
         problem: as the descent weighed it.

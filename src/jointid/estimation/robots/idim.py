@@ -25,14 +25,12 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import (
+    ESTIMATORS,
     Instruments,
     Rows,
     Solution,
     by_instruments,
     describe_stop,
-    ordinary,
-    robust,
-    weighted,
 )
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimatedParameter
@@ -91,10 +89,9 @@ def solve_rows(settings: IDIM, rows: Rows, instruments: Instruments | None = Non
                 'in the loop: give one, or use "weighted".'
             )
         solution = by_instruments(left, instruments, kept, free)
-    elif settings.estimator == "robust":
-        solution = robust(left)
     else:
-        solution = ordinary(left) if settings.estimator == "ols" or rows.equations == 1 else weighted(left)
+        name = "ols" if rows.equations == 1 and settings.estimator != "robust" else settings.estimator or "weighted"
+        solution = ESTIMATORS[name](left)
     return with_fixed(solution, kept, free) if settings.fixed else solution
 
 

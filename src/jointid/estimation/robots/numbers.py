@@ -45,7 +45,7 @@ _QUANTITIES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotParameters:
-    """What is identified of a robot, and where it stands among its numbers.
+    """The parameters of a robot, and their indices among its numbers.
 
     Attributes:
         parameters: names, quantities and bounds; of those on a logarithmic scale bounds of the logarithm.
@@ -74,7 +74,7 @@ class RobotParameters:
 
     def formulas(self, robot: Robot) -> tuple[str, ...]:
         """Return the sums that the parameters stand for, as text; of one that stands alone its name."""
-        symbols = (*self.names, *(_named(place, robot, self.base, False).name for place in self.dropped))
+        symbols = (*self.names, *(_name_parameter(place, robot, self.base, False).name for place in self.dropped))
         both = np.hstack([np.eye(len(self.names)), self.grouping])
         return tuple(formula_of(row, first, symbols) for first, row in enumerate(both))
 
@@ -92,7 +92,7 @@ class RobotParameters:
         return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, x, 0.0)), x)
 
     def searched(self, values: FloatArray) -> FloatArray:
-        """Return what is searched from the parameters, (parameters,)."""
+        """Return the search variables of parameters, (parameters,)."""
         return np.where(self.logarithmic, np.log(np.where(self.logarithmic, values, 1.0)), values)
 
     def numbers(self, values: FloatArray) -> RobotNumbers:
@@ -101,7 +101,7 @@ class RobotParameters:
 
 
 def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = False) -> RobotParameters:
-    """Return the parameters of a robot that its torques can tell on a motion that excites all.
+    """Return the parameters of a robot that are identifiable with sufficient excitation.
 
     Args:
         robot: whose joints are rigid or flexible.
@@ -110,11 +110,11 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     """
     robot.require_lines("An identification of a robot takes")
     numbers = RobotNumbers.of(robot)
-    places = _ordered(robot, numbers, offsets)
+    places = _order_parameters(robot, numbers, offsets)
     kept, sums = group_columns(_random_columns(robot, numbers, places))
     base = with_values(numbers, places, np.zeros(len(places)))
     logs = [logarithmic and _positive(place, numbers) for place in places]
-    parameters = [_named(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
+    parameters = [_name_parameter(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
     return RobotParameters(
         tuple(parameters[i] for i in kept),
@@ -163,7 +163,7 @@ def require_friction(robot: Robot, names: Iterable[str]) -> None:
             )
 
 
-def _ordered(robot: Robot, numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
+def _order_parameters(robot: Robot, numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
     """Return all places, those first that are to be kept."""
     n, masses = numbers.rotors.size, range(len(numbers.masses))
     two = {int(row) for row, joint in zip(numbers.rotors, robot.joints, strict=True) if joint.asymmetric}
@@ -204,7 +204,7 @@ def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:
     return rotor or (place.of is NumberOf.SPRING and place.column == 0)
 
 
-def _named(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
+def _name_parameter(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
     if place.of is NumberOf.LINK:
         name, symbol = f"{robot.links[place.row].name}.{SYMBOLS[place.column]}", SYMBOLS[place.column]
         quantity = Quantity.INERTIA if place.column >= 4 else Quantity.RATIO

@@ -99,7 +99,7 @@ class RobotProblem(ABC, Generic[Run]):
     @property
     @abstractmethod
     def poses(self) -> FloatArray:
-        """Where the shafts are about in the record, (samples, n)."""
+        """Approximate positions of the shafts, (samples, n)."""
 
     @abstractmethod
     def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Run:
@@ -127,7 +127,7 @@ class RobotProblem(ABC, Generic[Run]):
         return self.parameters.parameters
 
     def roughly(self) -> Self:
-        """Return the problem simulated in longer steps where there is a choice, to look for where a search begins."""
+        """Return the problem with longer integration steps, for the start of a search."""
         return self
 
     def weighted(self, sigma: FloatArray) -> Self:

@@ -108,7 +108,7 @@ class RobotMotion:
 
     @property
     def whole_rows(self) -> NDArray[np.bool_]:
-        """Which rows have nothing in them of samples that are left out, (n, rows): these alone are judged.
+        """Rows without any sample that is left out, (n, rows); only these are judged.
 
         A row beside one that is left out has some of that in it, and less noise.
         """
@@ -236,6 +236,6 @@ def require_reached(robot: Robot, rows: Rows, fixed: Collection[str] = ()) -> No
 
 
 def relative_errors(rows: Rows, values: FloatArray) -> FloatArray:
-    """Return what each joint's torque is not explained by the values, (n,), as a share of its root mean square."""
+    """Return the residual share of each joint's torque, (n,)."""
     error = rows.by_equation(rows.Y - rows.W @ values)
     return np.asarray(np.linalg.norm(error, axis=1) / np.linalg.norm(rows.by_equation(rows.Y), axis=1))

@@ -250,7 +250,7 @@ def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
 def simulated_errors(
     setup: RobotLoop | RobotDriveSide, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
 ) -> FloatArray:
-    """Return what a robot leaves of each joint's filtered torque, (n,), infinite if it cannot be simulated."""
+    """Return the residual share of each joint's torque, (n,); infinite if it cannot be simulated."""
     return _errors(problem_of(setup, records, robot_parameters(setup.robot), filtering), numbers)
 
 
