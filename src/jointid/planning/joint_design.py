@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Charted, Line, Mark, Panel
+from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Line, Mark, Panel
 from jointid.common.document import Block, Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_folder
+from jointid.common.matplotlib_backend import Charted
 from jointid.common.messages import Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
 from jointid.common.text import number

@@ -28,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, SIMULATED, Chart, Charted, Line, Panel
+from jointid.common.charts import MEASURED, SIMULATED, Chart, Line, Panel
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError
+from jointid.common.matplotlib_backend import Charted
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import join, number
 from jointid.diagnostics.robots.torques import torques_of
