@@ -26,8 +26,9 @@ from jointid.campaigns.cases import sha256_of
 from jointid.common.files import write_whole
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.models.limits import find_excess
 from jointid.paper.twin import SAMPLE_TIME, twin
-from jointid.planning.limits import find_excess, find_maxima
+from jointid.planning.predict import find_maxima
 from jointid.simulation.loop_input import prepare
 from studies.seeds import judge_seeds
 

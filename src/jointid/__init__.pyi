@@ -20,6 +20,7 @@ from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
 from .estimation.robots.payload import identify_payload
 from .models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from .models.limits import AxisLimits
 from .models.position_forces import Gravity
 from .models.robots.robot import Robot
 from .output import figures
@@ -28,7 +29,6 @@ from .output.json.documents import to_dict
 from .output.report import Report
 from .paper.twin import twin
 from .planning.design import design
-from .planning.limits import AxisLimits
 from .planning.predict import Noise
 from .records.chunks import Log
 from .records.columns import Column

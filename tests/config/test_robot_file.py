@@ -15,10 +15,10 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
+from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import SPRINGS
 from jointid.output.export.robot_model import robot_mjcf
-from jointid.planning.limits import AxisLimits
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial

@@ -16,7 +16,7 @@ from jointid.config import controller_text, dumps, load, load_to_learn, loads, w
 from jointid.config.quantities import Stated, units_declared
 from jointid.models.controllers import Cascade, FirstOrder, SecondOrder
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.planning.limits import AxisLimits
+from jointid.models.limits import AxisLimits
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.joint_files import CASCADE, JOINT, SMALLEST, faults

@@ -308,3 +308,9 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     axis = twin(noise="none")
     with pytest.raises(MethodError, match=r"DIDIM\.frequency is for a flexible joint, and this is a rigid joint"):
         identify(axis.record, ClosedLoop(RigidJoint("prismatic"), axis.loop.controller), DIDIM(frequency=30.0))
+
+
+def test_a_record_without_reference_is_refused_in_a_sentence() -> None:
+    axis = twin(noise="none")
+    with pytest.raises(RecordError, match="DIDIM needs reference; this record has torque"):
+        identify(axis.record.without("reference"), axis.loop)

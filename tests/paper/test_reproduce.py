@@ -10,9 +10,9 @@ import pytest
 import jointid as ji
 from jointid.common.document import Document, Heading, Paragraph, Picture, Table
 from jointid.common.errors import RecordError
+from jointid.common.matplotlib_backend import png
 from jointid.diagnostics.validation import Validation
 from jointid.output.figures import torque_chart
-from jointid.output.figures.matplotlib_backend import png
 from jointid.output.report.page import page as html
 from jointid.output.report.page import save
 from jointid.paper.reproduce import Reproduction, report_reproduction, reproduce

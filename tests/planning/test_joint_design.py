@@ -17,6 +17,7 @@ from jointid.apps.cli import main
 from jointid.common.charts import Line
 from jointid.common.errors import MethodError, RecordError
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.limits import AxisLimits, find_excess
 from jointid.output.json.documents import to_dict
 from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
@@ -25,7 +26,6 @@ from jointid.planning import search as search_module
 from jointid.planning.bound import least_deviation
 from jointid.planning.goals import parse_goal
 from jointid.planning.joint_design import Design, design_joint_test
-from jointid.planning.limits import AxisLimits, find_excess, find_maxima
 from jointid.planning.plans import (
     Family,
     Plan,
@@ -38,7 +38,7 @@ from jointid.planning.plans import (
     families_in,
     room_of,
 )
-from jointid.planning.predict import Noise, planned_record, predict_test
+from jointid.planning.predict import Noise, find_maxima, planned_record, predict_test
 from jointid.planning.search import Asked, Purpose, search, try_plan
 from jointid.records.record import Tap
 from jointid.records.signals.filtering import Filtering

@@ -10,9 +10,9 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.models.limits import AxisLimits
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
-from jointid.planning.limits import AxisLimits
 from jointid.planning.robot_design import RobotDesign, _modes, design_robot_test, first_record
 from jointid.planning.robot_motions import Motions, complete
 from jointid.records.record import Channel, Record

@@ -189,7 +189,15 @@ def test_numbers_of_an_axis_become_the_axis_again(backwards: float | None, law: 
 def test_a_spring_that_no_joint_may_have_is_not_simulated(law: str, name: str, value: float) -> None:
     robot = robot_of(FlexibleJoint("revolute", spring=SPRINGS[law]()))
     numbers = RobotNumbers.of(robot)
-    assert numbers.possible
+    assert numbers.possible(1.0)
     springs = numbers.springs.copy()
     springs[0, SPRING_NUMBERS.index(name)] = value
-    assert not replace(numbers, springs=springs).possible
+    assert not replace(numbers, springs=springs).possible(1.0)
+
+
+def test_friction_that_drifts_below_zero_is_not_simulated() -> None:
+    numbers = RobotNumbers.of(robot_of(FlexibleJoint("revolute")))
+    masses = numbers.masses.copy()
+    masses[0, [MassNumbers.COULOMB, MassNumbers.COULOMB_DRIFT]] = 1.0, -0.1
+    fading = replace(numbers, masses=masses)
+    assert fading.possible(9.0) and not fading.possible(11.0)

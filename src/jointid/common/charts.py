@@ -1,4 +1,4 @@
-"""Declarative charts; `output.figures` draws them with matplotlib or bokeh."""
+"""Declarative charts; `matplotlib_backend` draws them, and `output.figures` with bokeh."""
 
 from __future__ import annotations
 
@@ -143,9 +143,9 @@ class Charted(ABC):
 
     def plot(self) -> Figure:
         """Return its figure, of matplotlib: ``figure.savefig(path)`` writes it."""
-        import jointid  # by its public name, as a user's program: figures stand above
+        from jointid.common.matplotlib_backend import draw
 
-        return jointid.figures.draw(self)
+        return draw(self.chart())
 
 
 def format_correlation(correlation: float) -> str:

@@ -29,9 +29,9 @@ from jointid.estimation.problems.base import surrounding
 from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.limits import AxisLimits
 from jointid.models.position_forces import GRAVITY_PARAMETERS
 from jointid.models.springs import SPRINGS, LinearSpring
-from jointid.planning.limits import AxisLimits
 from jointid.records.columns import known_units
 from jointid.records.drives import Drive
 

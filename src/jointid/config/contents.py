@@ -33,7 +33,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.planning.limits import AxisLimits
+from jointid.models.limits import AxisLimits
 from jointid.records.checks import check_record
 from jointid.records.chunks import Log
 from jointid.records.columns import Column, known_units

@@ -48,9 +48,9 @@ from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import ROBOT
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
+from jointid.models.limits import ROBOT_LIMITS, AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
-from jointid.planning.limits import ROBOT_LIMITS, AxisLimits
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.formats import read_table
 from jointid.records.record import Record

@@ -61,9 +61,9 @@ from jointid.models.controllers import (
 from jointid.models.disturbances import Drift, Effect
 from jointid.models.friction import FRICTIONS, find_friction
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.limits import AxisLimits
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.models.springs import SPRINGS, LinearSpring, find_spring
-from jointid.planning.limits import AxisLimits
 from jointid.records.drives import Drive
 from jointid.records.record import CHANNELS
 from jointid.records.signals.filtering import Filtering

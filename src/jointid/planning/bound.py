@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.limits import AxisLimits
 from jointid.planning.goals import Goal
-from jointid.planning.limits import AxisLimits
 from jointid.planning.predict import Noise
 
 _LINES = 120  # frequencies

@@ -13,9 +13,9 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
+from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.planning.joint_design import Design, design_joint_test
-from jointid.planning.limits import AxisLimits
 from jointid.planning.predict import Noise
 from jointid.planning.robot_design import RobotDesign, design_robot_test, first_record
 from jointid.records.record import Record, Tap

@@ -26,9 +26,9 @@ from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.other_experiments import choose_encoder_steps
 from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.limits import AxisLimits, describe_excess, find_excess, units_of_limits
 from jointid.planning.bound import Floor, least_deviation
 from jointid.planning.goals import WEAKEST, Goal, parse_goal
-from jointid.planning.limits import AxisLimits, describe_excess, find_excess, units_of_limits
 from jointid.planning.plans import Plan, TorqueTable, room_of
 from jointid.planning.plans import Table as Played
 from jointid.planning.predict import Noise, PredictedTest, reach

@@ -33,7 +33,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
-from jointid.planning.limits import find_maxima
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome, Simulation, in_threads
@@ -395,3 +394,31 @@ def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, 
         return added
 
     return in_threads(error, range(runs))
+
+
+def find_maxima(run: Simulation, reference: FloatArray, torque: FloatArray, sample_time: float) -> dict[str, float]:
+    """Maxima of the limited quantities in a simulated test.
+
+    Args:
+        run: of the loop.
+        reference: (samples,) of it, m or rad.
+        torque: (samples,) that acts on the joint.
+        sample_time: of the reference, s.
+    """
+    positions = [run.motor_position, *([] if run.load_position is None else [run.load_position])]
+    velocities = [run.motor_velocity, *([] if run.load_velocity is None else [run.load_velocity])]
+    acceleration = np.diff(reference, 2) / sample_time**2
+    jerk = np.diff(acceleration) / sample_time
+    low, high = (f([f(one) for one in (*positions, reference)]) for f in (np.min, np.max))
+    windup = {}
+    if run.load_position is not None:
+        windup["windup"] = float(np.max(np.abs(run.load_position - run.motor_position)))
+    return {
+        "stroke": float(high - low),
+        "speed": max(float(np.max(np.abs(one))) for one in velocities),
+        "acceleration": float(np.max(np.abs(acceleration), initial=0.0)),
+        "jerk": float(np.max(np.abs(jerk), initial=0.0)),
+        "torque": float(np.max(np.abs(torque))),
+        "rms_torque": math.sqrt(float(np.mean(torque**2))),
+        **windup,
+    }

@@ -40,10 +40,10 @@ from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.regression import motion_of_robot
 from jointid.estimation.robots.simulated import parameter_units
+from jointid.models.limits import ROBOT_LIMITS, AxisLimits, find_excess
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import Friction, friction_columns, friction_terms
 from jointid.models.robots.robot import Robot
-from jointid.planning.limits import ROBOT_LIMITS, AxisLimits, find_excess
 from jointid.planning.robot_motions import Motions, complete
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering

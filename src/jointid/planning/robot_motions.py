@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.planning.limits import AxisLimits
+from jointid.models.limits import AxisLimits
 
 _INSIDE = 0.98  # of speed and acceleration: a motor passes where its reference turns round
 _MARGIN = 0.01  # of the room, at each end, likewise

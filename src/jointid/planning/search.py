@@ -20,8 +20,8 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Progress, Work
 from jointid.common.parameters import Parameter
 from jointid.models.joints import ClosedLoop
+from jointid.models.limits import AxisLimits, find_excess
 from jointid.planning.goals import Goal
-from jointid.planning.limits import AxisLimits, find_excess
 from jointid.planning.plans import Family, Plan, Room, families_in
 from jointid.planning.predict import (
     Noise,

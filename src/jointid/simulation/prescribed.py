@@ -33,7 +33,7 @@ from jointid.models.controllers import StateSpaceController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.loop_input import LoopInput, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import (
     coefficient_seeds,
     gravity_slope,
@@ -390,7 +390,16 @@ def simulate_open_loop(
             ``log_delay`` of the torque channel.
         names: to differentiate by.
     """
-    loop, experiment = _pass_through(joint, torque, values["log_delay"])
+    period = torque.sample_time
+    late = torque.timing.begins - values["log_delay"] / period
+    whole = math.floor(late)
+    picked = np.clip(np.arange(torque.values.size) - whole, 0, torque.values.size - 1)
+    passed = Channel(torque.values[picked], POSITION_UNIT[joint.kind], period)
+    passing = StateSpaceController(
+        A=np.zeros((0, 0)), B={}, C=np.zeros(0), D={"reference": 1.0}, delay=(late - whole) * period
+    )
+    loop = ClosedLoop(joint, passing)
+    experiment = prepare(loop, Record(reference=passed))
     initial = Initial(values["initial_position"], values["initial_velocity"])
     run = simulate(loop, experiment, values, initial)
     if run.outcome is not Outcome.FINISHED:
@@ -402,17 +411,3 @@ def simulate_open_loop(
     # A log that is later by so much shows a torque that acts earlier by as much.
     signs = np.array([-1.0 if name == "log_delay" else 1.0 for name in names])
     return OpenLoopRun(run.motor_position, slopes * signs, True)
-
-
-def _pass_through(joint: Joint, torque: Channel, log_delay: float) -> tuple[ClosedLoop, LoopInput]:
-    """The joint under a law that passes the torque on, and its input."""
-    period = torque.sample_time
-    late = torque.timing.begins - log_delay / period
-    whole = math.floor(late)
-    picked = np.clip(np.arange(torque.values.size) - whole, 0, torque.values.size - 1)
-    passed = Channel(torque.values[picked], POSITION_UNIT[joint.kind], period)
-    law = StateSpaceController(
-        A=np.zeros((0, 0)), B={}, C=np.zeros(0), D={"reference": 1.0}, delay=(late - whole) * period
-    )
-    loop = ClosedLoop(joint, law)
-    return loop, prepare(loop, Record(reference=passed))

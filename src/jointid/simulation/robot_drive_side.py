@@ -144,7 +144,7 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers) -> RobotDrive
     moved = _with_heavy_motors(numbers)
     start, speeds = np.zeros(masses), np.zeros(masses)
     outcome, tape = RobotOutcome.INVALID, RobotTape.empty(0, 0, moved.bodies)
-    if numbers.possible:
+    if numbers.possible(len(prescribed.position) * prescribed.step):
         links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
         taken = choose_steps(prescribed.tree, links, prescribed.step, _with_heavy_motors(numbers, _HELD))
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF

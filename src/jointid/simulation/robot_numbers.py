@@ -94,12 +94,11 @@ class RobotNumbers:
         """Which joints are flexible, (n,)."""
         return np.asarray(self.rotors >= self.rotors.size)
 
-    @property
-    def possible(self) -> bool:
-        """True if all numbers are physically possible.
+    def possible(self, duration: float) -> bool:
+        """Return True if all numbers are physically possible for that many seconds.
 
         Rotors behind springs have an inertia, friction that rises has a speed, a hysteresis slips, pieces of a spring
-        follow each other, and friction per torque is below 1.
+        follow each other, friction per torque is below 1, and Coulomb friction that drifts stays above 0.
         """
         finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
         turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
@@ -112,9 +111,14 @@ class RobotNumbers:
         slips = spring["hysteresis_torque"][spring["hysteresis_stiffness"] > 0.0]
         third = spring["stiffness_3"] > 0.0
         ascending = spring["torque_2"][third] > spring["torque_1"][third]
+        drift = self.masses[:, MassNumbers.COULOMB_DRIFT]
+        faded = (self.masses[:, MassNumbers.COULOMB] + drift * duration)[drift < 0.0]
         positive = (turning, held, risen, slips, 1.0 - self.masses[:, MassNumbers.PER_TORQUE])
         return (
-            finite and least >= 0.0 and all(bool(np.all(each > 0.0)) for each in positive) and bool(np.all(ascending))
+            finite
+            and min(least, np.min(faded, initial=0.0)) >= 0.0
+            and all(bool(np.all(each > 0.0)) for each in positive)
+            and bool(np.all(ascending))
         )
 
 

@@ -255,7 +255,7 @@ def run_robot(
     cuts = np.zeros((n, periods if keep else 0, elements if keep else 0), dtype=np.bool_)
     start, outcome = np.zeros(masses), RobotOutcome.INVALID
     taken = 1 if steps is None else steps
-    if numbers.possible:
+    if numbers.possible(clock.steps * float(np.sum(clock.lengths))):
         longest = float(np.max(clock.lengths))
         taken = choose_steps(experiment.tree, experiment.references, longest, numbers) if steps is None else steps
         # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.

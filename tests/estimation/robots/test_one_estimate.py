@@ -60,7 +60,7 @@ def test_checks_that_are_left_out_are_said() -> None:
 def test_a_controller_that_is_not_as_declared_speaks_against_a_robot() -> None:
     loop, records = logged()
     first, second = loop.controllers
-    wrong = replace(loop, controllers=(first, replace(second, torque_filters=(ji.filters.FirstOrder(0.02),))))
+    wrong = replace(loop, controllers=(first, replace(second, torque_filters=(ji.controller.FirstOrder(0.02),))))
     found = ji.identify(records, wrong)
     assert verdicts(found)[Subject.LOOP] is Status.FAILED
     assert found.answer.trust.code is Trust.NOT_YET
@@ -102,7 +102,7 @@ def test_what_is_for_a_robot_refuses_a_joint_in_a_sentence() -> None:
     axis = ji.twin(noise="none")
     joint = ji.identify(axis.record, axis.loop.joint, checks=False)
     with pytest.raises(MethodError, match="needs the estimate of a robot"):
-        ji.consistent_robot(joint)
+        ji.robots.consistent_robot(joint)
 
 
 def test_a_robot_needs_a_record_of_each_joint() -> None:

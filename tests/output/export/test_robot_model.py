@@ -12,7 +12,7 @@ from jointid.common.errors import MethodError
 from jointid.config.robot_model import read_robot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot
-from jointid.output.export.robot_model import write_robot
+from jointid.output.export import export
 from tests.estimation.robots.twin import arm
 from tests.models.robots.trees import by_mujoco, random_robot
 
@@ -31,7 +31,8 @@ def torque(robot: Robot, names: tuple[str, ...]) -> np.ndarray:
 @pytest.mark.parametrize("name", ["found.urdf", "found.xml"])
 def test_what_is_written_has_the_same_torque(robot: Robot, name: str) -> None:
     robot = replace(robot, gravity=DOWN)
-    text, lost = write_robot(robot, Path(name))
+    made = export(robot, Path(name).suffix)
+    text, lost = made.text, made.lost
     found = read_robot(text)
     expected = torque(robot, robot.names)
     assert np.abs(torque(found, robot.names) - expected).max() < by_mujoco(1e-9) * np.abs(expected).max()
@@ -46,29 +47,38 @@ def test_what_is_lost_is_said() -> None:
     coupled = replace(robot.joints[5], coupling={"joint5": 0.2})
     uneven = replace(robot.joints[0], coulomb_backwards=9.0, stribeck_force=2.0, stribeck_speed=0.1)
     joints = (uneven, *robot.joints[1:5], coupled)
-    text, lost = write_robot(replace(robot, joints=joints, gravity=-DOWN), Path("a.urdf"))
-    assert [one.split(";")[0].split(",")[0] for one in lost] == [
+    made = export(replace(robot, joints=joints, gravity=-DOWN), "urdf")
+    assert [one.split(";")[0].split(",")[0] for one in made.lost] == [
         "the constant parts of the motors' torques", "that the friction of joint1 is another backwards",
         "what the friction of joint1 rises by towards standstill", "the coupling of the motors",
         "the rotors' inertias", "how the base stands",
     ]  # fmt: skip
-    assert "left out: the rotors' inertias" in text
+    assert "left out: the rotors' inertias" in made.text
 
 
 def test_a_joint_without_its_spring_has_the_friction_of_both_sides() -> None:
     robot = arm()
     soft = replace(robot.joints[1], spring=JointSpring(5000.0, 1.0, viscous=2.0, coulomb=3.0))
-    for name in ("a.urdf", "a.xml"):
-        text, lost = write_robot(replace(robot, joints=(robot.joints[0], soft, *robot.joints[2:])), Path(name))
-        assert any(one.startswith("the springs of the joints; the friction behind them") for one in lost)
-        found = read_robot(text).joints[1]
+    for language in ("urdf", "mjcf"):
+        made = export(replace(robot, joints=(robot.joints[0], soft, *robot.joints[2:])), language)
+        assert any(one.startswith("the springs of the joints; the friction behind them") for one in made.lost)
+        found = read_robot(made.text).joints[1]
         assert found.viscous == pytest.approx(soft.viscous + 2.0) and found.coulomb == pytest.approx(soft.coulomb + 3.0)
+
+
+def test_a_time_step_and_a_name_are_written() -> None:
+    text = export(arm(), "mjcf", name="other", timestep=5e-4).text
+    assert 'model="other"' in text and 'timestep="0.0005"' in text
 
 
 def test_what_is_refused() -> None:
     robot = arm()
-    with pytest.raises(MethodError, match=r"a\.stl ends on neither \.urdf nor \.xml"):
-        write_robot(robot, Path("a.stl"))
+    with pytest.raises(MethodError, match="matlab holds one joint; a robot is written as mjcf or urdf"):
+        export(robot, "matlab")
+    with pytest.raises(MethodError, match="urdf has no setting timestep; it has: none"):
+        export(robot, "urdf", timestep=1e-3)
+    with pytest.raises(MethodError, match="All numbers of a robot are behind its gears"):
+        export(robot, "mjcf", side="motor")
     hollow = replace(robot.links[0], inertial=-robot.links[0].inertial)
     with pytest.raises(MethodError, match="No body can have the inertial parameters of link1"):
-        write_robot(replace(robot, links=(hollow, *robot.links[1:])), Path("a.xml"))
+        export(replace(robot, links=(hollow, *robot.links[1:])), "mjcf")

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["main"]
+from jointid.apps import INTERRUPTED, SIGNALLED
 
-WHOLE = "no file is left half written."
-INTERRUPTED = f"Interrupted; {WHOLE}"
-SIGNALLED = 128
-"""Added to a signal's number it is the exit code of a program that the signal ended."""
+__all__ = ["main"]
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -21,8 +21,9 @@ from typing import Any, NoReturn
 from cyclopts import App, CycloptsError, UnknownOptionError
 
 from jointid import __version__
-from jointid.apps.cli import SIGNALLED, endings, streams
+from jointid.apps import SIGNALLED
 from jointid.apps.cli import campaign as campaigns
+from jointid.apps.cli import endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.diagnose import advise, friction, intervals, loop, methods, robot, springs

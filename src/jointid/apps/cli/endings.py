@@ -13,7 +13,7 @@ import threading
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli import INTERRUPTED, WHOLE
+from jointid.apps import INTERRUPTED, WHOLE
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs

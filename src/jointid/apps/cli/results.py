@@ -290,49 +290,27 @@ def export(
     outputs.spare("--estimate", estimate)
     friction = None if estimate is None else answers.read_friction(estimate)
     file = Options(changes=changes, axis=axis).load(joint, outputs, friction=friction)
-    if not isinstance(file, JointFile):
-        _require_none(
-            "A robot is identified from the record that its file names, and written as bodies behind their gears, as "
-            "the ending of the file says",
-            {
-                "--estimate": estimate, "--format": format, "--side": side, "--fixed": fixed, "--period": period,
-                "--delay": delay, "--timestep": timestep,
-            },
-        )  # fmt: skip
-        _export_robot(file, out)
-        return
-    estimate = _needed(estimate)
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     language = find_language(format or out.suffix.lower()).name
+    if not isinstance(file, JointFile):
+        _require_none(
+            "A robot is identified from the record that its file names, and written as bodies behind their gears",
+            {"--estimate": estimate, "--side": side, "--fixed": fixed},
+        )
+        exported = run(file.identify(file.record()), language, **settings)
+        exported.save(out)
+        show(exported.note)
+        for one in exported.lost:
+            show(f"Left out: {one}.")
+        show(f"Written: {out}")
+        return
+    estimate = _needed(estimate)
     if language == "joint-file":
         settings |= {"file": file, "folder": out.parent}
     exported = run(read_estimated(estimate, file.joint, file.name), language, side=side, **settings)
     exported.save(out)
     show(exported)
-    show(f"Written: {out}")
-
-
-def _export_robot(file: RobotFile, out: Path) -> None:
-    """Identify a robot, and write bodies that fit, as URDF or MJCF."""
-    from jointid.output.export.robot_model import write_robot
-    from jointid.robots import consistent_robot
-
-    estimate = file.identify(file.record())
-    if not estimate.fit.converged:
-        raise MethodError(
-            "The search did not settle, so there is nothing to export; identify the robot to see what it leaves, or "
-            "allow more by method.iterations, of springs method.evaluations."
-        )
-    found = consistent_robot(estimate)
-    text, lost = write_robot(found.robot, out)
-    write_whole(out, text)
-    show(
-        f"Bodies near those of the model that fit the estimate to {found.misfit:.2g} of its deviations, rms; the mass "
-        f"matrix is positive in 1000 random poses, {found.least_inertia:.3g} at the least."
-    )
-    for one in lost:
-        show(f"Left out: {one}.")
     show(f"Written: {out}")
 
 

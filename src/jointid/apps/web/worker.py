@@ -166,8 +166,8 @@ def learn(folder: Path, work: dict[str, Any]) -> None:
 def plan(folder: Path) -> None:
     """Plan the next test of an axis that was identified, for the goal of `work.json`: tables, a figure, `plan.json`."""
     from jointid.common.document import Facts, Table
+    from jointid.common.matplotlib_backend import png
     from jointid.config import load_joint
-    from jointid.output.figures.matplotlib_backend import png
     from jointid.planning.design import design
     from jointid.simulation.warm_up import warm_up
 

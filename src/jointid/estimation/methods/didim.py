@@ -404,6 +404,7 @@ def _at_rest(record: Record, settings: DIDIM) -> tuple[Parameter, ...]:
 
     Where a rigid model of a flexible joint puts the motor is no guide: it is off by more than its deviations say.
     """
+    record.require(("reference",), "DIDIM")
     assert record.reference is not None
     position, velocity = INITIAL_STATE
     home = float(record.reference.values[0])

@@ -13,9 +13,11 @@ from jointid.common.files import write_whole
 from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
+from jointid.models.robots.robot import Robot
 from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.export.modelica import modelica
+from jointid.output.export.robot_model import read_robot_model, robot_mjcf, robot_urdf
 from jointid.output.export.robots import mjcf, urdf
 from jointid.output.export.state_space_model import StateSpace, linear_part, matlab, state_space_json
 from jointid.output.json import read_answer, to_dict
@@ -31,20 +33,22 @@ class Language:
         write: returns the text of a `JointModel`, and a sentence for each part of the joint that the text does not
             have; its keyword arguments are the settings.
         side: of a transmission, whose numbers it has unless another is asked for; None: those that were identified.
+        write_robot: the same as `write` of a `Robot`; None where the language holds one joint.
     """
 
     name: str
     suffixes: tuple[str, ...]
     write: Callable[..., tuple[str, tuple[str, ...]]]
     side: Side | None = None
+    write_robot: Callable[..., tuple[str, tuple[str, ...]]] | None = None
 
 
 LANGUAGES = (
     Language("joint-file", (".toml",), joint_file),
     Language("state-space", (".json",), state_space_json),
     Language("matlab", (".m",), matlab),
-    Language("mjcf", (".xml", ".mjcf"), mjcf, "load"),
-    Language("urdf", (".urdf",), urdf, "load"),
+    Language("mjcf", (".xml", ".mjcf"), mjcf, "load", robot_mjcf),
+    Language("urdf", (".urdf",), urdf, "load", robot_urdf),
     Language("modelica", (".mo",), modelica),
 )
 """Every language there is."""
@@ -58,11 +62,13 @@ class Export:
         format: name of the language.
         text: of the file.
         lost: what the language does not hold of the joint, a sentence for each.
+        note: how well the bodies of a robot fit its estimate; empty otherwise.
     """
 
     format: str
     text: str
     lost: tuple[str, ...]
+    note: str = ""
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the text in UTF-8; a file that is there is replaced.
@@ -80,7 +86,7 @@ class Export:
 
 
 def export(
-    estimate: Estimate | JointModel,
+    estimate: Estimate | JointModel | Robot,
     language: str,
     *,
     side: Side | None = None,
@@ -94,16 +100,18 @@ def export(
     - "state-space": linear, continuous and sampled, as JSON for SciPy and python-control. Settings: `period` and
       `delay` in s, to sample with; without them the record's and the joint's.
     - "matlab": the same as a script for MATLAB and Octave, with the same settings.
-    - "mjcf": motor and load with the spring between, friction of each, for MuJoCo. Setting: `timestep` in s.
-    - "urdf": one joint with damping and friction, without the spring, for ROS.
+    - "mjcf": motor and load with the spring between, friction of each, for MuJoCo. Setting: `timestep` in s. Of a
+      robot its bodies, without springs.
+    - "urdf": one joint with damping and friction, without the spring, for ROS. Of a robot its bodies.
     - "modelica": all equations, true sticking, no library needed.
 
     Args:
-        estimate: what `identify` returned, or what `read_estimated` read.
+        estimate: what `identify` returned, or what `read_estimated` read. Of a robot bodies near the nominal ones that
+            fit it are written; a `Robot` is written as it is.
         language: its name, or the ending of its files.
         side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF and MJCF,
             whose joints are those of a robot's links, and else the side that was identified.
-        name: what the joint is called; without it "joint", or the name it was read with.
+        name: what the joint or the robot is called; without it "joint", or the name it was read with.
         settings: of the language.
 
     Raises:
@@ -120,16 +128,26 @@ def export(
         a constant force
     """
     chosen = find_language(language)
-    known = list(inspect.signature(chosen.write).parameters)[1:]
+    of_joint = isinstance(estimate, Estimate) and estimate.robot is None
+    robot = estimate if isinstance(estimate, Robot | Estimate) and not of_joint else None
+    write = chosen.write if robot is None else chosen.write_robot
+    if write is None:
+        raise MethodError(f"{chosen.name} holds one joint; a robot is written as mjcf or urdf.")
+    known = list(inspect.signature(write).parameters)[1:]
     unknown = [key for key in settings if key not in known]
     if unknown:
         has = ", ".join(known) or "none"
         raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; it has: {has}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
+    if robot is not None:
+        if side is not None:
+            raise MethodError("All numbers of a robot are behind its gears; leave the side out.")
+        bodies, note = read_robot_model(robot)
+        return Export(chosen.name, *write(replace(bodies, name=name or bodies.name), **settings), note)
     model = _model(estimate, name)
     model = model.on(side or (None if model.side is None else chosen.side))
-    return Export(chosen.name, *chosen.write(model, **settings))
+    return Export(chosen.name, *write(model, **settings))
 
 
 def state_space(estimate: Estimate | JointModel, *, side: Side | None = None) -> StateSpace:
@@ -172,7 +190,7 @@ def find_language(name: str) -> Language:
     raise MethodError(f'"{name}" is no language that a joint is exported to; expected one of {known}.')
 
 
-def _model(estimate: Estimate | JointModel, name: str | None) -> JointModel:
+def _model(estimate: object, name: str | None) -> JointModel:
     if isinstance(estimate, JointModel):
         return estimate if name is None else replace(estimate, name=name)
     if not isinstance(estimate, Estimate):

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.consistent import consistent_robot
 from jointid.models.robots.inertial import is_consistent, mass_properties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.output.export.joint_model import number
-from jointid.output.export.robots import write_document
+from jointid.output.export.robots import require_timestep, write_document
 
 _DOWN = np.array([0.0, 0.0, -9.81])  # gravity of URDF, which has no word for it
 _FAR, _STRONG = "1000.0", "1000000000.0"  # limits that URDF asks for and nothing here knows
@@ -22,22 +23,32 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _UPPER = np.triu_indices(3)
 
 
-def write_robot(robot: Robot, path: Path) -> tuple[str, tuple[str, ...]]:
-    """Return a robot as the file's ending says, .urdf or .xml for MJCF, and a sentence for each part that is lost.
+def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
+    """Return a robot to write, and a note on it: of an estimate bodies near the nominal ones that fit it.
 
     Raises:
-        MethodError: the ending is another, or no body can have a link's inertial parameters.
+        MethodError: the search of the estimate did not settle, or no body can have a link's inertial parameters.
     """
-    writers = {".urdf": robot_urdf, ".xml": robot_mjcf, ".mjcf": robot_mjcf}
-    if path.suffix.lower() not in writers:
-        raise MethodError(f"{path.name} ends on neither .urdf nor .xml; expected one of them for a robot: rename it.")
-    impossible = [link.name for link in robot.links if not is_consistent(link.inertial)]
+    note = ""
+    if not isinstance(model, Robot):
+        if not model.fit.converged:
+            raise MethodError(
+                "The search did not settle, so there is nothing to export; identify the robot to see what it leaves, "
+                "or allow more by method.iterations, of springs method.evaluations."
+            )
+        found = consistent_robot(model)
+        model = found.robot
+        note = (
+            f"Bodies near those of the model that fit the estimate to {found.misfit:.2g} of its deviations, rms; the "
+            f"mass matrix is positive in 1000 random poses, {found.least_inertia:.3g} at the least."
+        )
+    impossible = [link.name for link in model.links if not is_consistent(link.inertial)]
     if impossible:
         raise MethodError(
             f"No body can have the inertial parameters of {', '.join(impossible)}; write the consistent robot of an "
             "estimate."
         )
-    return writers[path.suffix.lower()](robot)
+    return model, note
 
 
 def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
@@ -69,12 +80,14 @@ def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     return write_document(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
 
 
-def robot_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """Return a robot as MJCF, and its losses."""
+def robot_mjcf(robot: Robot, *, timestep: float | None = None) -> tuple[str, tuple[str, ...]]:
+    """Return a robot as MJCF, and its losses; without a time step, in s, it is MuJoCo's own."""
+    require_timestep(timestep)
     lost, robot = _lost(robot), _simplify(robot)
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian")
-    ET.SubElement(root, "option", gravity=_numbers(robot.gravity))
+    steps = {} if timestep is None else {"timestep": number(timestep)}
+    ET.SubElement(root, "option", steps | {"gravity": _numbers(robot.gravity)})
     bodies = {-1: ET.SubElement(root, "worldbody")}
     for i, (link, joint) in enumerate(zip(robot.links, robot.joints, strict=True)):
         place = {"pos": _numbers(link.origin), "xyaxes": _numbers(link.rotation[:, :2].T)}

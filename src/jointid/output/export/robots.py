@@ -124,8 +124,7 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
     Raises:
         MethodError: the time step is not positive, or MuJoCo cannot have these numbers.
     """
-    if timestep is not None and not 0 < timestep < 1:
-        raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
+    require_timestep(timestep)
     _require_mechanical(model, "MJCF")
     lost = [
         *friction_left_out(model), *spring_left_out(model), *ripple_left_out(model), *_lost_weight(model.weight),
@@ -157,6 +156,12 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
         ET.SubElement(sensors, "jointpos", name=f"{name}_position", joint=name)
         ET.SubElement(sensors, "jointvel", name=f"{name}_velocity", joint=name)
     return write_document(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
+
+
+def require_timestep(timestep: float | None) -> None:
+    """Raise a `MethodError` if a time step is not positive, or too long."""
+    if timestep is not None and not 0 < timestep < 1:
+        raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
 
 
 def _tendons(model: JointModel) -> ET.Element:

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 from jointid.common.charts import Chart, Charted
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
+from jointid.common.matplotlib_backend import draw as draw_chart
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures import charts
 from jointid.output.figures.charts import AxisSignals
-from jointid.output.figures.matplotlib_backend import draw as draw_chart
 from jointid.records.record import Record
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from jointid.common.charts import Chart
 from jointid.common.document import Block, Document, dumps, typeset_block
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_folder, write_whole
+from jointid.common.matplotlib_backend import png, svg
 from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
@@ -23,7 +24,6 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.output.figures.charts import report_charts
-from jointid.output.figures.matplotlib_backend import png, svg
 from jointid.output.json import plain
 from jointid.output.json.documents import REPORT_SCHEMA
 from jointid.output.report.page import page

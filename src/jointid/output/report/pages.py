@@ -17,9 +17,9 @@ from jointid import __version__
 from jointid.common.charts import Cells, Chart
 from jointid.common.document import Block, Code, Paragraph, Picture
 from jointid.common.errors import RecordError
+from jointid.common.matplotlib_backend import svg
 from jointid.common.parallel import Aside
 from jointid.output.figures.bokeh_backend import plot
-from jointid.output.figures.matplotlib_backend import svg
 
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
 _BLOCK = 1 << 20  # bytes that are read at once

@@ -6,15 +6,11 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 
-import numpy as np
-
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import number
 from jointid.models.joints import ClosedLoop
-from jointid.simulation.closed_loop import Simulation
 
 ROBOT_LIMITS = ("lower", "upper", "speed", "acceleration", "torque")
 """Limits of each joint that a robot's test keeps."""
@@ -74,34 +70,6 @@ class AxisLimits:
         """Given limits of sizes and positions by name."""
         positions = {"lower": self.lower, "upper": self.upper}
         return {name: value for name, value in positions.items() if value is not None} | self.given
-
-
-def find_maxima(run: Simulation, reference: FloatArray, torque: FloatArray, sample_time: float) -> dict[str, float]:
-    """Maxima of the limited quantities in a simulated test.
-
-    Args:
-        run: of the loop.
-        reference: (samples,) of it, m or rad.
-        torque: (samples,) that acts on the joint.
-        sample_time: of the reference, s.
-    """
-    positions = [run.motor_position, *([] if run.load_position is None else [run.load_position])]
-    velocities = [run.motor_velocity, *([] if run.load_velocity is None else [run.load_velocity])]
-    acceleration = np.diff(reference, 2) / sample_time**2
-    jerk = np.diff(acceleration) / sample_time
-    low, high = (f([f(one) for one in (*positions, reference)]) for f in (np.min, np.max))
-    windup = {}
-    if run.load_position is not None:
-        windup["windup"] = float(np.max(np.abs(run.load_position - run.motor_position)))
-    return {
-        "stroke": float(high - low),
-        "speed": max(float(np.max(np.abs(one))) for one in velocities),
-        "acceleration": float(np.max(np.abs(acceleration), initial=0.0)),
-        "jerk": float(np.max(np.abs(jerk), initial=0.0)),
-        "torque": float(np.max(np.abs(torque))),
-        "rms_torque": math.sqrt(float(np.mean(torque**2))),
-        **windup,
-    }
 
 
 def find_excess(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
