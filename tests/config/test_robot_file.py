@@ -245,8 +245,7 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
     assert (first.viscous, first.viscous_backwards) == (3.0, 2.0) and first.asymmetric
     assert second.spring == JointSpring(1e4, viscous=0.5) and second.rotor_inertia == 0.5
     assert [one.joint.friction.name for one in file.joints] == ["asymmetric", "symmetric", "symmetric"]
-    with pytest.raises(MethodError, match=r"joints\.2\.parameters\.load_viscous has a value or bounds to keep"):
-        file.identify(file.record())
+    assert list(file.parameters) == ["joint1.link_viscous"] and file.parameters["joint1.link_viscous"].start == 0.5
 
 
 @pytest.mark.parametrize(

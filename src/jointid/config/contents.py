@@ -29,6 +29,8 @@ from jointid.config.quantities import Stated, stated_in
 from jointid.config.schema import FileTable, with_gains_meant
 from jointid.config.schema_record import Run, Source, Together
 from jointid.estimation.methods.registry import Method
+from jointid.estimation.problems.log_windows import Windowing
+from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -299,6 +301,55 @@ class JointFile:
             record, self.loop or self.joint, self.method, filtering=self.filtering, parameters=self.parameters,
             checks=checks, shown=self.declared_numbers, torque_constant=self.scale, unchecked=unchecked,
             progress=progress,
+        )  # fmt: skip
+
+    def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
+        """Identify the joint from several records in one fit.
+
+        Args:
+            paths: of the records, instead of those the file lists.
+            progress: is told each step.
+
+        Raises:
+            JointidError: see `jointid.identify`.
+        """
+        from jointid.diagnostics.identify import identify
+
+        each = self.each(paths)
+        loops = [one.loop for one in each if one.loop is not None]
+        if not loops:
+            raise MethodError(
+                "Several records are identified by simulating their loop; add [controller] to the joint file."
+            )
+        several = SeveralRecords(
+            added_inertia=[more for one in each for more in one.added_inertias],
+            own=[more.own for one in each for more in one.runs],
+            free=self.together.free,
+            weighting=self.together.weighting,
+        )
+        return identify(
+            [one.record() for one in each], loops, self.method, several=several, filtering=self.filtering,
+            parameters=self.parameters, progress=progress,
+        )  # fmt: skip
+
+    def identify_log(self, path: Path | None, windows: Windowing, progress: Progress = ignore_progress) -> Estimate:
+        """Identify the joint from a record too long for memory, in windows.
+
+        Args:
+            path: of the record, instead of the one the file names.
+            windows: their length and settling.
+            progress: is told each step.
+
+        Raises:
+            JointidError: see `jointid.identify`.
+        """
+        from jointid.diagnostics.identify import identify
+
+        if self.loop is None:
+            raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
+        return identify(
+            self.log(path), self.loop, self.method, windows=windows, filtering=self.filtering,
+            parameters=self.parameters, progress=progress,
         )  # fmt: skip
 
     def learn_controller(self, record: Record, progress: Progress = ignore_progress) -> LearnedController:

@@ -22,6 +22,7 @@ from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, Says, ignore_progress
+from jointid.common.parameters import Parameter
 from jointid.common.settings import settings_of
 from jointid.common.units import Kind
 from jointid.config.contents import JointFile
@@ -39,7 +40,7 @@ from jointid.config.schema import (
     TransmissionTable,
     keys_of,
 )
-from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Source
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Run, Source
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.didim import DIDIM
@@ -382,6 +383,11 @@ class RobotFile:
         return tuple(found)
 
     @property
+    def runs(self) -> tuple[Run, ...]:
+        """Records that the file lists: none, as those of a robot are named one by one."""
+        return ()
+
+    @property
     def source(self) -> Source:
         """The file of the record, and how it is read."""
         return self.joints[0].source
@@ -457,12 +463,16 @@ class RobotFile:
         return self._fed_forward(found) if self._simulates or (judged and whole) else found
 
     def identify(
-        self, records: Sequence[Record], progress: Progress = ignore_progress, *, checks: bool = True
+        self,
+        records: Sequence[Record] | Sequence[Sequence[Record]],
+        progress: Progress = ignore_progress,
+        *,
+        checks: bool = True,
     ) -> Estimate:
         """Identify the robot by the method and the filtering of the file.
 
         Args:
-            records: of each joint, as `record` reads them.
+            records: of each joint, as `record` reads them; or those of several logs, identified in one fit.
             progress: is told how a search goes.
             checks: whether to check the estimate.
 
@@ -470,8 +480,22 @@ class RobotFile:
             RecordError, MethodError: see `jointid.identify`.
         """
         self.robot.require_lines("An identification of a robot takes")
-        self._require_free()
-        return identify(records, self.closing, self.method, filtering=self.filtering, checks=checks, progress=progress)
+        return identify(
+            records, self.closing, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
+            progress=progress,
+        )  # fmt: skip
+
+    def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
+        """Identify the robot from several records in one fit.
+
+        Args:
+            paths: of the records.
+            progress: is told how a search goes.
+
+        Raises:
+            RecordError, MethodError: see `jointid.identify`.
+        """
+        return self.identify([self.record(path) for path in paths], progress)
 
     @property
     def closing(self) -> Robot | RobotLoop | RobotDriveSide:
@@ -480,16 +504,18 @@ class RobotFile:
             return RobotDriveSide(self.robot)
         return self.loop if self._simulates else self.robot
 
-    def _require_free(self) -> None:
-        """Raise a `MethodError` if a parameter of a joint has a value or bounds to keep."""
-        for number, file in enumerate(self.joints):
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Values and bounds that the identification keeps, by the names of a robot's parameters."""
+        found = dict[str, Parameter]()
+        for file in self.joints:
             known = {parameter.name: parameter for parameter in file.joint.parameters}
             for name, stated in file.parameters.items():
+                own = name.removeprefix("motor_")
+                own = _LINK_FRICTION.get(name, _AS_MOTOR.get(own, own))
                 if stated != replace(known[name], start=stated.start):
-                    raise MethodError(
-                        f"joints.{number + 1}.parameters.{name} has a value or bounds to keep, which the methods of a "
-                        "robot do not; expected a start alone: give it, or, of idim, method.fixed."
-                    )
+                    found[f"{file.name}.{own}"] = stated
+        return found
 
     @property
     def _simulates(self) -> bool:
@@ -616,6 +642,9 @@ def _by_joints(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]
 _NUMBERS = [one.name for one in settings_of(RobotJoint) if one.name not in ("spring", "coupling")]
 _AS_MOTOR = {"inertia": "rotor_inertia", "viscous_forwards": "viscous", "coulomb_forwards": "coulomb"}
 """Parameters of a joint that have another name as a number of a robot's motor."""
+
+_LINK_FRICTION = {"load_viscous": "link_viscous", "load_coulomb": "link_coulomb"}
+"""Friction of the load by its name among the parameters of a robot."""
 
 _OF_SPRING = {name: name.removeprefix("load_") for name in ("stiffness", "damping", "load_viscous", "load_coulomb")}
 """Parameters of a joint that are numbers of a robot's spring."""

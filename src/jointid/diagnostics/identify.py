@@ -26,7 +26,7 @@ from jointid.uncertainty.verdict import Subject, skip_test
 
 
 def identify(
-    record: Record | Sequence[Record] | LongRecord,
+    record: Record | Sequence[Record] | Sequence[Sequence[Record]] | LongRecord,
     model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
@@ -45,7 +45,7 @@ def identify(
     Args:
         record: a record; or several of one joint, each with the torque and what its controller reads, in one fit; or a
             `Log` that is read in chunks, identified in windows in bounded memory. Of a robot the records of its joints,
-            on one clock.
+            on one clock; or those of several logs, in one fit, which is not checked.
         model: the loop (joint and controller), or the joint alone when the controller is not known; `DriveSide` to
             prescribe the motor's motion and simulate the load; `OpenLoop` to prescribe the torque. For several records
             a loop, or one for each record: of one joint under different gains. A `Robot` alone, a `RobotLoop` with its
@@ -56,7 +56,7 @@ def identify(
             robot likewise, but there is no `OpenLoopFit`.
         filtering: see `Filtering`; its defaults follow the sample time.
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
-            joint without anything added.
+            joint without anything added. Of a robot values and bounds of friction, as "joint1.viscous".
         several: what the records share, and what was added to the load; see `SeveralRecords`.
         windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one

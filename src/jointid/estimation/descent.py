@@ -134,7 +134,7 @@ def least_squares(problem: ClosedLoopProblem, tolerance: float) -> TrustRegion:
 
 
 def roughly(problem: ClosedLoopProblem) -> TrustRegion:
-    """Return the solver of a descent that only has to show where it leads."""
+    """Return the solver of a rough descent."""
     return replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import cast
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
@@ -19,6 +20,8 @@ from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.numbers import require_friction
+from jointid.estimation.robots.regression import Records
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.swapped_gains import ask_about_gains
 from jointid.models.joints import ClosedLoop, Joint
@@ -32,7 +35,7 @@ from jointid.simulation.robots import RobotLoop
 
 
 def fit(
-    record: Record | Sequence[Record] | LongRecord,
+    record: Record | Records | LongRecord,
     model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
@@ -44,13 +47,14 @@ def fit(
 ) -> FitResult:
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
-        if not isinstance(record, Sequence) or parameters or several or windows:
+        if not isinstance(record, Sequence) or several or windows:
             raise MethodError(
-                "A robot is identified from the records of its joints, without parameters, SeveralRecords or windows; "
-                "give the records alone."
+                "A robot is identified from the records of its joints, without SeveralRecords or windows; give the "
+                "records alone."
             )
-        return fit_robot(record, model, method, filtering=filtering, progress=progress)
+        return fit_robot(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
     if isinstance(record, Sequence):
+        record = cast("Sequence[Record]", record)
         if windows is not None:
             raise MethodError("Several records are identified whole; give one record or log, or leave out windows.")
         if not isinstance(model, ClosedLoop | Sequence):
@@ -75,11 +79,12 @@ def fit(
 
 
 def fit_robot(
-    records: Sequence[Record],
+    records: Records,
     model: Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
 ) -> FitResult:
     """Return the fit of a robot, without the checks; see `jointid.identify`.
@@ -87,16 +92,18 @@ def fit_robot(
     Raises:
         MethodError: the method does not fit the model.
     """
+    known = parameters or {}
+    require_friction(model if isinstance(model, Robot) else model.robot, known)
     if method is not None:
         method.require_settings_of("robot")
     if isinstance(method, IDIM) and method.effects:
         raise MethodError("IDIM.effects are of a joint, and this is a robot; leave them out.")
     if isinstance(model, RobotDriveSide) and isinstance(method, DriveSideFit | None):
-        return identify_simulated_robot(model, records, method, filtering=filtering, progress=progress)
+        return identify_simulated_robot(model, records, method, filtering=filtering, known=known, progress=progress)
     if isinstance(model, RobotLoop) and isinstance(method, DIDIM | None):
-        return identify_simulated_robot(model, records, method, filtering=filtering, progress=progress)
+        return identify_simulated_robot(model, records, method, filtering=filtering, known=known, progress=progress)
     if isinstance(model, Robot | RobotLoop) and isinstance(method, IDIM | None):
-        return identify_robot(model, records, method, filtering=filtering)
+        return identify_robot(model, records, method, filtering=filtering, known=known)
     raise MethodError(
         f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
         "RobotLoop, or DriveSideFit for a RobotDriveSide."

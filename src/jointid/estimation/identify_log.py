@@ -126,7 +126,7 @@ def _start(
     parameters: tuple[Parameter, ...],
     progress: Progress,
 ) -> tuple[Record, dict[str, float]]:
-    """Return a window that tells the joint, and the values that it gives.
+    """Return a window that identifies the joint, and its values.
 
     Raises:
         RecordError, MethodError: none of the first does; what is wrong with the last that was tried.
@@ -151,7 +151,7 @@ def _start(
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LogSolution(Solution):
-    """Where the passes over a log ended; its residual and derivatives are in as few rows as have the same sums.
+    """The end of the passes over a log; its residual and derivatives are in as few rows as have the same sums.
 
     Attributes:
         found: by the last pass, as it is at the end. passes: over the whole log.
@@ -193,7 +193,7 @@ class StreamingGaussNewton:
     tolerance: float = 0.3
 
     def solve(self, problem: LogProblem, start: FloatArray, watch: Watch) -> LogSolution:
-        """Return where the passes end.
+        """Run the passes to their end.
 
         Raises:
             NotSimulatedError: a window cannot be simulated at the start.

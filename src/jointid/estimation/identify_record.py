@@ -64,7 +64,7 @@ def identify_record(
 
 
 def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
-    """Refuse a method that is not for this joint, or needs a controller where none is known."""
+    """Refuse a method that does not fit the joint or lacks its controller."""
     if method.needs_controller and loop is None:
         raise MethodError(
             f"{method.title} simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM "

@@ -110,7 +110,7 @@ def identify_several(
         for acting in (True, False)
     )
     alone = [by_itself(problem, values) for problem, values in zip(per_log, starts(fits), strict=True)]
-    alone, weighting = _weighed(alone, settings.weighting)
+    alone, weighting = _weigh_rows(alone, settings.weighting)
     criterion = several(problems, settings.own, layout.added).weighing([one.weights for one in alone])
     gain = _gain(layout, alone)
     progress(f"{len(records)} records together, {len(criterion.free)} parameters")
@@ -200,7 +200,7 @@ class BySelf:
 
     @property
     def filtered_error(self) -> float:
-        """What is left of the filtered torque, a ratio."""
+        """Residual share of the filtered torque."""
         return self.problem.filtered_error(self.error)
 
     def acting(self, gain: float) -> dict[str, float]:
@@ -242,7 +242,7 @@ def _nothing(problem: ClosedLoopProblem) -> float:
 
 
 def _judge(problem: ClosedLoopProblem, end: Solution, taps: FloatArray) -> tuple[Uncertainty, int]:
-    """Return what is known of a record's own solution, and the simulations that this took."""
+    """Return the uncertainty of a record's own solution, and the number of simulations."""
     history, run = History(ignore_progress), problem.simulate(end.x)
     known = uncertainty_of_least_error(problem, end.x, run, end.residual, -end.jacobian, history, taps)
     return known, history.tally.evaluations + 1
@@ -265,7 +265,7 @@ def starts(fits: Sequence[FitResult]) -> list[dict[str, float]]:
     return [anywhere | each for each in every]
 
 
-def _weighed(alone: list[BySelf], weighting: Weighting) -> tuple[list[BySelf], str]:
+def _weigh_rows(alone: list[BySelf], weighting: Weighting) -> tuple[list[BySelf], str]:
     """Return the records with the weights of their rows, and these in words."""
     if weighting == "level":
         return alone, "each record's rows by the level of its residual"
@@ -299,7 +299,7 @@ class _Solved:
     alone: Sequence[BySelf]
 
     def by_itself(self, number: int) -> tuple[EstimatedParameter, ...]:
-        """Return what a record says alone, per torque that acts, without what was added."""
+        """Return the estimate from one record alone, per unit torque, without the added inertia."""
         one, layout = self.alone[number], self.problem.layout
         gain, own = self.problem.values(self.end.x).get("drive_gain", 1.0), {p.name for p in layout.joint.parameters}
         free, acting, more = one.problem.free, one.acting(gain), layout.added[number]
@@ -360,7 +360,7 @@ def _build_result(solved: _Solved, simulations: int, weighting: str, about: tupl
 
 
 def _judge_together(solved: _Solved) -> Uncertainty:
-    """Return what is known of the errors, before the records are compared."""
+    """Return the uncertainty before the records are compared."""
     problem, end = solved.problem, solved.end
     each, criterion = problem.criterion.problems, problem.criterion
     runs = [p.simulate(criterion.of_member(end.x, k)) for k, p in enumerate(each)]
@@ -397,7 +397,7 @@ def _moved_together(solved: _Solved, ends: NDArray[np.intp]) -> FloatArray:
 
 
 def _compare(solved: _Solved) -> Agreement:
-    """Return whether the records, each by itself, agree in what they share.
+    """Test whether the estimates from single records agree.
 
     Per torque that acts, by the gain that was found. The inertia that tells the gain is not compared.
     """
@@ -419,7 +419,7 @@ def _compare(solved: _Solved) -> Agreement:
 
 
 def _record_fit(solved: _Solved, number: int) -> RecordFit:
-    """Return what a record says by itself, and how well the common model explains it."""
+    """Return the estimate from one record, and the fit of the common model to it."""
     problem, record, one = solved.problem.criterion.problems[number], solved.records[number], solved.alone[number]
     x = solved.problem.criterion.of_member(solved.end.x, number)
     values, predicted = problem.values(x), problem.torque(x)
@@ -451,7 +451,7 @@ def _record_fit(solved: _Solved, number: int) -> RecordFit:
 def _warn(
     solved: _Solved, judged: Uncertainty, compared: Agreement, covariance: Covariance, lost: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return what the reader must know, one sentence each."""
+    """Return the warnings, one sentence each."""
     free, end = solved.problem.free, solved.end
     stated = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
     return (

@@ -1,4 +1,4 @@
-"""What a reader of an estimate must know of its record: what the log did to it, and other axes that moved."""
+"""Warnings on the record of an estimate: what the log did to it, and other axes that moved."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FEWEST = 4  # rows to a column of the regression
 
 
 def record_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...]:
-    """Return what a reader of an estimate must know of its record, one sentence each."""
+    """Return warnings on the record of an estimate, one sentence each."""
     return (*find_record_warnings(record, estimate.data.channels), *coupling_warnings(record, estimate))
 
 
@@ -42,7 +42,7 @@ def coupling_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...
 
 
 def _residual_and_motion(record: Record, estimate: EstimateParts) -> tuple[FloatArray, FloatArray] | None:
-    """Return what the model leaves, (rows,), and what the other axes did, (rows, columns); None of too few rows."""
+    """Return the residual, (rows,), and the motion of other axes, (rows, columns); None of too few rows."""
     filtering, T = estimate.settings.filtering, estimate.data.sample_time
     residual = estimate.fit.measured - estimate.fit.predicted
     at = np.arange(residual.size) * T

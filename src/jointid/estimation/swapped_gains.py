@@ -43,7 +43,7 @@ def ask_about_gains(controller: Controller | None, reference: Channel | None) ->
 
 
 def _lag(reference: Channel, gain: float) -> float:
-    """Return the rms distance of a first-order lag from a reference where that is steady, as a share of its travel."""
+    """Return the rms lag error at constant speed, as a share of the travel."""
     from scipy.signal import lfilter  # takes a while, and most commands need none
 
     every = max(round(_EVERY / reference.sample_time), 1)

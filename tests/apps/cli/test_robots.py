@@ -67,6 +67,11 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert answer["parameters"]["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
     run("identify", folder / "robot.toml", "--record", folder / "two.csv", "--set", "method.estimator=ols")
     assert "ordinary least squares" in capsys.readouterr().out
+    both = ("--record", folder / "one.csv", "--record", folder / "two.csv")
+    run("identify", folder / "robot.toml", *both, "--json", tmp_path / "both.json")
+    more = json.loads((tmp_path / "both.json").read_text(encoding="utf-8"))["parameters"]
+    assert more["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
+    assert more["Fv2"]["std"] < 0.8 * answer["parameters"]["Fv2"]["std"]
 
 
 def test_validate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,10 +134,6 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
     joint = folder / "robot.toml"
     for words, said in (
         (("identify", joint, "--window", "2"), "A log in windows takes one joint, and .*is a robot file"),
-        (
-            ("identify", joint, "--record", "a.csv", "--record", "b.csv"),
-            "several records in one fit takes one joint",
-        ),
         (("identify", joint, "--figure", tmp_path / "a.png"), "as report --figures draws all joints of a robot"),
         (("simulate", joint, "--estimate", tmp_path / "none.json"), "none.json cannot be"),
         (

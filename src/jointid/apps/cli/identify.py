@@ -25,9 +25,7 @@ from jointid.common.text import wrap
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import Estimate, Windowing
-    from jointid.common.messages import Progress
-    from jointid.config import JointFile
+    from jointid import Estimate
 
 
 FAULTY = 3
@@ -92,7 +90,8 @@ def identify(
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
         record: the record, instead of the one the joint file names; given several times, or with [[records]] in the
-            joint file and none here, all of them are identified in one fit, and held against each other.
+            joint file and none here, all of them are identified in one fit; those of a joint are held against each
+            other.
         window: seconds of a window; the record, of a format that is read in chunks, is a log too long for memory: it is
             identified in windows, and tested for drift.
         settling: seconds before and after each window that are simulated and not fitted; without it measured.
@@ -123,11 +122,16 @@ def identify(
     logged = None
     estimate: Estimate
     if window is not None or settling is not None:
-        windows = Windowing(window or Windowing().length, settling)
-        estimate = _from_log(require_joint(file, "A log in windows"), records, windows, options.progress)
-    elif len(records) > 1 or (isinstance(file, JointFile) and file.runs and not records):
-        several = require_joint(file, "An identification from several records in one fit")
-        estimate = _from_several(several, records, options.progress)
+        if len(records) > 1:
+            raise MethodError(
+                f"A log is one record; received {len(records)} with --window: name one, or leave --window out."
+            )
+        ready(options.progress)
+        log = require_joint(file, "A log in windows")
+        estimate = log.identify_log(first, Windowing(window or Windowing().length, settling), options.progress)
+    elif len(records) > 1 or (file.runs and not records):
+        ready(options.progress)
+        estimate = file.identify_together(records, options.progress)
     elif isinstance(file, JointFile):
         logged, estimate = options.identify(file)
     else:
@@ -139,47 +143,6 @@ def identify(
         show("\n" + wrap(str(advise(estimate, logged)), WIDTH, below=2))
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
-
-
-def _from_several(file: JointFile, records: list[Path], listener: Progress) -> Estimate:
-    from jointid import SeveralRecords
-    from jointid import identify as run
-
-    each = file.each(records)
-    loops = [one.loop for one in each if one.loop is not None]
-    if len(loops) < len(each):
-        raise MethodError(
-            "Several records are identified by simulating their loop; add [controller] to the joint file."
-        )
-    logged = [one.record() for one in each]
-    ready(listener)
-    several = SeveralRecords(
-        added_inertia=[more for one in each for more in one.added_inertias],
-        own=[more.own for one in each for more in one.runs],
-        free=file.together.free,
-        weighting=file.together.weighting,
-    )
-    return run(
-        logged, loops, file.method, several=several, filtering=file.filtering, parameters=file.parameters,
-        progress=listener,
-    )  # fmt: skip
-
-
-def _from_log(file: JointFile, records: list[Path], windows: Windowing, listener: Progress) -> Estimate:
-    from jointid import identify as run
-
-    if len(records) > 1:
-        raise MethodError(
-            f"A log is one record; received {len(records)} with --window: name one, or leave --window out."
-        )
-    if file.loop is None:
-        raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
-    log = file.log(records[0] if records else None)
-    ready(listener)
-    return run(
-        log, file.loop, file.method, windows=windows, filtering=file.filtering, parameters=file.parameters,
-        progress=listener,
-    )  # fmt: skip
 
 
 def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path | None = None) -> None:

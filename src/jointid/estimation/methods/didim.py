@@ -315,7 +315,7 @@ class DIDIM(Method):
         return best
 
     def _first_sample(self, problem: ClosedLoopProblem) -> dict[str, float]:
-        """Return what is known of the first sample while the motor is taken to be at rest there."""
+        """Return the fixed initial state of a motor at rest."""
         if self.initial_state == "free":
             return {"initial_velocity": 0.0}
         return {"initial_velocity": 0.0, "initial_position": float(problem.experiment.inputs[0, REFERENCE])}

@@ -39,7 +39,7 @@ _PHYSICAL = ("inertia", "motor_inertia", "stiffness", "load_inertia")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
-    """What the instruments say.
+    """Verdict of the instruments.
 
     Attributes:
         x, covariance: of the instrumental estimate, where it is preferred; None keeps least squares.
@@ -162,16 +162,16 @@ def known_motions(record: Record, problem: DriveSideProblem) -> tuple[FloatArray
 
 
 def _past(record: Record, problem: DriveSideProblem, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what the motor follows at once, (samples,), and the past of the known signals, (samples, columns)."""
+    """Return the direct input of the motor, (samples,), and lags of the known signals, (samples, columns)."""
     size, sample_time = position.size, problem.sample_time
     base, signals = np.full(size, float(np.mean(position))), []
     if record.reference is not None:
-        base = _resampled(record.reference.values, record.reference.sample_time, size, sample_time)
+        base = _resample(record.reference.values, record.reference.sample_time, size, sample_time)
         velocity = np.gradient(base, sample_time)
         signals += [velocity, np.sign(velocity) * (np.abs(velocity) > 1e-6 * np.max(np.abs(velocity)))]
     if record.injected is not None:
         channel = record.injected.channel
-        signals.append(_resampled(channel.values, channel.sample_time, size, sample_time))
+        signals.append(_resample(channel.values, channel.sample_time, size, sample_time))
     spacing = problem.filtering.decimation or 1
     columns = [np.ones(size)]
     hat = np.concatenate([np.arange(1, spacing + 1), np.arange(spacing - 1, 0, -1)]) / spacing**2
@@ -183,7 +183,7 @@ def _past(record: Record, problem: DriveSideProblem, position: FloatArray) -> tu
     return base, np.column_stack(columns)
 
 
-def _resampled(values: FloatArray, period: float, size: int, sample_time: float) -> FloatArray:
+def _resample(values: FloatArray, period: float, size: int, sample_time: float) -> FloatArray:
     at = np.arange(size) * (sample_time / period)
     return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
 
@@ -233,7 +233,7 @@ def _covariance(found: InstrumentalSolution) -> Covariance:
 
 
 def _words(problem: DriveSideProblem, solution: Solution, found: InstrumentalSolution, probability: float) -> str:
-    """Return what a test that failed means for the answer."""
+    """Return the effect of a failed test on the estimate."""
     names = [p.name for p in problem.free]
     off = [
         f"{name} by {100 * (solution.x[i] / found.x[i] - 1):+.1f} %"

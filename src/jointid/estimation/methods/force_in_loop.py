@@ -62,7 +62,7 @@ _TOLD = 1.0  # deviations: what moves further is said
 
 
 class InLoop(StrEnum):
-    """What a residual shows of the loop."""
+    """Evidence of a force in the loop, from a residual."""
 
     FORCE = "force_in_loop"
 

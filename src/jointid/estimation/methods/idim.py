@@ -26,14 +26,12 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.common.transmission import Side
 from jointid.estimation.methods.linear import (
+    ESTIMATORS,
     Rows,
     Solution,
     by_instruments,
     describe_stop,
-    ordinary,
-    robust,
     simulated_instruments,
-    weighted,
 )
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
@@ -107,7 +105,7 @@ class IDIM(Method):
 
     @classmethod
     def called(cls, model: str) -> str:
-        """Return what a sentence on its needs calls it: they are the joint model's."""
+        """Return its name in sentences on its needs."""
         return "IDIM of a flexible joint" if model == "flexible" else cls.title
 
     @classmethod
@@ -151,8 +149,7 @@ class IDIM(Method):
         def solved(effects: tuple[Effect, ...]) -> _Found:
             made = regression(effects)
             if self.estimator != "iv":
-                solve = {"ols": ordinary, "weighted": weighted, "robust": robust}[self.estimator or "ols"]
-                return _Found(made, solve(made.rows), effects)
+                return _Found(made, ESTIMATORS[self.estimator or "ols"](made.rows), effects)
             assert loop is not None
             columns = simulated_instruments(record, loop, made.model, made.parameters, filtering, effects)
             return _Found(made, by_instruments(made.rows, columns, made.kept, made.free), effects)
@@ -166,7 +163,7 @@ class IDIM(Method):
             return _answer(task, self, filtering, delay, solved(own))
         whole = regression(tuple(effect for effect in own if effect not in unknown))
         started: dict[Effect, PositionHarmonics] = {
-            ripple: _searched(ripple, whole, filtering, sample_time) for ripple in unknown
+            ripple: _search_period(ripple, whole, filtering, sample_time) for ripple in unknown
         }
         effects = tuple(started.get(effect, effect) for effect in own)
         return _answer(task, self, filtering, delay, _with_periods(effects, list(started.values()), solved))
@@ -372,10 +369,10 @@ class PeriodColumn:
         return self.ripple.period_column(motion, self.amplitudes)[:, np.newaxis]
 
 
-def _searched(
+def _search_period(
     effect: PositionHarmonics, whole: _Regression, filtering: Filtering, sample_time: float
 ) -> PositionHarmonics:
-    """Return a ripple with the period that explains most of what the effects that are whole leave (see the module)."""
+    """Return a ripple with the period that explains most of the residual, see the module."""
     from scipy.optimize import minimize_scalar
 
     model, rows = whole.model, whole.rows

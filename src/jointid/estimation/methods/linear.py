@@ -20,7 +20,7 @@ bound, and effects that the loop does not have (ripple, drift) are put on the si
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -84,7 +84,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """What an estimator found.
+    """The result of an estimator.
 
     Attributes:
         fit: values, residual and conditioning; its relative error is of the rows as they are, not weighted.
@@ -150,7 +150,7 @@ def weighted(rows: Rows) -> Solution:
             "Weighting balances the two equations of a flexible joint; a rigid joint has one, whose weight changes "
             'nothing: use estimator = "ols", or "robust".'
         )
-    return _reweighted(rows, least_squares(rows.W, rows.Y, rows.names), np.ones_like, np.ones_like, _rms)
+    return _reweight(rows, least_squares(rows.W, rows.Y, rows.names), np.ones_like, np.ones_like, _rms)
 
 
 def robust(rows: Rows) -> Solution:
@@ -160,8 +160,12 @@ def robust(rows: Rows) -> Solution:
     one of Huber's function. (Huber 1964; Beaton and Tukey 1974; Holland and Welsch 1977 for the constants.)
     """
     first = least_squares(rows.W, rows.Y, rows.names)
-    huber = _reweighted(rows, first, _huber_share, _huber_slope, _mad)
-    return _reweighted(rows, huber.fit, _bisquare_share, _bisquare_slope, _mad, huber.steps)
+    huber = _reweight(rows, first, _huber_share, _huber_slope, _mad)
+    return _reweight(rows, huber.fit, _bisquare_share, _bisquare_slope, _mad, huber.steps)
+
+
+ESTIMATORS: Mapping[str, Callable[[Rows], Solution]] = {"ols": ordinary, "weighted": weighted, "robust": robust}
+"""The estimators without instruments, by name."""
 
 
 def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
@@ -269,7 +273,7 @@ def _line(number: int, rows: Rows, solution: Solution, before: Solution | None, 
     return Iteration(number, dict(zip(rows.names, map(float, values), strict=True)), norm, change, step, number)
 
 
-def _reweighted(
+def _reweight(
     rows: Rows,
     start: Fit,
     share: Callable[[FloatArray], FloatArray],

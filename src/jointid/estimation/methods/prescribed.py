@@ -124,7 +124,7 @@ class DriveSideFit(Method):
         problem = motion_problem(record, setup, task.filtering, task.parameters, around)
         starts, simulations = grid_starts(problem, self)
         solver = Multistart(LevenbergMarquardt(self.tolerance))
-        solution = solve(problem, solver, np.array(starts), _reported(task.progress))
+        solution = solve(problem, solver, np.array(starts), _report_steps(task.progress))
         verdict = judged(record, problem, solution, self.instruments, task.progress)
         resting = 1 - float(np.mean(problem.weights))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
@@ -168,7 +168,7 @@ def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list
 
 
 def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
-    """Return what a joint with that motor-locked frequency leaves of the torque, and its parameters: one regression.
+    """Return the residual norm and the parameters of a joint with that motor-locked frequency: one regression.
 
     The load is frictionless and weighs nothing in the simulation, so that its inertia multiplies one column; what it
     weighs is then a column, too, and a counterbalance is part of it. The log's delay is the factor of the measured
@@ -219,8 +219,8 @@ def _covariance_of(solution: Solution) -> Covariance:
     return with_bands(sandwich(J, J, error), J, J, error)
 
 
-def _reported(progress: Progress) -> Watch:
-    """Return what tells the residual of every step."""
+def _report_steps(progress: Progress) -> Watch:
+    """Return a listener that reports the residual of every step."""
     numbers = itertools.count(1)
 
     def watch(step: Step) -> None:
@@ -264,7 +264,7 @@ class OpenLoopFit(Method):
         found = {p.name: p.value for p in first.params.rows if p.value is not None}
         given = {p.name: p.start for p in problem.parameters if p.start is not None}
         start, solver = problem.vector({**found, **given}), LevenbergMarquardt(self.tolerance)
-        solution = solve(problem, solver, start, _reported(task.progress))
+        solution = solve(problem, solver, start, _report_steps(task.progress))
         drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
         return build_prescribed_result(
             task.record,

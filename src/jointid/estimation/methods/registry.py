@@ -70,7 +70,7 @@ FREQUENCIES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """What a method is given.
+    """The input of a method.
 
     Attributes:
         record: what was logged.
@@ -111,7 +111,7 @@ class Method(Protocol):
 
     @classmethod
     def called(cls, model: str) -> str:
-        """Return what a sentence on its needs calls it, for a joint of that model."""
+        """Return its name in sentences on its needs."""
         return cls.title.replace("-", " ")
 
     @classmethod
@@ -163,7 +163,7 @@ def method_of(name: str) -> type[Method]:
 
 
 def default_method(model: object) -> type[Method]:
-    """Return the class of the method that identifies a model where none is named.
+    """Return the class of the default method of a model.
 
     Args:
         model: the closed loop, the drive side, the open loop, or the joint or robot alone.

@@ -91,7 +91,7 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _End:
-    """Where the steps ended, why, and the same in a sentence."""
+    """The end of the steps, with its reason."""
 
     state: State
     status: Status

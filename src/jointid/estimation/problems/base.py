@@ -71,7 +71,7 @@ _SMALL = 1e-6  # relative: how near a search comes to what a law cannot have
 
 
 def surrounding(name: str, controller: Controller, period: float | None = None) -> Parameter:
-    """Return the parameter of that name, free, starting at what is declared, within what a law can have.
+    """Return the named parameter, free, from its declared value, within the law's bounds.
 
     Args:
         name: of a part of the first state, the drive, the log, or a number of the controller.
@@ -108,7 +108,7 @@ def log_delay(known: float | None, sample_time: float) -> Parameter:
 
 
 def _range(symbol: str, value: float, period: float | None) -> tuple[float, float]:
-    """Return the least and the largest number of that name that a law can have."""
+    """Return the bounds of a number of a law."""
     lower = {"constant_feedforward": -math.inf, "numerator_damping": -1.0 + _SMALL}.get(symbol, 0.0)
     if symbol in _POSITIVE:
         lower = _SMALL * value
@@ -121,7 +121,7 @@ def _range(symbol: str, value: float, period: float | None) -> tuple[float, floa
 
 
 def of_law(name: str) -> bool:
-    """Whether a parameter of a problem that is not the joint's belongs to the controller."""
+    """Test whether a surrounding parameter belongs to the controller."""
     return name not in INITIAL and name not in DRIVE_AND_LOG
 
 
@@ -150,7 +150,7 @@ class RecordProblem:
 
         @property
         def joint(self) -> Joint:
-            """What is identified."""
+            """The joint."""
 
         @property
         def sample_time(self) -> float:

@@ -40,7 +40,7 @@ _FLOOR = 1e-3  # a parameter smaller than this share of the torque is measured a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidate:
-    """What is simulated for one vector of parameters."""
+    """A simulation candidate for one vector of parameters."""
 
     loop: ClosedLoop
     experiment: LoopInput
@@ -67,7 +67,7 @@ class ClosedLoopProblem(RecordProblem):
 
     @property
     def joint(self) -> Joint:
-        """What is identified."""
+        """The joint."""
         return self.loop.joint
 
     @property
@@ -98,7 +98,7 @@ class ClosedLoopProblem(RecordProblem):
         """Return the loop's run with these parameters, its torque as the log should show it."""
         c = self._candidate(x)
         run = simulate(c.loop, c.experiment, c.values, c.initial)
-        return replace(run, torque=self._shown(run.torque, c))
+        return replace(run, torque=self._show_log(run.torque, c))
 
     def loop_at(self, x: FloatArray) -> ClosedLoop:
         """Return the loop with the controller's numbers that these parameters say."""
@@ -125,7 +125,7 @@ class ClosedLoopProblem(RecordProblem):
         c = self._candidate(x)
         experiment = c.experiment if driven is None else driven(c.experiment)
         response = simulate_torque(c.loop, experiment, c.values, c.initial)
-        return replace(response, torque=self._shown(response.torque, c))
+        return replace(response, torque=self._show_log(response.torque, c))
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
@@ -134,7 +134,7 @@ class ClosedLoopProblem(RecordProblem):
         return error, -slopes
 
     def sensitivities(self, x: FloatArray) -> tuple[Response, FloatArray]:
-        """Return what the log should show, and its derivatives by the free parameters, (samples, free), raw.
+        """Return the predicted log and its derivatives by the free parameters, (samples, free), raw.
 
         Where the candidate cannot be simulated the derivatives are 0.
         """
@@ -147,14 +147,14 @@ class ClosedLoopProblem(RecordProblem):
         if len(names) == len(self.free) == len(wanted) and (c.drive_gain, c.log_gain, c.log_delay) == (1.0, 1.0, 0.0):
             return run.response, run.torque
         columns = dict(zip(wanted, run.torque.T, strict=True))
-        shown = self._shown(run.response.torque, c)
+        shown = self._show_log(run.response.torque, c)
         if scaled:  # all of the joint's parameters are measured in the torque that acts
             columns["drive_gain"] = -sum((c.values[n] / c.drive_gain) * columns[n] for n in own)
         for name in own:
             if name in columns and c.drive_gain != 1.0:
                 columns[name] = columns[name] / c.drive_gain
         if c.log_gain != 1.0 or c.log_delay != 0.0:
-            columns = {name: self._shown(column, c) for name, column in columns.items()}
+            columns = {name: self._show_log(column, c) for name, column in columns.items()}
         columns["log_gain"] = shown / c.log_gain
         columns["log_delay"] = self._slope(run.response.torque, c)
         return replace(run.response, torque=shown), np.column_stack([columns[p.name] for p in self.free])
@@ -230,20 +230,20 @@ class ClosedLoopProblem(RecordProblem):
             loop, experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
         )
 
-    def _shown(self, torque: FloatArray, c: _Candidate) -> FloatArray:
+    def _show_log(self, torque: FloatArray, c: _Candidate) -> FloatArray:
         """Return the torque with the gain of the log, and as much later as its stamps are wrong."""
         if c.log_delay == 0.0:
             return torque if c.log_gain == 1.0 else c.log_gain * torque
         whole = math.floor(c.log_delay / self.sample_time)
         part = c.log_delay / self.sample_time - whole
-        return c.log_gain * ((1 - part) * _shifted(torque, whole) + part * _shifted(torque, whole + 1))
+        return c.log_gain * ((1 - part) * _shift(torque, whole) + part * _shift(torque, whole + 1))
 
     def _slope(self, torque: FloatArray, c: _Candidate) -> FloatArray:
         """Return the derivative of the shown torque by the log's delay."""
         whole = math.floor(c.log_delay / self.sample_time)
         if c.log_delay == 0.0:  # between two samples the shown torque has one slope, on a sample the mean of two
-            return c.log_gain * (_shifted(torque, 1) - _shifted(torque, -1)) / (2 * self.sample_time)
-        return c.log_gain * (_shifted(torque, whole + 1) - _shifted(torque, whole)) / self.sample_time
+            return c.log_gain * (_shift(torque, 1) - _shift(torque, -1)) / (2 * self.sample_time)
+        return c.log_gain * (_shift(torque, whole + 1) - _shift(torque, whole)) / self.sample_time
 
 
 @lru_cache(maxsize=2)
@@ -255,7 +255,7 @@ def _change_law(
     return changed, experiment.with_law(experiment.law_of(changed.controller))
 
 
-def _shifted(signal: FloatArray, samples: int) -> FloatArray:
+def _shift(signal: FloatArray, samples: int) -> FloatArray:
     """Return a signal so many samples later; its ends last."""
     at = np.clip(np.arange(signal.size) - samples, 0, signal.size - 1)
     return np.asarray(signal[at])

@@ -113,7 +113,7 @@ class Places:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """What windows say at one place.
+    """Sums of windows at one place.
 
     Attributes:
         sums: over the rows. total: of the residual. squares: sum of the squares of the windows' totals.
@@ -142,7 +142,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """What one window says.
+    """Sums of one window.
 
     Attributes:
         begin, end: seconds from the first sample of the record, of what counts.
@@ -158,7 +158,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pass:
-    """What one pass over the windows found.
+    """Sums of one pass over the windows.
 
     Attributes:
         windows: in the order of time. places: over all of them, by the place's number.
@@ -266,7 +266,7 @@ class LogProblem:
         return Pass(tuple(windows), places, still, ended)
 
     def _look(self, piece: Chunk, values: Mapping[str, float]) -> tuple[Window, dict[int, Place]] | None:
-        """Return what a window says, and what it says at each place, by its number; None where nothing of it counts."""
+        """Return the sums of a window, and of each place by its number; None where nothing of it counts."""
         problem = begin_window(self.window, piece.record)
         at, keep = problem.kept, problem.filtering.decimation or 1
         counted = (at >= self.settling) & (at < problem.measured.size - self.settling)
@@ -289,7 +289,7 @@ class LogProblem:
         return Window(begin + first * step, begin + (last + keep) * step, sums, response.at_limit), there
 
     def _tell(self, windows: list[Window]) -> None:
-        """Say where a pass is, less and less often."""
+        """Report the progress of a pass, at growing intervals."""
         count = len(windows)
         if count >= FEW and count % max(10 ** (len(str(count)) - 1), FEW) == 0:
             error = 100 * total([w.sums for w in windows]).relative_error
@@ -354,7 +354,7 @@ def measure_settling(problem: ClosedLoopProblem, record: Record, x: FloatArray) 
 
 
 def moves(record: Record) -> bool:
-    """Return whether anything is asked of the axis in a window."""
+    """Test whether the reference moves in a window."""
     assert record.reference is not None
     return record.injected is not None or float(np.ptp(record.reference.values)) > 0
 
@@ -382,7 +382,7 @@ def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
 
 
 def repeats(places: Iterable[Place], square: float, unit: str) -> Repeatable:
-    """Return what of the residual repeats with the motion; where nothing is left at all, nothing does.
+    """Return the repeatable part of the residual; where nothing is left at all, nothing does.
 
     Args:
         places: over all windows.

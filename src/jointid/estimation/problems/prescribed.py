@@ -1,4 +1,4 @@
-"""The problems of a prescribed motion, whose torque is compared, and of a prescribed torque, whose motion is.
+"""Problems with a prescribed motion, compared by torque, or a prescribed torque, compared by motion.
 
 The drive side: the motor's motion comes from the record, filtered; the torque it takes is predicted
 (`simulation.prescribed`) and seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away,
@@ -68,7 +68,7 @@ class PrescribedProblem(RecordProblem):
     if TYPE_CHECKING:
 
         def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
-            """Return what `measured` should show, (samples,), its derivatives, (samples, names), and if they hold."""
+            """Return the prediction of `measured`, (samples,), derivatives, (samples, names), and their validity."""
 
     @property
     def inside(self) -> slice:
@@ -77,18 +77,18 @@ class PrescribedProblem(RecordProblem):
         return slice(before, self.measured.size - after)
 
     def predicted(self, x: FloatArray) -> FloatArray:
-        """Return what `measured` should show, (samples,)."""
+        """Return the prediction of `measured`, (samples,)."""
         return self.simulated(x, ())[0]
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered, decimated error, (rows,); of a candidate that fails, something large."""
-        return self._compared(x, ())[0]
+        return self._compare(x, ())[0]
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        return self._compared(x, tuple(p.name for p in self.free))
+        return self._compare(x, tuple(p.name for p in self.free))
 
-    def _compared(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    def _compare(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
         prediction, slopes, finished = self.simulated(x, names)
         error = self.measured - prediction
         if not finished:
@@ -121,7 +121,7 @@ class DriveSideProblem(PrescribedProblem):
         return self.filtering.decimate((weights * columns)[self.inside], self.sample_time)
 
     def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
-        """Return the torque that `measured` should show, (samples,), its derivatives, and whether they hold."""
+        """Return the predicted torque, (samples,), its derivatives, and their validity."""
         values = self.values(x)
         inner = tuple(n for n in names if n not in (LOG_DELAY.name, CURRENT_LAG.name))
         run = simulate_drive_side(self.joint, self.motion, values, inner)
@@ -254,7 +254,7 @@ class OpenLoopProblem(PrescribedProblem):
         return self.filtering.decimate(columns[self.inside], self.sample_time)
 
     def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
-        """Return the position that `measured` should show, (samples,), its derivatives, and whether they hold."""
+        """Return the predicted position, (samples,), its derivatives, and their validity."""
         run = simulate_open_loop(self.joint, self.torque, self.values(x), names)
         if not run.finished or np.ptp(run.position) > _AWAY * self.travel:
             return np.zeros_like(self.measured), np.zeros((self.measured.size, len(names))), False

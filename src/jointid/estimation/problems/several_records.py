@@ -55,7 +55,7 @@ class SeveralRecords:
 
 @dataclass(frozen=True, slots=True)
 class RecordLayout:
-    """What several records share and what is known to differ, checked and of one length.
+    """Shared and own parameters of several records, validated.
 
     Attributes:
         loops: one for each record.
@@ -160,7 +160,7 @@ class RecordsProblem(RecordProblem):
 
     @property
     def joint(self) -> Joint:
-        """What is identified."""
+        """The joint."""
         return self.layout.joint
 
     @property
@@ -250,7 +250,7 @@ def _require_known(problem: ClosedLoopProblem, own: Sequence[str], added: Mappin
 def _require_scale(
     problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]], added: Sequence[Mapping[str, float]]
 ) -> None:
-    """Refuse a free gain of the drive where a change of it is made good by one of all of the joint's parameters."""
+    """Refuse a free drive gain that all parameters of the joint can compensate."""
     if not any(p.name == "drive_gain" for problem in problems for p in problem.free):
         return
     joint = {p.name for p in problems[0].loop.joint.parameters}

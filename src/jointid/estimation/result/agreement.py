@@ -50,7 +50,7 @@ _LEVEL = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alone:
-    """What one record says by itself.
+    """The estimate from one record.
 
     Attributes:
         values: of the parameters that records may share, by name.
@@ -91,7 +91,7 @@ class Scatter:
 
     @property
     def widening(self) -> float:
-        """The variance that is to be added to that of the common value; 0 where the records agree."""
+        """Variance between records, added to that of the common value; 0 where the records agree."""
         return self.between**2 * self.share if self.differs else 0.0
 
 
@@ -144,7 +144,7 @@ class Agreement:
 
 
 def agreement(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
-    """Return whether records agree in the parameters that two or more of them have.
+    """Test whether records agree in their common parameters.
 
     Args:
         records: what each says by itself; a parameter that one could not tell is left out of it.
@@ -265,7 +265,7 @@ class DriftTest:
 
 
 def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], units: Mapping[str, str]) -> DriftTest:
-    """Return what the segments of a record say, and whether they agree.
+    """Return the estimates of a record's segments, and whether they agree.
 
     Args:
         windows: in the order of time, at x.
@@ -279,7 +279,7 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
     names = [p.name for p in free]
     parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
     fits = [_Fit.of(part, x) for part in parts]
-    scatter = _pooled(fits, [len(part) for part in parts])
+    scatter = _pool(fits, [len(part) for part in parts])
     segments, alone = [], []
     for part, fit in zip(parts, fits, strict=True):
         own = np.flatnonzero(fit.told)
@@ -294,7 +294,7 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
     return DriftTest(tuple(segments), judged, trends)
 
 
-def _pooled(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
+def _pool(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
     """Return how the windows of all segments scatter, (free, free), in units of what a window tells.
 
     Args:

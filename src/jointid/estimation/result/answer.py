@@ -101,7 +101,7 @@ def _value(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
         shown = f"{interval(asked.value, 2 * asked.deviation)} {asked.unit}"
     shown = _with_pieces(estimate, asked, shown)
     mode = _mode(estimate)
-    words = f"{_called(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
+    words = f"{_in_words(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
     return Message(Found.VALUE, words, _values(asked, mode))
 
 
@@ -111,11 +111,11 @@ def _with_pieces(estimate: EstimateParts, asked: EstimatedParameter, shown: str)
     if asked.name != "stiffness" or not isinstance(joint, FlexibleJoint):
         return shown
     rows = {row.name: row for row in estimate.params.rows}
-    others = {p.name: _shown(rows[p.name]) for p in joint.spring.parameters[1:-1] if p.name in rows}
+    others = {p.name: _show_value(rows[p.name]) for p in joint.spring.parameters[1:-1] if p.name in rows}
     return joint.spring.describe({asked.name: shown, **others})
 
 
-def _shown(row: EstimatedParameter) -> str:
+def _show_value(row: EstimatedParameter) -> str:
     value = "?" if row.value is None else number(row.value)
     if row.value is not None and row.deviation:
         value = interval(row.value, 2 * row.deviation)
@@ -123,8 +123,8 @@ def _shown(row: EstimatedParameter) -> str:
 
 
 def _not_determined(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
-    """Return what is known of a value that is refused: of a stiffness the softest that the record allows."""
-    words = f"{_called(asked.name)} not determined by this record"
+    """Return the bound of a refused value, for a stiffness the softest admissible one."""
+    words = f"{_in_words(asked.name)} not determined by this record"
     stated = told_bounds(estimate)
     bounds = [(b.stiffness, b.frequency, b.share) for b in stated if b.stiffness and b.frequency]
     if not bounds:
@@ -165,7 +165,7 @@ def _mode(estimate: EstimateParts) -> float | None:
 
 
 def _refused(estimate: EstimateParts) -> Message:
-    """Return what can be relied on where the value itself is refused."""
+    """Return the reliable combinations beside a refused value."""
     loop, known = loop_verdict(estimate), estimate.checks.known
     if loop is not None and loop.status is Status.FAILED:
         return _not_yet([loop.reasons[0]])
@@ -180,8 +180,8 @@ def _refused(estimate: EstimateParts) -> Message:
 
 
 def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
-    """Return whether to rely on a value, and what speaks against it."""
-    against = _failed(estimate, asked)
+    """Return the trust in a value, with the reasons against it."""
+    against = _reasons_against(estimate, asked)
     if against:
         return _not_yet(against)
     moved = [row for row in estimate.params.rows if row.name in moved_by_loop(estimate, beyond=2.0)]
@@ -223,7 +223,7 @@ def _not_yet(against: list[Message]) -> Message:
 
 
 def _known_of_robot(estimate: EstimateParts) -> Message:
-    """Return how many parameters of a robot are known, and what is left of the torque."""
+    """Return the number of known parameters of a robot, and its largest error."""
     asked = [row for row in estimate.params.rows if row.free and row.of_joint]
     known = [row for row in asked if row.value is not None and row.stderr is not None and _is_known(row)]
     left = estimate.fit.axis_errors
@@ -262,7 +262,7 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
 
 
 class Against(StrEnum):
-    """What speaks against a value and is no reason of a verdict."""
+    """Reasons against a value that are not of a verdict."""
 
     NOT_CONVERGED = "not_converged"
     TORQUE_UNEXPLAINED = "torque_unexplained"
@@ -277,8 +277,8 @@ class Against(StrEnum):
     ENCODER_LAG = "encoder_lag"
 
 
-def _failed(estimate: EstimateParts, asked: EstimatedParameter) -> list[Message]:
-    """Return what speaks against a value, the cause before its effects."""
+def _reasons_against(estimate: EstimateParts, asked: EstimatedParameter) -> list[Message]:
+    """Return the reasons against a value, causes before effects."""
     loop = loop_verdict(estimate)
     found = list(_effects(estimate, asked))
     for reason in () if loop is None else loop.reasons:
@@ -338,7 +338,7 @@ def _effects(estimate: EstimateParts, asked: EstimatedParameter) -> Iterator[Mes
 
 
 def loop_verdict(estimate: EstimateParts) -> Verdict | None:
-    """Return the verdict on controller and log, None where there is none."""
+    """Return the verdict on controller and log; None without one."""
     return next((v for v in estimate.checks.verdicts if v.subject is Subject.LOOP), None)
 
 
@@ -371,6 +371,6 @@ def is_another_law(reasons: Sequence[Message]) -> bool:
     return bool(reasons) and all(one.code == Reason.LAW_UNDECIDED for one in reasons)
 
 
-def _called(name: str) -> str:
+def _in_words(name: str) -> str:
     plain, _, record = name.partition("@")
     return plain.replace("_", " ").capitalize() + (f" of record {record}" if record else "")

@@ -107,6 +107,6 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
 
 
 def _row(p: EstimatedParameter, at_bounds: Mapping[str, float], widenings: tuple[Widening, ...]) -> EstimatedParameter:
-    """Return a parameter with the bound that held it, and with an interval as wide as what may move it."""
+    """Return a parameter with its bound and its widened interval."""
     wide = max((w.by.get(p.name, 0.0) for w in widenings), default=0.0) if p.stderr else 0.0
     return replace(p, at_bound=at_bounds.get(p.name, p.at_bound), lack_of_fit=max(p.lack_of_fit, wide))

@@ -55,7 +55,7 @@ _NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visibility:
-    """What a record shows of a joint's spring.
+    """Identifiability of a joint's spring.
 
     Attributes:
         verdict: whether its stiffness is reported, and why not.
@@ -125,7 +125,7 @@ def build_fit(
     residuals: ResidualReport | None = None,
     initial: Initial | None = None,
 ) -> Fit:
-    """Return how well a problem's solution explains what was measured, and what it took.
+    """Return the fit of a problem's solution.
 
     Args:
         problem: that was solved.
@@ -194,7 +194,7 @@ def build_rows(
 
 
 def build_data(record: Record, channels: tuple[str, ...], sample_time: float) -> Data:
-    """Return what an estimate says of the one record that it was identified from."""
+    """Return the data of an estimate from one record."""
     assert record.torque is not None
     return Data(
         channels=channels,
@@ -409,7 +409,7 @@ def list_loop_channels(loop: ClosedLoop, record: Record) -> tuple[str, ...]:
 
 
 def find_lost(free: Sequence[Parameter], x: FloatArray, std: FloatArray) -> tuple[str, ...]:
-    """Return the names of the inertias and stiffnesses whose interval holds 0, which no joint has."""
+    """Return the inertias and stiffnesses whose interval holds 0."""
     found = zip(free, x, std, strict=True)
     return tuple(p.name for p, value, spread in found if p.quantity in _PHYSICAL and value <= 2 * spread)
 

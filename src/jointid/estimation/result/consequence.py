@@ -1,4 +1,4 @@
-"""What a check that did not pass means for the value that was asked for."""
+"""Effect of a failed check on the requested parameter."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from jointid.uncertainty.verdict import Reason, Subject, Verdict
 
 
 def spares_answer(estimate: EstimateParts, verdict: Verdict) -> bool:
-    """Return True if a check that did not pass says nothing against a value that can otherwise be relied on."""
+    """Return True if a failed check does not affect the requested parameter."""
     asked = estimate[answer_of(estimate).found.values["parameter"]]
     return verdict.good is None or verdict.subject is Subject.LOOP or not _against(asked, verdict)
 
 
 def consequence(estimate: EstimateParts, verdict: Verdict) -> str:
-    """Return what a check that did not pass means for the value that was asked for, in a sentence.
+    """Return the effect of a failed check on the requested parameter, in a sentence.
 
     Where something else speaks against the value, no check says that it may be used.
     """
@@ -34,7 +34,7 @@ def consequence(estimate: EstimateParts, verdict: Verdict) -> str:
 
 
 def _against(asked: EstimatedParameter, verdict: Verdict) -> str:
-    """Return why a check that failed speaks against a value, "" where it does not."""
+    """Return why a failed check speaks against a value; "" if it does not."""
     why = {
         Subject.SOLVER: "the search stopped on its way to it",
         Subject.FIT: "it may be that of another joint",

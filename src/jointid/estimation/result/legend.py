@@ -1,4 +1,4 @@
-"""What symbols and remarks in a table of parameters mean, in a line each: the field's letters beside the paper's."""
+"""Legend of symbols and remarks in a table of parameters: the field's letters beside the paper's."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def field_symbol(name: str, unit: str) -> str:
 
 
 def legend(estimate: EstimateParts, *, initial: bool = True) -> Iterator[str]:
-    """Yield what a reader of the table of parameters has to know, in lines of a screen's width.
+    """Yield the legend of the table of parameters, line by line.
 
     Args:
         estimate: whose table it is.

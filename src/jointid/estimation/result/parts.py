@@ -281,7 +281,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checks:
-    """What speaks for the estimate and what against it.
+    """The checks of an estimate.
 
     Attributes:
         verdicts: on the solver, the fit, the residual, identifiability, bounds, stiffness; one question each.
@@ -462,7 +462,7 @@ class EstimateParts:
         return self.settings.joint
 
     def require_robot(self) -> IdentifiedRobot:
-        """Return what only a robot has.
+        """Return the robot-only content.
 
         Raises:
             MethodError: the estimate is of a joint.

@@ -74,7 +74,7 @@ def _cells(row: EstimatedParameter) -> tuple[str, str, str, str]:
 
 
 def errors_table(robot: Robot, columns: Mapping[str, FloatArray], of_what: str) -> Table:
-    """Return what is left of each joint's torque as a table, a column for each model, in per cent.
+    """Return the errors of the joints as a table, a column for each model, in per cent.
 
     Raises:
         MethodError: a joint has no torque to explain.

@@ -145,7 +145,7 @@ def spring_slopes(described: Mapping[str, float]) -> dict[str, dict[str, float]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Where a fit ended.
+    """The end of a fit.
 
     Attributes:
         at: inertia, ratio, share, mode and the others by name.

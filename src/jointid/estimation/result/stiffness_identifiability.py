@@ -146,7 +146,7 @@ def _test_spring(
 
 
 def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, names: Sequence[str]) -> list[str]:
-    """Return which other springs, or none, the record does not exclude at 95 %, beside the one that was found."""
+    """Return the other admissible springs at 95 %, a rigid joint included."""
     if not math.isfinite(made.threshold):
         return ["a joint that is nearly rigid cannot be simulated, so that no other spring is excluded"]
     limit = min(made.stiff.cost, *(end.cost for end in made.minima), math.inf) + _BOTH_SIDES * made.threshold
@@ -213,7 +213,7 @@ def _fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple
 
 
 def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:
-    """Return what springs would do to the residual, each (rows, 1), at some load shares and modes."""
+    """Return the effects of springs on the residual, each (rows, 1), at some load shares and modes."""
     cutoff = problem.filtering.cutoff
     assert cutoff is not None
     free = problem.all_free()

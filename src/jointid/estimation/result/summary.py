@@ -56,7 +56,7 @@ def estimate_document(estimate: EstimateParts, *, details: bool = False) -> Docu
 
 
 def _counted_checks(estimate: EstimateParts) -> str:
-    """Return how many checks passed, and, beside an answer that can be relied on, that the others leave it so."""
+    """Return the number of checks that passed, and whether the others affect the answer."""
     verdicts = estimate.checks.verdicts
     others = [verdict for verdict in verdicts if verdict.status is not Status.PASSED]
     if not others:
@@ -70,7 +70,7 @@ def _counted_checks(estimate: EstimateParts) -> str:
 
 
 def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
-    """Return how it was identified and from what, and on which side the values are."""
+    """Return method, data and side of the values."""
     data, joint = estimate.data, estimate.settings.joint
     gear = joint.transmission
     source = f"of {data.record}" if not data.records else f"of {len(data.records)} records"
@@ -93,7 +93,7 @@ def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
 
 def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
     if estimate.data.records:
-        yield _shared(estimate)
+        yield _shared_table(estimate)
         own = tuple((str(k), *_cells(p)) for k, rows in enumerate(estimate.params.own, 1) for p in rows)
         if own:
             yield Table(("record", "symbol", "parameter", "value", "2 sigma", "unit"), own, words=(0, 1, 2, 5))
@@ -162,7 +162,7 @@ def _effort(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
 
 
 def _limits(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, str]]:
-    """Return what no verdict says: the residual and the limitations of a long log, and the method's own tests."""
+    """Return the facts without a verdict: residual and limitations of a long log, and tests of the method."""
     checks, windows = estimate.checks, estimate.data.windows
     if windows is not None and checks.repeatable is not None:
         said = str(checks.repeatable)
@@ -193,7 +193,7 @@ def _verdicts(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
         yield Verdicts(tuple(listed))
 
 
-def _shared(estimate: EstimateParts) -> Table:
+def _shared_table(estimate: EstimateParts) -> Table:
     """Return the table of the parameters that records share, beside the estimate of each record by itself."""
     assert estimate.checks.agreement is not None
     alone = [{p.name: p for p in record.alone} for record in estimate.data.records]
@@ -223,7 +223,7 @@ def _beside(p: EstimatedParameter | None) -> str:
 
 
 def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> str:
-    """Return whether the joint stays the same, and which parameters change, in a sentence."""
+    """Return the drift of the parameters in a sentence."""
     agreement, count = drift.agreement, len(drift.segments)
     if agreement is None or agreement.p_value is None:
         return "not tested: the record has too few windows for two segments"
@@ -280,7 +280,7 @@ def parameter_row(p: EstimatedParameter) -> tuple[str, ...]:
 
 
 def remarks(estimate: EstimateParts) -> dict[str, str]:
-    """Return what the checks say of single parameters, by name: at a bound, moved by a fault, known only with another.
+    """Return the remarks of the checks on parameters, by name: at a bound, moved by a fault, known only with another.
 
     Of a fault of loop or log it is by how much the value changes, in its unit, when the fault is corrected.
     """

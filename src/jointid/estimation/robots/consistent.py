@@ -168,7 +168,7 @@ def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
 
 
 def _whitening(covariance: Covariance) -> FloatArray:
-    """Return what takes errors of an estimate to independent ones of deviation 1."""
+    """Return the whitening matrix of an estimate."""
     std = covariance.std
     std = np.where(std > 0, std, np.min(std[std > 0], initial=1.0))  # a fixed one is kept as well as the best known
     values, vectors = np.linalg.eigh(covariance.correlation)

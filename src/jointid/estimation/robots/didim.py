@@ -21,19 +21,20 @@ as its references do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
-from jointid.common.parameters import Bounds
-from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.problem import RobotProblem, Run, robot_problem
+from jointid.common.parameters import Bounds, Parameter
+from jointid.estimation.robots.numbers import RobotParameters, keep_known, robot_parameters
+from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run, add_problems, robot_problem
+from jointid.estimation.robots.regression import Records, each_log
 from jointid.estimation.starts.rigid_robot import rigid_robot_start
 from jointid.models.robots.robot import Robot
-from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
 )
@@ -50,7 +51,7 @@ _HALVINGS = 6  # of a step to a candidate that cannot be simulated
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotFit:
-    """What was identified of a robot from the records of its joints.
+    """The fit of a robot to the records of its joints.
 
     Attributes:
         parameters: what they are. values: (parameters,) of them. covariance: of their errors.
@@ -69,7 +70,7 @@ class RobotFit:
     relative_error: FloatArray
     iterations: int
     converged: bool
-    run: RobotRun | RobotDriveSideRun
+    run: RobotRun | RobotDriveSideRun | RobotRuns
     information: FloatArray
 
     @property
@@ -98,12 +99,13 @@ class RobotFit:
 
 def identify_rigid_robot(
     loop: RobotLoop,
-    records: Sequence[Record],
+    records: Records,
     filtering: Filtering | None = None,
     *,
     offsets: bool = True,
     iterations: int = 30,
     settled: float = SETTLED,
+    known: Mapping[str, Parameter] | None = None,
     progress: Progress = lambda _: None,
 ) -> RobotFit:
     """Identify a robot of rigid joints from torques and references; positions in the records are not read.
@@ -111,11 +113,12 @@ def identify_rigid_robot(
     Args:
         loop: the robot, of which the links' places and gravity are read, but no inertial number nor spring, and its
             controllers.
-        records: one for each joint, with torque and reference, of one log.
+        records: one for each joint, with torque and reference, of one log; or those of several logs.
         filtering: that torques and columns go through alike.
         offsets: whether each motor has a constant torque that is identified, too.
         iterations: at most.
         settled: the largest change of a parameter that ends them, standard deviations.
+        known: values and bounds to keep, by name; see `keep_known`.
         progress: is told each iteration.
 
     Raises:
@@ -125,10 +128,20 @@ def identify_rigid_robot(
     loop.robot.require_lines("DIDIM of a robot takes")
     robot = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
     loop = replace(loop, robot=robot)
-    parameters = robot_parameters(robot, offsets=offsets)
-    problem = robot_problem(loop, records, parameters, filtering)
-    x, run = rigid_robot_start(problem, loop, records)
-    return fixed_point(problem, x, run, iterations, progress, settled)
+    parameters = keep_known(robot_parameters(robot, offsets=offsets), known or {})
+    logs = each_log(records)
+    parts = [robot_problem(loop, log, parameters, filtering) for log in logs]
+    x, run = rigid_robot_start(parts[0], loop, logs[0])
+    if len(parts) == 1:
+        return fixed_point(parts[0], x, run, iterations, progress, settled)
+    problem = add_problems(parts)
+    runs = problem.run(x)
+    if runs.outcome is not RobotOutcome.FINISHED:
+        raise MethodError(
+            f"The robot cannot be simulated along all logs from the start that the first gives: {runs.outcome.value}. "
+            "Name a livelier record first."
+        )
+    return fixed_point(problem, x, runs, iterations, progress, settled)
 
 
 def fixed_point(
@@ -139,7 +152,7 @@ def fixed_point(
     progress: Progress = lambda _: None,
     settled: float = SETTLED,
 ) -> RobotFit:
-    """Return where steps by the regressor of the simulated motion lead to, from a start that could be simulated."""
+    """Iterate with the regressor of the simulated motion from a valid start."""
     bounds, size, floor = Bounds.of(problem.free), problem.sizes, problem.floor
     arrived, made = False, 0
     for number in range(iterations):
@@ -152,7 +165,7 @@ def fixed_point(
         after = bounds.clip(x + step)
         arrived = bool(np.all(np.abs(after - x) <= settled * std))
         made = number + 1
-        x, run = _moved(problem, x, after, run)
+        x, run = _take_step(problem, x, after, run)
         if arrived:
             break
     return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived)
@@ -191,8 +204,8 @@ def conclude(
     )
 
 
-def _moved(problem: RobotProblem[Run], x: FloatArray, after: FloatArray, run: Run) -> tuple[FloatArray, Run]:
-    """Return where a step leads, halved while it cannot be simulated there."""
+def _take_step(problem: RobotProblem[Run], x: FloatArray, after: FloatArray, run: Run) -> tuple[FloatArray, Run]:
+    """Return the end of a step, halved until it can be simulated."""
     for _ in range(_HALVINGS):
         found = problem.run(after)
         if found.outcome is RobotOutcome.FINISHED:

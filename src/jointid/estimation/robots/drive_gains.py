@@ -38,7 +38,7 @@ _SETTLED = 1e-4  # deviations: the largest change that ends the search
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveGains(Documented):
-    """What the torque of each joint, as its record is read, is to be multiplied with.
+    """Gains of the drives: factors on the logged torques.
 
     Attributes:
         joints: their names.

@@ -36,9 +36,9 @@ from jointid.estimation.robots.flexible import (
     require_springs,
     search_springs,
 )
-from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.problem import RobotProblem, require_torques
-from jointid.estimation.robots.regression import RobotMotion, motion_of_robot
+from jointid.estimation.robots.numbers import RobotParameters, keep_known, robot_parameters
+from jointid.estimation.robots.problem import RobotProblem, add_problems, require_torques
+from jointid.estimation.robots.regression import Records, RobotMotion, each_log, motion_of_robot
 from jointid.estimation.starts.robot_springs import StartOfSprings
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
@@ -242,26 +242,28 @@ def _of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay:
 
 def identify_flexible_drive_side(
     robot: Robot,
-    records: Sequence[Record],
+    records: Records,
     filtering: Filtering | None = None,
     *,
     frequencies: Mapping[str, float] | None = None,
     offsets: bool = True,
     evaluations: int = 60,
     delay: float | None = None,
+    known: Mapping[str, Parameter] | None = None,
     progress: Progress = lambda _: None,
 ) -> FlexibleRobotFit:
     """Identify a robot, of which some joints are flexible, from motor torques and positions; references are not read.
 
     Args:
         robot: whose joints with a spring are flexible. Of its numbers only the links' places and gravity are read.
-        records: one for each joint, with torque and motor position behind the gear, of one log; to show a spring the
-            motion must excite its mode, as a multisine on top of it does.
+        records: one for each joint, with torque and motor position behind the gear, of one log, or those of several;
+            to show a spring the motion must excite its mode, as a multisine on top of it does.
         filtering: of positions and torques; the torques' cut-off above the modes, the positions' five times that.
         frequencies: Hz, see `identify_flexible_robot`.
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each search.
         delay: s, by which the log shows torques later than positions; None to identify it.
+        known: values and bounds to keep, by name; see `keep_known`.
         progress: is told the steps.
 
     Raises:
@@ -271,16 +273,21 @@ def identify_flexible_drive_side(
     require_springs(robot, frequencies)
     robot.require_lines("The drive side of a robot takes")
     stiff = replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
-    parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
-    problem = drive_side_problem(robot, records, parameters, filtering, delay)
+    parameters = keep_known(robot_parameters(robot, offsets=offsets, logarithmic=True), known or {})
+    logs = each_log(records)
+    parts = [drive_side_problem(robot, log, parameters, filtering, delay) for log in logs]
+    problem = add_problems(parts)
     require_frequencies(frequencies, problem.sample_time)
-    slow = drive_side_problem(stiff, records, robot_parameters(stiff, offsets=offsets), SLOW)
+    of_stiff = keep_known(robot_parameters(stiff, offsets=offsets), known or {})
+    slow_parts = [drive_side_problem(stiff, log, of_stiff, SLOW) for log in logs]
     # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down to
     # what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
-    slow = replace(slow, motion=replace(slow.motion, moving=np.ones_like(slow.motion.moving)))
+    slow = add_problems(
+        [replace(one, motion=replace(one.motion, moving=np.ones_like(one.motion.moving))) for one in slow_parts]
+    )
     x = np.zeros(len(slow.free))
     rigid = fixed_point(slow, x, slow.run(x), _ITERATIONS, progress)
-    look = SearchOfSprings(problem, progress)
+    look = SearchOfSprings(parts[0], progress)
     return search_springs(
         problem, robot, rigid, lambda start: frequencies or look.frequencies(start), evaluations, progress
     )
@@ -305,7 +312,7 @@ class SearchOfSprings:
 
     @cached_property
     def _measured(self) -> FloatArray:
-        return self.problem.by_joint(self.problem.decimated(self.problem.measured))
+        return self.problem.by_joint(self.problem.filtered_torque)
 
     def frequencies(self, start: StartOfSprings) -> dict[str, float]:
         """Return a frequency for each flexible joint, of rotor against link, Hz."""
@@ -320,7 +327,7 @@ class SearchOfSprings:
         row = [_LOWEST * _APART**i for i in range(math.floor(math.log(highest / _LOWEST) / math.log(_APART)) + 1)]
         ways = [self._one_by_one(start, row), self._together(start, row)]
         costs = in_threads(lambda way: self._whole(start, way), ways)
-        placed = self._swept(start, row, ways[int(np.argmin(costs))])
+        placed = self._sweep(start, row, ways[int(np.argmin(costs))])
         for joint, hertz in placed.items():
             self.progress(f"{start.names[joint]}: its link swings behind its motor at {hertz:.3g} Hz")
         shares = np.sqrt((start.rotors + start.links) / np.where(start.rotors > 0.0, start.rotors, 1.0))
@@ -349,7 +356,7 @@ class SearchOfSprings:
                     left.remove(joint)
         return placed
 
-    def _swept(self, start: StartOfSprings, row: Sequence[float], placed: dict[int, float]) -> dict[int, float]:
+    def _sweep(self, start: StartOfSprings, row: Sequence[float], placed: dict[int, float]) -> dict[int, float]:
         """Return the frequencies after each joint was tried again, beside the others, while all torques gain by it."""
         least = self._whole(start, placed)
         for _ in range(_SWEEPS):
@@ -382,7 +389,7 @@ class SearchOfSprings:
     def _costs(
         self, start: StartOfSprings, placed: Mapping[int, float], joints: Sequence[int] | None = None
     ) -> FloatArray:
-        """Return what is left of each joint's torque, squared, as a share, with springs where they are placed.
+        """Return the squared residual share of each joint's torque for given springs.
 
         Of all joints, or of some; 1 where the robot cannot be simulated.
         """
@@ -400,7 +407,7 @@ class SearchOfSprings:
         return np.array([self._left(run, joint) for joint in asked])
 
     def _left(self, run: RobotDriveSideRun, joint: int) -> float:
-        """Return what is left of a joint's torque beside what rotor, friction and a share of its load explain."""
+        """Return the squared residual share of a joint's torque, fitted by rotor, friction and load."""
         motor, measured = int(run.numbers.rotors[joint]), self._measured[joint]
         own = [motion[:, motor] for motion in (run.motion.acceleration, run.motion.velocity, run.motion.direction)]
         columns = np.column_stack([*own, np.ones(len(run.torque)), run.torque[:, joint]])

@@ -23,7 +23,7 @@ gyroscopic torques are left out [Spong 1987].
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,13 +32,14 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, no_choice
+from jointid.common.parameters import Parameter
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot
-from jointid.estimation.robots.numbers import robot_parameters
-from jointid.estimation.robots.problem import RobotProblem, robot_problem
+from jointid.estimation.robots.numbers import keep_known, robot_parameters
+from jointid.estimation.robots.problem import RobotProblem, add_problems, robot_problem
+from jointid.estimation.robots.regression import Records, each_log
 from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs, frequency_row
 from jointid.models.robots.robot import Robot
-from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop, RobotOutcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
@@ -64,7 +65,7 @@ _TWO = 2.0  # of them: the bound of one that is not
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlexibleRobotFit:
-    """What was identified of a robot with flexible joints.
+    """The fit of a robot with flexible joints.
 
     Attributes:
         fit: all parameters; of a spring that is refused, and of its joint's two sides, no interval is to be believed.
@@ -82,12 +83,13 @@ class FlexibleRobotFit:
 
 def identify_flexible_robot(
     loop: RobotLoop,
-    records: Sequence[Record],
+    records: Records,
     filtering: Filtering | None = None,
     *,
     frequencies: Mapping[str, float] | None = None,
     offsets: bool = True,
     evaluations: int = 60,
+    known: Mapping[str, Parameter] | None = None,
     progress: Progress = lambda _: None,
 ) -> FlexibleRobotFit:
     """Identify a robot, of which some joints are flexible, from torques and references; positions are not read.
@@ -102,6 +104,7 @@ def identify_flexible_robot(
             search is to begin; None looks for it between 5 and 38 Hz.
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each search; there are three to eleven.
+        known: values and bounds to keep, by name; see `keep_known`.
         progress: is told the steps.
 
     Raises:
@@ -111,12 +114,12 @@ def identify_flexible_robot(
     """
     robot = loop.robot
     require_springs(robot, frequencies)
-    parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
-    problem = robot_problem(loop, records, parameters, filtering)
+    parameters = keep_known(robot_parameters(robot, offsets=offsets, logarithmic=True), known or {})
+    problem = add_problems([robot_problem(loop, log, parameters, filtering) for log in each_log(records)])
     if frequencies is None:
         frequency_row(problem.sample_time)
     require_frequencies(frequencies, problem.sample_time)
-    rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, settled=_NEAR, progress=progress)
+    rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, settled=_NEAR, known=known, progress=progress)
     return search_springs(
         problem, robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
     )
@@ -141,7 +144,7 @@ def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> No
 
 
 def require_frequencies(frequencies: Mapping[str, float] | None, sample_time: float) -> None:
-    """Raise MethodError if a frequency is none that is looked for in such a log."""
+    """Refuse a frequency outside the range of the search."""
     highest = STIFFEST / sample_time
     for name, hertz in (frequencies or {}).items():
         if not 0.0 < hertz <= highest:
@@ -227,7 +230,7 @@ def search_springs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _End:
-    """Where a descent ended.
+    """The end of a descent.
 
     Attributes:
         problem: as the descent weighed it.

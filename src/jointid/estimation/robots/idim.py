@@ -13,7 +13,7 @@ be none.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,17 +21,16 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
+from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import (
+    ESTIMATORS,
     Instruments,
     Rows,
     Solution,
     by_instruments,
     describe_stop,
-    ordinary,
-    robust,
-    weighted,
 )
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimatedParameter
@@ -39,8 +38,12 @@ from jointid.estimation.result.robot import IdentifiedRobot, Sums
 from jointid.estimation.robots.build import build_robot_result
 from jointid.estimation.robots.instruments import robot_instruments
 from jointid.estimation.robots.regression import (
+    Records,
+    RobotMotion,
     base_columns,
     base_rows,
+    each_log,
+    join_rows,
     motion_of_robot,
     relative_errors,
     require_reached,
@@ -86,10 +89,9 @@ def solve_rows(settings: IDIM, rows: Rows, instruments: Instruments | None = Non
                 'in the loop: give one, or use "weighted".'
             )
         solution = by_instruments(left, instruments, kept, free)
-    elif settings.estimator == "robust":
-        solution = robust(left)
     else:
-        solution = ordinary(left) if settings.estimator == "ols" or rows.equations == 1 else weighted(left)
+        name = "ols" if rows.equations == 1 and settings.estimator != "robust" else settings.estimator or "weighted"
+        solution = ESTIMATORS[name](left)
     return with_fixed(solution, kept, free) if settings.fixed else solution
 
 
@@ -145,10 +147,11 @@ class InverseModelRobot(IdentifiedRobot):
 
 def identify_robot(
     model: Robot | RobotLoop,
-    records: Sequence[Record],
+    records: Records,
     settings: IDIM | None = None,
     *,
     filtering: Filtering | None = None,
+    known: Mapping[str, Parameter] | None = None,
 ) -> FitResult:
     """Identify a robot's base parameters and friction from motor positions and torques of all joints.
 
@@ -156,9 +159,10 @@ def identify_robot(
         model: its geometry, gravity and coupling are taken as known; its masses are only what is compared with. With
             its controllers for the estimator "iv", which simulates them from the records' references and what is
             injected; at the first sample at rest, or in motion where the loop says so.
-        records: of each joint, with torque and motor position behind the gear, on one clock.
+        records: of each joint, with torque and motor position behind the gear, on one clock; or those of several logs.
         settings: of the method.
         filtering: of positions and rows.
+        known: values and bounds of friction to keep, by name as "joint1.viscous"; a value beyond a bound is kept at it.
 
     Raises:
         MethodError: the record does not determine all base parameters; the sentence names those involved. Or "iv" has
@@ -168,14 +172,24 @@ def identify_robot(
     Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.
     """
     settings, robot = settings or IDIM(), model if isinstance(model, Robot) else model.robot
-    base, motion = base_parameters(robot), motion_of_robot(robot, records, filtering or Filtering())
-    columns = base_columns(robot, base, motion)
-    rows = base_rows(robot, base, motion, columns)
+    base, logs = base_parameters(robot), each_log(records)
+    motions = [motion_of_robot(robot, log, filtering or Filtering()) for log in logs]
+    columns = [base_columns(robot, base, motion) for motion in motions]
+    each = [base_rows(robot, base, *one) for one in zip(motions, columns, strict=True)]
+    rows = replace(
+        each[0], Y=join_rows([one.Y for one in each], len(robot)), W=join_rows([one.W for one in each], len(robot))
+    )
     require_reached(robot, rows, settings.fixed)
     by_loop = None
     if settings.estimator == "iv" and not isinstance(model, Robot):
-        by_loop = robot_instruments(model, records, base, motion)
+        by_loop = _instruments(model, logs, base, motions)
+    limits = _by_symbol(robot, known or {})
+    kept = {symbol: one.start for symbol, one in limits.items() if not one.free and one.start is not None}
+    settings = replace(settings, fixed={**settings.fixed, **kept})
     solution = solve_rows(settings, rows, by_loop)
+    while beyond := _beyond(rows.names, solution.fit.values, limits):
+        settings = replace(settings, fixed={**settings.fixed, **beyond})
+        solution = solve_rows(settings, rows, by_loop)
     nominal, values = _nominal(robot, base, rows), solution.fit.values
     friction, terms = list(rows.names[len(base) :]), friction_terms(robot)
     for place, formula in zip(offset_indices(robot), base.offset_formulas, strict=True):
@@ -199,7 +213,7 @@ def identify_robot(
     wrong = [name for k, name in enumerate(robot.names) if drives(part, k)]
     soft = [joint.name for joint in robot.joints if joint.spring is not None]
     return build_robot_result(
-        records,
+        [record for log in logs for record in log],
         part,
         tuple(
             EstimatedParameter(
@@ -215,9 +229,9 @@ def identify_robot(
             for name, unit, joint, value, std in named
         ),
         relative_errors(rows, values),
-        (motion.torque, columns @ values),
+        (np.vstack([motion.torque for motion in motions]), np.vstack([one @ values for one in columns])),
         ("idim", f"IDIM of a robot, {_WORDS[estimator]}"),
-        motion.filtering,
+        motions[0].filtering,
         solution.fit.residual.size,
         (describe_stop(estimator, solution), solution.converged),
         max(len(solution.trace) - 1, 0),
@@ -239,6 +253,48 @@ def drives(part: InverseModelRobot, joint: int) -> bool:
     sums += [[own[Friction.COULOMB], own[Friction.RISE]]] if Friction.RISE in own else []
     weights = [np.isin(np.arange(part.values.size), places).astype(np.float64) for places in sums]
     return any(float(one @ part.values) < -2 * part.covariance.std_of(one) for one in weights)
+
+
+_NAMES = {
+    Friction.VISCOUS: "viscous",
+    Friction.FORWARDS: "viscous_forwards",
+    Friction.BACKWARDS: "viscous_backwards",
+    Friction.COULOMB: "coulomb",
+    Friction.RISE: "stribeck_force",
+    Friction.OFFSET: "offset",
+}
+"""Of the numbers of a motor's friction among the parameters of a robot."""
+
+
+def _by_symbol(robot: Robot, known: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """Return what is known of parameters by their symbols.
+
+    Raises:
+        MethodError: one is of a link's friction, which IDIM adds to the motor's.
+    """
+    symbols = {f"{robot.joints[term.joint].name}.{_NAMES[term.number]}": term.symbol for term in friction_terms(robot)}
+    for name in known:
+        if name not in symbols:
+            raise MethodError(f"To IDIM a joint is rigid, and its friction that of both sides; leave {name} out.")
+    return {symbols[name]: parameter for name, parameter in known.items()}
+
+
+def _beyond(names: Sequence[str], values: FloatArray, limits: Mapping[str, Parameter]) -> dict[str, float]:
+    """Return the bound of each value that is beyond it, by symbol."""
+    found = {}
+    for name, value in zip(names, values, strict=True):
+        one = limits.get(name)
+        if one is not None and one.free and not one.lower <= value <= one.upper:
+            found[name] = one.lower if value < one.lower else one.upper
+    return found
+
+
+def _instruments(
+    loop: RobotLoop, logs: Sequence[Sequence[Record]], base: BaseParameters, motions: Sequence[RobotMotion]
+) -> Instruments:
+    """Return the instruments of all logs."""
+    each = [robot_instruments(loop, log, base, motion) for log, motion in zip(logs, motions, strict=True)]
+    return lambda values: join_rows([columns(values) for columns in each], len(loop.robot))
 
 
 def _nominal(robot: Robot, base: BaseParameters, rows: Rows) -> FloatArray:

@@ -37,7 +37,7 @@ _COLUMNS = {
 def robot_instruments(
     loop: RobotLoop, records: Sequence[Record], base: BaseParameters, motion: RobotMotion
 ) -> Instruments:
-    """Return what simulates the loop with values of all parameters and gives the columns on its motion.
+    """Return a function from the parameters to the columns on the simulated motion.
 
     Args:
         loop: robot and controllers, at rest or in motion at the first sample; springs are not read.

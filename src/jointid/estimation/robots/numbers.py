@@ -10,12 +10,14 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.base_parameters import formula_of, group_columns
 from jointid.models.robots.inertial import SYMBOLS
@@ -43,7 +45,7 @@ _QUANTITIES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotParameters:
-    """What is identified of a robot, and where it stands among its numbers.
+    """The parameters of a robot, and their indices among its numbers.
 
     Attributes:
         parameters: names, quantities and bounds; of those on a logarithmic scale bounds of the logarithm.
@@ -72,7 +74,7 @@ class RobotParameters:
 
     def formulas(self, robot: Robot) -> tuple[str, ...]:
         """Return the sums that the parameters stand for, as text; of one that stands alone its name."""
-        symbols = (*self.names, *(_named(place, robot, self.base, False).name for place in self.dropped))
+        symbols = (*self.names, *(_name_parameter(place, robot, self.base, False).name for place in self.dropped))
         both = np.hstack([np.eye(len(self.names)), self.grouping])
         return tuple(formula_of(row, first, symbols) for first, row in enumerate(both))
 
@@ -90,7 +92,7 @@ class RobotParameters:
         return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, x, 0.0)), x)
 
     def searched(self, values: FloatArray) -> FloatArray:
-        """Return what is searched from the parameters, (parameters,)."""
+        """Return the search variables of parameters, (parameters,)."""
         return np.where(self.logarithmic, np.log(np.where(self.logarithmic, values, 1.0)), values)
 
     def numbers(self, values: FloatArray) -> RobotNumbers:
@@ -99,7 +101,7 @@ class RobotParameters:
 
 
 def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = False) -> RobotParameters:
-    """Return the parameters of a robot that its torques can tell on a motion that excites all.
+    """Return the parameters of a robot that are identifiable with sufficient excitation.
 
     Args:
         robot: whose joints are rigid or flexible.
@@ -108,11 +110,11 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     """
     robot.require_lines("An identification of a robot takes")
     numbers = RobotNumbers.of(robot)
-    places = _ordered(robot, numbers, offsets)
+    places = _order_parameters(robot, numbers, offsets)
     kept, sums = group_columns(_random_columns(robot, numbers, places))
     base = with_values(numbers, places, np.zeros(len(places)))
     logs = [logarithmic and _positive(place, numbers) for place in places]
-    parameters = [_named(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
+    parameters = [_name_parameter(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
     return RobotParameters(
         tuple(parameters[i] for i in kept),
@@ -124,7 +126,44 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     )
 
 
-def _ordered(robot: Robot, numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
+def keep_known(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
+    """Return the parameters without those of fixed values, and with the bounds of the others.
+
+    Args:
+        parameters: of a robot.
+        known: by name; of those that are not free the start is the value. Names that are not there are left out.
+    """
+    bounded, kept = list[Parameter](), list[int]()
+    base = parameters.base
+    for i, (one, place) in enumerate(zip(parameters.parameters, parameters.places, strict=True)):
+        stated = known.get(one.name, one)
+        if not stated.free and stated.start is not None:
+            base = with_values(base, (place,), np.array([stated.start]))
+            continue
+        kept.append(i)
+        bounded.append(replace(one, lower=max(one.lower, stated.lower), upper=min(one.upper, stated.upper)))
+    return replace(
+        parameters, parameters=tuple(bounded), places=tuple(parameters.places[i] for i in kept),
+        logarithmic=parameters.logarithmic[kept], base=base, grouping=parameters.grouping[kept],
+    )  # fmt: skip
+
+
+def require_friction(robot: Robot, names: Iterable[str]) -> None:
+    """Require that names are those of friction or of a constant torque.
+
+    Raises:
+        MethodError: one is not.
+    """
+    known = [one.name for one in robot_parameters(robot).parameters if one.symbol in _OF_MASS[1:]]
+    for name in names:
+        if name not in known:
+            raise MethodError(
+                f"{name} has a value or bounds to keep, and the methods of a robot keep those of friction and constant "
+                f"torques alone, {', '.join(known)}: give a start, or leave it out."
+            )
+
+
+def _order_parameters(robot: Robot, numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
     """Return all places, those first that are to be kept."""
     n, masses = numbers.rotors.size, range(len(numbers.masses))
     two = {int(row) for row, joint in zip(numbers.rotors, robot.joints, strict=True) if joint.asymmetric}
@@ -165,7 +204,7 @@ def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:
     return rotor or (place.of is NumberOf.SPRING and place.column == 0)
 
 
-def _named(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
+def _name_parameter(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
     if place.of is NumberOf.LINK:
         name, symbol = f"{robot.links[place.row].name}.{SYMBOLS[place.column]}", SYMBOLS[place.column]
         quantity = Quantity.INERTIA if place.column >= 4 else Quantity.RATIO

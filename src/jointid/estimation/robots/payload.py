@@ -72,15 +72,15 @@ class PayloadParameters:
     @property
     def properties(self) -> tuple[FloatArray, FloatArray]:
         """Mass, centre (3) and inertia at the centre (xx, yy, zz, xy, xz, yz), (10,), and their deviations, (10,)."""
-        values = _drawn(self.inertial)
+        values = _convert(self.inertial)
         steps = _STEP * np.maximum(np.abs(self.inertial), self.covariance.std)
         slopes = np.array(
-            [(_drawn(self.inertial + d) - _drawn(self.inertial - d)) / (2 * d.max()) for d in np.diag(steps)]
+            [(_convert(self.inertial + d) - _convert(self.inertial - d)) / (2 * d.max()) for d in np.diag(steps)]
         ).T
         return values, np.sqrt(np.maximum(np.diag(slopes @ self.covariance.matrix @ slopes.T), 0.0))
 
 
-def _drawn(inertial: FloatArray) -> FloatArray:
+def _convert(inertial: FloatArray) -> FloatArray:
     body = mass_properties(inertial)
     return np.array([body.mass, *body.centre, *body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
 
@@ -99,7 +99,7 @@ class Payload(Documented):
 
     @property
     def link(self) -> str:
-        """The link that carries it, in whose frame it is."""
+        """Link that carries it."""
         return self.payload.link
 
     @property
@@ -364,7 +364,7 @@ def payload_of_torques(empty: EstimateParts, loaded: EstimateParts, *, same_fric
 
 
 def payload_columns(parameters: RobotParameters) -> FloatArray:
-    """Return what the ten numbers of a payload on the last link add to each parameter, (parameters, 10)."""
+    """Return the derivatives of the parameters by a payload on the last link, (parameters, 10)."""
     columns = np.empty((len(parameters.places), len(SYMBOLS)))
     for k in range(len(SYMBOLS)):
         inertials = np.zeros_like(parameters.base.inertials)
@@ -394,7 +394,7 @@ def require_told(columns: FloatArray) -> None:
 
 
 def _explain_change(robot: Robot, columns: FloatArray, change: FloatArray, matrix: FloatArray) -> PayloadParameters:
-    """Return the payload that changes parameters so, of which the change has this covariance."""
+    """Fit a payload to a change of parameters with its covariance."""
     require_told(columns)
     std = np.sqrt(np.diag(matrix))
     std = np.where(std > 0, std, 1.0)

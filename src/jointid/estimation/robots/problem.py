@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.numbers import RobotParameters
+from jointid.estimation.robots.regression import join_rows
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
@@ -35,7 +36,30 @@ from jointid.simulation.robots import (
     run_robot,
 )
 
-Run = TypeVar("Run", RobotRun, RobotDriveSideRun)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotRuns:
+    """One candidate's runs along several logs.
+
+    Attributes:
+        each: run of each log.
+    """
+
+    each: tuple[RobotRun | RobotDriveSideRun, ...]
+
+    @property
+    def numbers(self) -> RobotNumbers:
+        """Numbers of the candidate."""
+        return self.each[0].numbers
+
+    @property
+    def outcome(self) -> RobotOutcome:
+        """Outcome of the first run that did not finish, or that of all."""
+        failed = (run.outcome for run in self.each if run.outcome is not RobotOutcome.FINISHED)
+        return next(failed, RobotOutcome.FINISHED)
+
+
+Run = TypeVar("Run", RobotRun, RobotDriveSideRun, RobotRuns)
 """Of one candidate, by whatever simulates it."""
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
@@ -75,7 +99,7 @@ class RobotProblem(ABC, Generic[Run]):
     @property
     @abstractmethod
     def poses(self) -> FloatArray:
-        """Where the shafts are about in the record, (samples, n)."""
+        """Approximate positions of the shafts, (samples, n)."""
 
     @abstractmethod
     def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Run:
@@ -103,7 +127,7 @@ class RobotProblem(ABC, Generic[Run]):
         return self.parameters.parameters
 
     def roughly(self) -> Self:
-        """Return the problem simulated in longer steps where there is a choice, to look for where a search begins."""
+        """Return the problem with longer integration steps, for the start of a search."""
         return self
 
     def weighted(self, sigma: FloatArray) -> Self:
@@ -161,9 +185,14 @@ class RobotProblem(ABC, Generic[Run]):
         return np.asarray(np.linalg.norm(self.by_joint(rows), axis=1))
 
     @property
+    def filtered_torque(self) -> FloatArray:
+        """Measured torques, filtered, (rows,)."""
+        return self.decimated(self.measured)
+
+    @property
     def sizes(self) -> FloatArray:
         """Norms of the joints' filtered torques, (n,)."""
-        return self.norms(self.decimated(self.measured))
+        return self.norms(self.filtered_torque)
 
     @property
     def floor(self) -> float:
@@ -220,7 +249,7 @@ class RobotProblem(ABC, Generic[Run]):
         return step, std, error - W @ step
 
     def _failed(self) -> FloatArray:
-        seen = self.decimated(self.measured)
+        seen = self.filtered_torque
         return _FAILED * seen * self.weights(seen.size)
 
     def in_blocks(self, of: Callable[[tuple[NumberPlace, ...]], FloatArray]) -> FloatArray:
@@ -288,6 +317,76 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
             parts |= dict(zip(together, found, strict=True))
             left = [j for j in left if j not in together]
         return self.decimated_columns([parts[j] for j in range(rotors.size)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SumOfRobotProblems(RobotProblem[RobotRuns]):
+    """The torques of several logs of one robot, with the same parameters.
+
+    The rows of a joint are those of all logs, so that each joint has one size of its error.
+
+    Attributes:
+        parts: problem of each log.
+    """
+
+    parts: tuple[RobotProblem[Any], ...]
+
+    @property
+    def tree(self) -> Tree:
+        """Of the links."""
+        return self.parts[0].tree
+
+    @property
+    def sample_time(self) -> float:
+        """Of the first log, s."""
+        return self.parts[0].sample_time
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses of all logs, (samples, n)."""
+        return np.vstack([part.poses for part in self.parts])
+
+    def roughly(self) -> Self:
+        """Return the problem simulated in longer steps where there is a choice."""
+        return replace(self, parts=tuple(part.roughly() for part in self.parts))
+
+    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotRuns:
+        """Simulate a robot along all logs."""
+        return RobotRuns(tuple(part.simulate(numbers, keep=keep) for part in self.parts))
+
+    def predicted(self, run: RobotRuns) -> FloatArray:
+        """Return the torques of the runs as the logs show them, one after the other, (samples, n)."""
+        return np.vstack([part.predicted(one) for part, one in zip(self.parts, run.each, strict=True)])
+
+    def error(self, run: RobotRuns) -> FloatArray:
+        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
+        return self._joined(part.error(one) for part, one in zip(self.parts, run.each, strict=True))
+
+    def slopes(self, run: RobotRuns, x: FloatArray) -> FloatArray:
+        """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
+        return self._joined(part.slopes(one, x) for part, one in zip(self.parts, run.each, strict=True))
+
+    def regressor(self, run: RobotRuns) -> FloatArray:
+        """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
+        return self._joined(part.regressor(one) for part, one in zip(self.parts, run.each, strict=True))
+
+    @property
+    def filtered_torque(self) -> FloatArray:
+        """Measured torques, filtered, (rows,)."""
+        return self._joined(part.filtered_torque for part in self.parts)
+
+    def _joined(self, each: Iterable[FloatArray]) -> FloatArray:
+        return join_rows(list(each), self.sigma.size)
+
+
+def add_problems(parts: Sequence[RobotProblem[Any]]) -> RobotProblem[Any]:
+    """Return the problem of all logs, with the parameters and the filtering of the first."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    measured = np.vstack([part.measured for part in parts])
+    sigma = np.std(measured, axis=0) + 1e-300
+    return SumOfRobotProblems(measured, first.filtering, first.parameters, sigma, tuple(parts))
 
 
 def robot_problem(

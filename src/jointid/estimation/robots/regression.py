@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,34 @@ _SMEAR = 0.4  # of the position filter's period
 _WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 _REACHED = 1e-2  # of the Coulomb friction's column: that of a rise of which a record has samples
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
+
+
+Records: TypeAlias = Sequence[Record] | Sequence[Sequence[Record]]
+"""The records of a robot's joints from one log, or those of several logs."""
+
+
+def each_log(records: Records) -> tuple[Sequence[Record], ...]:
+    """Return the records of each log.
+
+    Raises:
+        RecordError: there are none.
+    """
+    if not records:
+        raise RecordError("A robot is identified from the records of its joints; received none.")
+    if isinstance(records[0], Record):
+        return (cast("Sequence[Record]", records),)
+    return tuple(cast("Sequence[Sequence[Record]]", records))
+
+
+def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
+    """Return the rows of several logs as of one: those of one equation after those of the other.
+
+    Args:
+        each: (rows,) or (rows, columns) of each log.
+        equations: how many share their instants.
+    """
+    whole = np.concatenate([rows.reshape(equations, -1, *rows.shape[1:]) for rows in each], axis=1)
+    return whole.reshape(-1, *whole.shape[2:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +108,7 @@ class RobotMotion:
 
     @property
     def whole_rows(self) -> NDArray[np.bool_]:
-        """Which rows have nothing in them of samples that are left out, (n, rows): these alone are judged.
+        """Rows without any sample that is left out, (n, rows); only these are judged.
 
         A row beside one that is left out has some of that in it, and less noise.
         """
@@ -207,6 +236,6 @@ def require_reached(robot: Robot, rows: Rows, fixed: Collection[str] = ()) -> No
 
 
 def relative_errors(rows: Rows, values: FloatArray) -> FloatArray:
-    """Return what each joint's torque is not explained by the values, (n,), as a share of its root mean square."""
+    """Return the residual share of each joint's torque, (n,)."""
     error = rows.by_equation(rows.Y - rows.W @ values)
     return np.asarray(np.linalg.norm(error, axis=1) / np.linalg.norm(rows.by_equation(rows.Y), axis=1))

@@ -6,7 +6,7 @@ found.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import TORQUE_UNIT, unit_of
+from jointid.common.parameters import TORQUE_UNIT, Parameter, unit_of
 from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
@@ -27,7 +27,8 @@ from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, robot_problem
+from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, add_problems, robot_problem
+from jointid.estimation.robots.regression import Records, each_log
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
@@ -101,20 +102,22 @@ class SimulatedRobot(IdentifiedRobot):
 
 def identify_simulated_robot(
     model: RobotLoop | RobotDriveSide,
-    records: Sequence[Record],
+    records: Records,
     settings: DIDIM | DriveSideFit | None = None,
     *,
     filtering: Filtering | None = None,
+    known: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
 ) -> FitResult:
     """Identify a robot by DIDIM, or on the drive side; joints with a spring are flexible, all others rigid.
 
     Args:
         model: the robot under its controllers, or along the motion of its motors, with its nominal numbers.
-        records: of each joint, of one log: with torque and reference, positions are not read; or with torque and motor
-            position behind the gear, references are not read.
+        records: of each joint, of one log or of several: with torque and reference, positions are not read; or with
+            torque and motor position behind the gear, references are not read.
         settings: of the method.
         filtering: of positions, torques and derivatives.
+        known: values and bounds to keep, by name; see `keep_known`.
         progress: is told the steps.
 
     Raises:
@@ -125,7 +128,7 @@ def identify_simulated_robot(
         side = settings if isinstance(settings, DriveSideFit) else DriveSideFit()
         found = identify_flexible_drive_side(
             model.robot, records, filtering, frequencies=side.frequencies or None, offsets=side.offsets,
-            evaluations=side.evaluations, delay=side.log_delay, progress=progress,
+            evaluations=side.evaluations, delay=side.log_delay, known=known, progress=progress,
         )  # fmt: skip
         fit, springs = found.fit, found.springs
         method = "drive_side", "drive side of a robot, from motor torques and motor positions"
@@ -134,16 +137,23 @@ def identify_simulated_robot(
         if any(model.robot.flexible):
             found = identify_flexible_robot(
                 model, records, filtering, frequencies=didim.frequencies or None, offsets=didim.offsets,
-                evaluations=didim.evaluations, progress=progress,
+                evaluations=didim.evaluations, known=known, progress=progress,
             )  # fmt: skip
             fit, springs = found.fit, found.springs
         else:
             fit = identify_rigid_robot(
-                model, records, filtering, offsets=didim.offsets, iterations=didim.iterations, progress=progress
+                model,
+                records,
+                filtering,
+                offsets=didim.offsets,
+                iterations=didim.iterations,
+                known=known,
+                progress=progress,
             )
         method = "didim", "DIDIM of a robot, from torques and references alone"
     robot, parameters = model.robot, fit.parameters
-    problem: RobotProblem[Any] = problem_of(model, records, robot_parameters(robot), filtering)
+    logs, free = each_log(records), robot_parameters(robot)
+    problem = add_problems([problem_of(model, log, free, filtering) for log in logs])
     nominal = nominal_numbers(robot, parameters.numbers(fit.values))
     part = SimulatedRobot(
         closing=model,
@@ -163,14 +173,14 @@ def identify_simulated_robot(
         stop = f"did not settle {steps}: allow more by method.{longer}, or record longer and livelier motions"
     kind = "of springs, rotors and links" if springs else "of rigid joints"
     return build_robot_result(
-        records,
+        [record for log in logs for record in log],
         part,
         _rows(part, parameters),
         fit.relative_error,
         (problem.measured, problem.predicted(fit.run)),
         (method[0], f"{method[1]}, {kind}"),
         problem.filtering,
-        problem.decimated(problem.measured).size,
+        problem.filtered_torque.size,
         (stop, fit.converged),
         fit.iterations,
         warnings=(_WITHOUT,) if springs and not any(one.shown for one in springs) else (),
@@ -240,7 +250,7 @@ def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
 def simulated_errors(
     setup: RobotLoop | RobotDriveSide, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
 ) -> FloatArray:
-    """Return what a robot leaves of each joint's filtered torque, (n,), infinite if it cannot be simulated."""
+    """Return the residual share of each joint's torque, (n,); infinite if it cannot be simulated."""
     return _errors(problem_of(setup, records, robot_parameters(setup.robot), filtering), numbers)
 
 

@@ -1,1 +1,1 @@
-"""Where a search begins: starts for rigid and flexible joints, nonlinear laws and robots."""
+"""Starts of searches: starts for rigid and flexible joints, nonlinear laws and robots."""

@@ -85,7 +85,7 @@ def first_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, f
 
 
 def invertible_samples(problem: ClosedLoopProblem) -> NDArray[np.bool_]:
-    """Return the samples away from the controller's limit, and from what a filter smears of it.
+    """Return the samples that the controller's limit does not affect.
 
     Where nothing would be left, all of them: a poor start is better than none.
     """

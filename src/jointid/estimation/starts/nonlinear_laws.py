@@ -85,7 +85,7 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
 
 
 def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simulation) -> Iterator[dict[str, float]]:
-    """Yield each start of the spring with each of the friction, where the joint that was found has lines.
+    """Yield each start of the spring with each start of the friction.
 
     The values are its parameters, and the run is of the loop with it.
     """

@@ -32,7 +32,7 @@ _STEPS = 6  # enough for two parameters that act almost linearly on the torque
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """Where a search begins.
+    """The start of a search.
 
     Attributes:
         values: of every parameter, by name.
@@ -71,7 +71,7 @@ def inversion_start(problem: ClosedLoopProblem) -> Start:
     position = reconstructed_position(problem)
     acting, known = torque_behind_limit(problem), invertible_samples(problem)
     found = _regress(problem, acting, position, known, problem.experiment.law.delay)
-    return Start(_with_fixed(problem, found | first_state(problem, position)), None)
+    return Start(_keep_fixed(problem, found | first_state(problem, position)), None)
 
 
 def regular_start(problem: ClosedLoopProblem, given: Mapping[str, float] | None = None) -> Start:
@@ -90,7 +90,7 @@ def regular_start(problem: ClosedLoopProblem, given: Mapping[str, float] | None 
     nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
     regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
-    return Start(_with_fixed(problem, {**regular, **(given or {})}), nominal)
+    return Start(_keep_fixed(problem, {**regular, **(given or {})}), nominal)
 
 
 def given_start(problem: ClosedLoopProblem) -> Start:
@@ -144,6 +144,6 @@ def _regress(
     return dict(zip(names, map(float, found), strict=True))
 
 
-def _with_fixed(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:
+def _keep_fixed(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:
     """Return the values with every fixed parameter at what it is fixed to."""
     return {**values, **{p.name: p.start or 0.0 for p in problem.parameters if not p.free}}

@@ -29,7 +29,7 @@ _REWEIGHTINGS = 3
 def rigid_robot_start(
     problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record]
 ) -> tuple[FloatArray, RobotRun]:
-    """Return where a search begins and the run there: the inverse model on the motion that the controllers saw."""
+    """Return the start of a search and its simulation: the inverse model on the motion that the controllers saw."""
     failures = []
     for name, make in (("inversion", _reconstructed_motion), ("reference", _commanded_motion)):
         try:
@@ -77,7 +77,7 @@ def _commanded_motion(
 
 
 def _regress(problem: RobotLoopProblem, torques: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return what the inverse model finds on a motion, within bounds, the joints weighing by their errors."""
+    """Return the inverse model's weighted estimate on a motion, within bounds."""
     sample_time, cutoff = problem.sample_time, problem.filtering.position_cutoff
     assert cutoff is not None
     n, each_loop = torques.shape[1], problem.experiment.experiments

@@ -1,4 +1,4 @@
-"""Where the search of a robot's springs begins: the robot of rigid joints, split into rotors, springs and links.
+"""Start of the search of a robot's springs: the robot of rigid joints, split into rotors, springs and links.
 
 It fixes sums: of both sides' friction, of rotor and link. These are split, what it says of each by how well it knows
 it, and each spring is given a frequency of rotor against link.
@@ -157,7 +157,7 @@ class StartOfSprings:
 
 
 def frequency_row(sample_time: float) -> list[float]:
-    """Return the frequencies at which modes are looked for, Hz."""
+    """Return the trial frequencies of modes, Hz."""
     row = [f for f in _MODES if f < _STIFF / sample_time]
     if not row:
         raise MethodError(
@@ -243,7 +243,7 @@ def _split(
 
 
 def bound_springs(problem: RobotProblem[Any], start: StartOfSprings) -> RobotProblem[Any]:
-    """Return the problem with each spring between the softest and the stiffest that are looked for."""
+    """Return the problem with bounds on each spring."""
     lowest, highest = (share / problem.sample_time for share in (_SOFTEST, STIFFEST))
 
     def within(place: NumberPlace, parameter: Parameter) -> Parameter:

@@ -1,0 +1,45 @@
+"""Values and bounds that the identification of a robot keeps, by IDIM and by DIDIM."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
+from tests.estimation.robots.test_several_logs import LOGS, LOOP, TWIN
+
+TRUTH = TWIN.robot.joints[0].viscous
+
+
+def viscous(free: bool, value: float | None = None, upper: float = np.inf) -> dict[str, Parameter]:
+    stated = Parameter("viscous", "Fv", Quantity.VISCOUS, free=free, start=value, lower=0.0, upper=upper)
+    return {"joint1.viscous": stated}
+
+
+def test_didim_keeps_values_and_bounds() -> None:
+    free = ji.identify(LOGS[0], LOOP, checks=False)
+    kept = ji.identify(LOGS[0], LOOP, parameters=viscous(free=False, value=TRUTH))
+    assert "joint1.viscous" in free.params and "joint1.viscous" not in kept.params
+    stderr = [one.params["joint1.coulomb"].stderr for one in (kept, free)]
+    assert stderr[0] < stderr[1], "what is known leaves more for the others"
+    low = ji.identify(LOGS[0], LOOP, parameters=viscous(free=True, upper=0.5 * TRUTH))
+    assert low.params["joint1.viscous"].value == pytest.approx(0.5 * TRUTH)
+    assert low.fit.axis_errors["joint1"] > 2 * free.fit.axis_errors["joint1"]
+
+
+def test_idim_keeps_values_and_bounds() -> None:
+    free = ji.identify(LOGS[0], TWIN.robot)
+    kept = ji.identify(LOGS[0], TWIN.robot, parameters=viscous(free=False, value=TRUTH))
+    low = ji.identify(LOGS[0], TWIN.robot, parameters=viscous(free=True, upper=0.5 * TRUTH))
+    loose = ji.identify(LOGS[0], TWIN.robot, parameters=viscous(free=True, upper=2 * TRUTH))
+    assert (kept.params["Fv1"].value, low.params["Fv1"].value) == (TRUTH, 0.5 * TRUTH)
+    assert loose.values == free.values and not kept.params["Fv1"].free
+    assert low.fit.axis_errors["joint1"] > 2 * free.fit.axis_errors["joint1"]
+
+
+def test_what_is_not_kept_is_refused() -> None:
+    unknown = {"joint1.rotor_inertia": Parameter("inertia", "ZZ", Quantity.INERTIA, free=False, start=1.0)}
+    with pytest.raises(MethodError, match=r"joint1\.rotor_inertia has a value or bounds to keep.*joint1\.viscous"):
+        ji.identify(LOGS[0], LOOP, parameters=unknown)

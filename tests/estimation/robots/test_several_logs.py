@@ -1,0 +1,58 @@
+"""A robot identified from several logs in one fit: the problems of the logs add up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import RecordError
+from jointid.records.record import Record
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.uncertainty.verdict import Status, Subject
+from tests.estimation.robots.test_rigid_robots import recorded
+from tests.robots_plants import two
+
+TWIN = two()
+LOOP = TWIN.loop()
+LOGS = tuple(recorded(LOOP, TWIN.records(4.0, seed), 0.01, seed)[0] for seed in (1, 4))
+
+
+def test_didim_of_two_logs_knows_more_than_of_either() -> None:
+    found: list[Any] = [ji.identify(records, LOOP, checks=False) for records in (*LOGS, LOGS)]
+    one, other, both = (estimate.robot.fit for estimate in found)
+    assert both.converged
+    truth = both.parameters.group(RobotNumbers.of(TWIN.robot))
+    assert np.all(np.abs(both.values - truth) < 5 * both.covariance.std)
+    first, second, summed = (fit.information.T @ fit.information for fit in (one, other, both))
+    assert np.diag(summed) == pytest.approx(np.diag(first + second), rel=0.15)
+    assert both.relative_error == pytest.approx((one.relative_error + other.relative_error) / 2, rel=0.1)
+    assert np.all(found[2].robot.nominal_errors < 0.01)  # the twin's own masses, along both logs
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "iv"])
+def test_idim_takes_from_each_log_what_it_tells(estimator: Any) -> None:
+    """The instruments are simulated along each log, too."""
+    method = ji.IDIM(estimator)
+    estimates: list[Any] = [ji.identify(records, LOOP, method, checks=False) for records in (*LOGS, LOGS)]
+    one, other, both = (estimate.robot for estimate in estimates)
+    information = 1 / one.covariance.std**2 + 1 / other.covariance.std**2
+    # The logs tell different sums best, so together they tell each parameter better than both answers averaged.
+    assert np.all(both.covariance.std * np.sqrt(information) < 1.1)
+    truth = np.concatenate(
+        [both.base.of(TWIN.robot), [n for j in TWIN.robot.joints for n in (j.viscous, j.coulomb, j.offset)]]
+    )
+    assert np.all(np.abs(both.values - truth) < 5 * both.covariance.std)
+
+
+def test_logs_need_records() -> None:
+    verdicts = [one.status for one in ji.identify(LOGS, TWIN.robot).checks.verdicts if one.subject == Subject.LOOP]
+    assert verdicts == [Status.UNKNOWN]
+    with pytest.raises(RecordError, match="received none"):
+        ji.identify((), LOOP)
+    broken: list[tuple[Record, ...]] = [LOGS[0], (LOGS[1][0], replace(LOGS[1][1], torque=None))]
+    with pytest.raises(RecordError, match="torque"):
+        ji.identify(broken, LOOP)
