@@ -171,8 +171,12 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the outcomes there")
     parser.add_argument("--compare", type=Path, metavar="FILE", help="outcomes of a former run")
     parser.add_argument("--trust", action="store_true", help="leave out the run without a fault")
+    parser.add_argument("--list", action="store_true", help="show the faults; fail if the table does not fit the code")
     given = parser.parse_args()
     faults = read_faults(given.only)
+    if given.list:
+        print("\n".join(f"{fault.file}: {fault.name}" for fault in faults))
+        return
     outcomes = list[Outcome]()
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(given.jobs) as pool:
         base = Path(folder) / "project"

@@ -8,13 +8,12 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.config import dumps, loads
 from jointid.estimation.descent import History, Solved
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.summary import settings_facts
 from jointid.models.joints import FlexibleJoint
-from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring, TwoPieceSpring
+from jointid.models.springs import Backlash, Spring, ThreePieceSpring, TwoPieceSpring
 from jointid.simulation.prescribed import DriveSide
 from studies.mechanics import Spoiled, spoiled
 from tests.estimates import identify
@@ -100,15 +99,6 @@ def of_pieces(made: Spoiled, spring: Spring) -> dict[str, float]:
     then = torque + second * (truth["next_bend"] - truth["bend"])
     third = second + truth["still_more"]
     return {"stiffness": K, "stiffness_2": second, "stiffness_3": third, "torque_1": torque, "torque_2": then}
-
-
-@pytest.mark.parametrize("name", SPRINGS)
-def test_the_joint_file_names_the_spring(name: str) -> None:
-    file = loads(FLEXIBLE.replace('"flexible"\n', f'"flexible"\nspring = "{name}"\n'))
-    assert isinstance(file.joint, FlexibleJoint)
-    assert file.joint.spring == SPRINGS[name]()
-    again = loads(dumps(file))
-    assert again.joint == file.joint
 
 
 def test_the_joint_file_refuses_what_no_joint_has() -> None:

@@ -11,7 +11,7 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.position_forces import Gravity
-from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring, TwoPieceSpring, find_spring
+from jointid.models.springs import Backlash, Spring, ThreePieceSpring, TwoPieceSpring
 from jointid.simulation.closed_loop import Outcome, Simulation, simulate, simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
@@ -124,24 +124,6 @@ def test_the_motion_obeys_the_equation_of_the_load(spring: Callable) -> None:
     assert np.abs(balance(found, loop, values)).max() < 1e-9
 
 
-def test_torque_and_deflection_of_the_pieces() -> None:
-    values = {
-        "stiffness": 2.0,
-        "stiffness_2": 4.0,
-        "stiffness_3": 8.0,
-        "torque_1": 2.0,
-        "torque_2": 6.0,
-        "damping": 0.0,
-    }
-    spring, still = ThreePieceSpring(), np.zeros(6)
-    deflection = np.array([0.5, 1.0, 1.5, 2.0, 2.5, -2.5])  # edges at 1 and 2
-    np.testing.assert_allclose(spring.torque(values, deflection, still), [1.0, 2.0, 4.0, 6.0, 10.0, -10.0])
-    assert [spring.deflection(values, t) for t in (0.0, 1.0, -4.0, 10.0)] == [0.0, 0.5, -1.5, 2.5]
-    gap = {"stiffness": 2.0, "gap": 1.0, "damping": 3.0}
-    np.testing.assert_allclose(Backlash().torque(gap, np.array([0.4, -1.5]), np.array([1.0, 1.0])), [0.0, -2.0 + 3.0])
-    assert Backlash().deflection(gap, -2.0) == -1.5
-
-
 def test_a_gap_of_nothing_is_a_linear_spring() -> None:
     case = prismatic(0)
     experiment = prepare(case.loop, case.clean)
@@ -165,6 +147,3 @@ def test_what_a_spring_in_pieces_cannot_be_is_refused() -> None:
         FlexibleJoint("revolute", gravity=Gravity("link"), spring=TwoPieceSpring())
     with pytest.raises(MethodError, match="takes the spring for linear"):
         FlexibleJoint("prismatic", spring=Backlash()).regressor(None)  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match="use linear, two-piece"):
-        find_spring("quintic")
-    assert [find_spring(name).name for name in SPRINGS] == list(SPRINGS)

@@ -1,4 +1,4 @@
-"""Every friction law of the table: its algebra, and a joint with it through simulation, joint file and JSON."""
+"""Every friction and spring law: its algebra, and a joint with it through simulation, joint file and JSON."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jointid.common.errors import MethodError
 from jointid.config import dumps, loads
 from jointid.config.contents import JointFile
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import Cascade
 from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, find_friction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.linear import linear_joints
+from jointid.models.springs import SPRINGS, Backlash, ThreePieceSpring, find_spring
 from jointid.output import json as answers
 from jointid.records.columns import Column
 from jointid.simulation.excitation import trapezoids
@@ -109,9 +111,41 @@ def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Fri
         assert lumped[part].value == pytest.approx(directions[2 * i : 2 * i + len(DIRECTIONS)].mean())
 
 
-@EVERY_LAW
-def test_a_joint_file_names_the_law_it_was_written_with(law: Friction) -> None:
-    rigid = [RigidJoint("prismatic", friction=law)] if law.of_whole == law else []
-    for joint in (*rigid, FlexibleJoint("prismatic", friction=law)):
-        text = dumps(JointFile(joint, {name: Column(name) for name in CHANNELS}, IDIM()))
-        assert f'friction = "{law.name}"' in text and loads(text).joint == joint
+def test_torque_and_deflection_of_the_pieces() -> None:
+    values = {
+        "stiffness": 2.0,
+        "stiffness_2": 4.0,
+        "stiffness_3": 8.0,
+        "torque_1": 2.0,
+        "torque_2": 6.0,
+        "damping": 0.0,
+    }
+    spring, still = ThreePieceSpring(), np.zeros(6)
+    deflection = np.array([0.5, 1.0, 1.5, 2.0, 2.5, -2.5])  # edges at 1 and 2
+    np.testing.assert_allclose(spring.torque(values, deflection, still), [1.0, 2.0, 4.0, 6.0, 10.0, -10.0])
+    assert [spring.deflection(values, t) for t in (0.0, 1.0, -4.0, 10.0)] == [0.0, 0.5, -1.5, 2.5]
+    gap = {"stiffness": 2.0, "gap": 1.0, "damping": 3.0}
+    np.testing.assert_allclose(Backlash().torque(gap, np.array([0.4, -1.5]), np.array([1.0, 1.0])), [0.0, -2.0 + 3.0])
+    assert Backlash().deflection(gap, -2.0) == -1.5
+
+
+RIGID = [RigidJoint("prismatic", friction=law) for law in LAWS if law.of_whole == law]
+FLEXIBLE = [FlexibleJoint("prismatic", friction=law) for law in LAWS]
+SPRUNG = [FlexibleJoint("prismatic", spring=law()) for law in SPRINGS.values()]
+
+
+@pytest.mark.parametrize(
+    "joint", [*RIGID, *FLEXIBLE, *SPRUNG], ids=lambda one: f"{one.friction.name} {one.spring_name}"
+)
+def test_a_joint_file_names_the_laws_it_was_written_with(joint: Joint) -> None:
+    text = dumps(JointFile(joint, {name: Column(name) for name in CHANNELS}, IDIM()))
+    assert f'friction = "{joint.friction.name}"' in text
+    if isinstance(joint, FlexibleJoint) and not joint.spring.linear:
+        assert f'spring = "{joint.spring.name}"' in text
+    assert loads(text).joint == joint
+
+
+def test_a_spring_is_found_by_its_name() -> None:
+    assert [find_spring(name) for name in SPRINGS] == [law() for law in SPRINGS.values()]
+    with pytest.raises(MethodError, match="use linear, two-piece"):
+        find_spring("quintic")
