@@ -530,7 +530,7 @@ FAULTS = [
     ),
     (
         SMALLEST.replace(JOINT, JOINT + 'friction = "asymmetric"\n') + '[gravity]\nload = "constant"',
-        "gravity: A constant load cannot be told apart from asymmetric friction: it adds to the Coulomb force forwards "
+        "gravity: A constant load cannot be distinguished from asymmetric friction: it adds to the Coulomb force forwards "
         "and takes as much from it backwards; use symmetric friction, or leave gravity out.",
     ),
     (

@@ -206,7 +206,7 @@ def test_what_gravity_cannot_be_is_refused() -> None:
         RigidJoint("prismatic", gravity=Gravity("link"))
     with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
         FlexibleJoint("prismatic", gravity=Gravity("constant", Counterbalance(sin=1.0)))
-    with pytest.raises(MethodError, match="cannot be told apart from asymmetric friction"):
+    with pytest.raises(MethodError, match="cannot be distinguished from asymmetric friction"):
         FlexibleJoint("prismatic", friction=AsymmetricFriction(), gravity=Gravity("constant"))
     with pytest.raises(MethodError, match='load is "arm"; expected "constant" or "link"'):
         Gravity("arm")  # type: ignore[arg-type]

@@ -40,7 +40,7 @@ def test_a_step_is_that_of_least_squares() -> None:
 
 def test_sums_move_with_the_parameters() -> None:
     (error, J), step = drawn(2)[0], np.array([0.3, 2e-5, -40.0])
-    moved, anew = Sums.of(error, J, error).moved(step), Sums.of(error + J @ step, J, error)
+    moved, anew = Sums.of(error, J, error).shift(step), Sums.of(error + J @ step, J, error)
     np.testing.assert_allclose(moved.b, anew.b)
     assert moved.square == pytest.approx(anew.square)
 
@@ -49,7 +49,7 @@ def test_leaving_out_groups_is_the_jackknife() -> None:
     parts = drawn(3)
     sums = summed(parts)
     step = step_of(total(sums), ANYWHERE)
-    covariance = left_out([s.moved(step) for s in sums])
+    covariance = left_out([s.shift(step) for s in sums])
     found = []
     for k in range(len(parts)):
         rest = [part for i, part in enumerate(parts) if i != k]
@@ -65,7 +65,7 @@ def test_what_one_group_tells_alone_is_no_better_known_than_by_its_own_noise() -
     rows = [(random.standard_normal(30), J * [1.0, 1.0, float(i == 5)]) for i, (_, J) in enumerate(parts)]
     sums = summed(rows)
     step = step_of(total(sums), ANYWHERE)
-    covariance = left_out([s.moved(step) for s in sums])
+    covariance = left_out([s.shift(step) for s in sums])
     assert covariance.std[2] == pytest.approx(1.0 / np.linalg.norm(rows[5][1][:, 2]), rel=0.2)
 
 
@@ -73,7 +73,7 @@ def test_two_groups_do_not_tell_three_parameters_exactly() -> None:
     parts = [(np.random.default_rng(i).standard_normal(30), J) for i, (_, J) in enumerate(drawn(6, groups=2))]
     sums, J = summed(parts), np.vstack([J for _, J in parts])
     step = step_of(total(sums), ANYWHERE)
-    covariance = left_out([s.moved(step) for s in sums])
+    covariance = left_out([s.shift(step) for s in sums])
     white = np.linalg.inv(J.T @ J)
     for seed in range(20):
         weights = np.random.default_rng(seed).standard_normal(3) / covariance.std
@@ -85,7 +85,7 @@ def test_intervals_hold_where_a_group_errs_together() -> None:
     for seed in range(200):
         sums = summed(drawn(seed, groups=20))
         step = step_of(total(sums), ANYWHERE)
-        held.append(np.abs(step) <= 2.09 * left_out([s.moved(step) for s in sums]).std)  # Student's, 19 degrees
+        held.append(np.abs(step) <= 2.09 * left_out([s.shift(step) for s in sums]).std)  # Student's, 19 degrees
     assert 0.90 <= np.mean(held) <= 0.99
 
 

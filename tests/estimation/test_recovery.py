@@ -211,7 +211,7 @@ def test_an_axis_at_rest_is_not_taken_to_move_for_the_sake_of_noise() -> None:
         assert estimate["initial_velocity"].value == 0.0
         # Once that is decided the search is taken to its end.
         assert estimate.fit.converged
-        assert f"by less than {100 * DIDIM().tolerance:g} %" in estimate.fit.stop
+        assert f"by less than {100 * DIDIM().stopping_tolerance('rigid'):g} %" in estimate.fit.stop
 
 
 def test_the_gains_are_the_true_ones_after_the_first_iterations() -> None:
