@@ -530,8 +530,8 @@ FAULTS = [
     ),
     (
         SMALLEST.replace(JOINT, JOINT + 'friction = "asymmetric"\n') + '[gravity]\nload = "constant"',
-        "gravity: A constant load cannot be distinguished from asymmetric friction: it adds to the Coulomb force forwards "
-        "and takes as much from it backwards; use symmetric friction, or leave gravity out.",
+        "gravity: A constant load cannot be distinguished from asymmetric friction: it adds to the Coulomb force "
+        "forwards and takes as much from it backwards; use symmetric friction, or leave gravity out.",
     ),
     (
         LINK + "angle = 0",
