@@ -19,25 +19,25 @@ from jointid.simulation.closed_loop import simulate as simulate_joint
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.simulation.simulated import TORQUE_OF, require_success
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a joint needs no kernel of a robot
     from jointid.simulation.robot_numbers import RobotNumbers
     from jointid.simulation.robots import RobotLoop, RobotSimulation
 
 
 @overload
 def simulate(
-    closing: ClosedLoop, record: Record | LoopInput, values: Mapping[str, float], initial: Initial | None = None
+    loop: ClosedLoop, record: Record | LoopInput, values: Mapping[str, float], initial: Initial | None = None
 ) -> Simulation: ...
 
 
 @overload
 def simulate(
-    closing: RobotLoop, record: Sequence[Record], values: RobotNumbers | None = None, *, steps: int | None = None
+    loop: RobotLoop, record: Sequence[Record], values: RobotNumbers | None = None, *, steps: int | None = None
 ) -> RobotSimulation: ...
 
 
 def simulate(
-    closing: ClosedLoop | RobotLoop,
+    loop: ClosedLoop | RobotLoop,
     record: Record | LoopInput | Sequence[Record],
     values: Mapping[str, float] | RobotNumbers | None = None,
     initial: Initial | None = None,
@@ -47,7 +47,7 @@ def simulate(
     """Simulate a joint or a robot under its controllers; a failure is the simulation's `outcome`.
 
     Args:
-        closing: joint and controller, or robot and controllers.
+        loop: joint and controller, or robot and controllers.
         record: with the reference and what is injected, or what `prepare` makes of it; for a robot a record of each
             joint. Torques and positions in it are not read.
         values: every parameter of the joint by name; the numbers of a robot, by default its own.
@@ -62,19 +62,18 @@ def simulate(
         RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
         MethodError: there is not one record for each joint of a robot, or controllers or logs share no clock.
     """
-    if isinstance(closing, ClosedLoop):
+    if isinstance(loop, ClosedLoop):
         if isinstance(record, Sequence) or not isinstance(values, Mapping):
             raise MethodError("A joint is simulated from one record, with the value of each parameter by name.")
-        prepared = record if isinstance(record, LoopInput) else prepare(closing, record)
-        return simulate_joint(closing, prepared, values, initial)
-    # A program that simulates nothing does not load the compiler of a robot's kernels.
+        prepared = record if isinstance(record, LoopInput) else prepare(loop, record)
+        return simulate_joint(loop, prepared, values, initial)
     from jointid.simulation.robot_numbers import RobotNumbers
     from jointid.simulation.robots import prepare_robot, run_robot, simulation_of
 
     if not isinstance(record, Sequence) or not isinstance(values, RobotNumbers | None):
         raise MethodError("A robot is simulated from a record of each joint, with RobotNumbers; give both so.")
-    numbers = RobotNumbers.of(closing.robot) if values is None else values
-    return simulation_of(run_robot(prepare_robot(closing, record), numbers, keep=True, steps=steps))
+    numbers = RobotNumbers.of(loop.robot) if values is None else values
+    return simulation_of(run_robot(prepare_robot(loop, record), numbers, keep=True, steps=steps))
 
 
 def simulated_record(

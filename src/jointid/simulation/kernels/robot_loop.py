@@ -494,7 +494,7 @@ def accelerate(
 
 @compile_kernel
 def settle(bodies: Bodies, room: Room, torque: FloatArray, modes: FloatArray, at: State) -> bool:
-    """Decide which standing masses rest and which way the others slide; arguments of `accelerate`."""
+    """Set the modes of standing masses, at rest or sliding either way; arguments of `accelerate`."""
     push, v, a, held, grip, rests = room.push, at.v, at.a, at.held, at.grip, bodies.rests
     rotors, masses, M, L, order = bodies.rotors, bodies.masses, room.M, room.L, room.order
     for _ in range(_PIVOTS * push.size):
