@@ -15,9 +15,8 @@ from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, _responses, predict_residual
 from jointid.estimation.identify import fit as fit_records
-from jointid.estimation.result.answer import Trust
+from jointid.estimation.result.answer import Trust, consequence, spares_answer
 from jointid.estimation.result.assemble import assemble
-from jointid.estimation.result.consequence import consequence, spares_answer
 from jointid.models.springs import LinearSpring
 from jointid.records.record import Record
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict

@@ -12,7 +12,7 @@ import pytest
 
 from jointid.common.errors import JointidError
 from jointid.config import load, loads
-from jointid.estimation.swapped_gains import ask_about_gains
+from jointid.estimation.record_warnings import ask_about_gains
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin

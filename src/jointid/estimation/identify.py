@@ -18,12 +18,12 @@ from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
+from jointid.estimation.record_warnings import ask_about_gains
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.regression import Records
 from jointid.estimation.robots.simulated import identify_simulated_robot
-from jointid.estimation.swapped_gains import ask_about_gains
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import InMemory, LongRecord

@@ -16,8 +16,7 @@ from jointid.diagnostics.validation import validate
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
-from jointid.estimation.robots.idim import InverseModelRobot, drives
-from jointid.estimation.robots.instruments import robot_instruments
+from jointid.estimation.robots.idim import InverseModelRobot, drives, robot_instruments
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.models.position_forces import PositionHarmonics
 from jointid.models.robots.base_parameters import base_parameters

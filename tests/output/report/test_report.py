@@ -20,7 +20,7 @@ from jointid.common.document import inert, typeset
 from jointid.common.matplotlib_backend import svg
 from jointid.common.messages import Message
 from jointid.diagnostics.faults.findings import Finding
-from jointid.estimation.result.consequence import consequence
+from jointid.estimation.result.answer import consequence
 from jointid.output.figures.bokeh_backend import plot
 from jointid.output.report import Repetition, Report, repetition
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict

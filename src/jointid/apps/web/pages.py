@@ -35,7 +35,7 @@ from jointid.common.text import format_signed, interval, number
 from jointid.common.units import COUNTS, SHARE, units_of
 from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.result.answer import is_another_law, sum_changes
-from jointid.estimation.result.legend import SHOWN_SHIFT
+from jointid.estimation.result.summary import SHOWN_SHIFT
 from jointid.models.controllers import LAWS
 from jointid.records.formats import FORMATS
 from jointid.uncertainty.verdict import Subject

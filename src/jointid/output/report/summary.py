@@ -8,8 +8,7 @@ from jointid.common.document import Block, Heading, Listing, Paragraph, Table, T
 from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
-from jointid.estimation.result.answer import Trust, told_bounds
-from jointid.estimation.result.consequence import consequence
+from jointid.estimation.result.answer import Trust, consequence, told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
 from jointid.planning.joint_design import Design
