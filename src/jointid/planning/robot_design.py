@@ -240,22 +240,8 @@ def design_robot_test(
 ) -> RobotDesign:
     """Design the test of a robot that is roughly known; see `jointid.design`.
 
-    Args:
-        robot: its nominal numbers; the geometry is exact.
-        limits: of each joint. Positions and speed that are not given are those of the present motion.
-        duration: of the test, s: one period of the series.
-        sample_time: of the reference and the log, s.
-        loop: the robot under its controllers, for a test by DIDIM; needed for springs.
-        feed_forward: that the drives are given beside the controllers' torque.
-        noise: standard deviation of the white noise on each joint's logged torque; without it `NOISE`.
-        present: positions, velocities and accelerations of the joints in a first record, (samples, n) each, at the
-            sample time.
-        motion: (samples, n) positions of the joints, which are predicted instead of a search.
-        filtering: of a test by DIDIM.
-        harmonics: of the series.
-        seconds: that the search may take.
-        seed: of the search.
-        progress: receives messages.
+    `duration` is one period of the series. `present` are positions, velocities and accelerations of the joints in a
+    first record, (samples, n) each, at the sample time, `motion` positions that are predicted instead of a search.
     """
     if any(robot.flexible) and loop is None:
         raise MethodError(
