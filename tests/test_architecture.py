@@ -38,6 +38,15 @@ def test_no_files_import_each_other_in_a_circle() -> None:
     tuple(TopologicalSorter(graph).static_order())  # raises a CycleError that names the files
 
 
+def test_the_walk_of_a_record_is_short() -> None:
+    """The list in `docs/architecture.md` names files that exist, at most 20, none of them twice."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    section = page.partition("### The walk of a record")[2].partition("\n## ")[0]
+    walk = re.findall(r"^\d+\. `([\w/]+\.py)`", section, re.MULTILINE)
+    assert 10 < len(walk) == len({*walk}) <= 20
+    assert all((PACKAGE / name).is_file() for name in walk)
+
+
 def find_imports(path: Path, modules: Collection[str]) -> set[str]:
     """Modules that a file imports when it runs."""
     found: set[str] = set()
