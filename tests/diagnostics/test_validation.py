@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import Prediction
 
 RATE = 1e-3
@@ -48,6 +49,14 @@ def test_its_own_record_is_no_test_of_it() -> None:
     assert answer(identified()[1])[0] is Prediction.OWN_RECORD
     poor = replace(ji.validate(*identified()), filtered_error=0.4)
     assert poor.answer.code is Prediction.OWN_RECORD
+
+
+def test_a_joint_is_asked_about_one_record() -> None:
+    estimate, record = identified()
+    with pytest.raises(MethodError, match="The estimate of a joint is validated on one record"):
+        ji.validate(estimate, [record])
+    with pytest.raises(MethodError, match="The estimate of a joint is diagnosed on its own record"):
+        ji.diagnose(estimate, [record])
 
 
 def test_without_a_joint_to_compare_with_nothing_is_promised() -> None:

@@ -340,6 +340,14 @@ def test_faults_are_said() -> None:
         simulate(loop, (records[0], twin.records(0.5)[1]))
 
 
+def test_what_is_of_a_joint_is_not_of_a_robot() -> None:
+    loop, records, joint = two().loop(), two().records(0.1), ClosedLoop(RigidJoint("revolute"), LAWS["PD"])
+    with pytest.raises(MethodError, match="A robot is simulated from a record of each joint"):
+        simulate(loop, records[0])  # type: ignore[call-overload]
+    with pytest.raises(MethodError, match="A joint is simulated from one record, with the value of each parameter"):
+        simulate(joint, records, {})  # type: ignore[call-overload]
+
+
 def test_runs_of_a_joint_and_of_a_robot_answer_alike() -> None:
     """What did not finish is refused in one sentence, whichever simulation it was."""
     twin = two()

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Okabe-Ito colours: distinct to the colour-blind; the lightness differs too, so a grey print still reads.
 MEASURED = "#0072B2"
@@ -130,22 +126,6 @@ class Chart:
     panels: tuple[Panel, ...]
     columns: int = 1
     title: str = ""
-
-
-class Charted(ABC):
-    """A result that has a figure."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def chart(self) -> Chart:
-        """Return its figure, described."""
-
-    def plot(self) -> Figure:
-        """Return its figure, of matplotlib: ``figure.savefig(path)`` writes it."""
-        from jointid.common.matplotlib_backend import draw
-
-        return draw(self.chart())
 
 
 def format_correlation(correlation: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 from jointid.common.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, decimate, format_correlation
@@ -20,6 +21,20 @@ _DASHES = {"solid": "-", "dashed": (0, (5, 3)), "dotted": (0, (1, 2))}
 _FORMULA = re.compile(r"\$\\mathdefault\{(?:(?P<factor>\d+)\\times)?10\^\{(?P<power>-?\d+)\}\}\$")  # of a power of ten
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _POINTS = 1500  # of a line: more than two for each point of print across a page
+
+
+class Charted(ABC):
+    """A result that has a figure."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def chart(self) -> Chart:
+        """Return its figure, described."""
+
+    def plot(self) -> Figure:
+        """Return its figure, of matplotlib: ``figure.savefig(path)`` writes it."""
+        return draw(self.chart())
 
 
 def draw(chart: Chart) -> Figure:

@@ -7,6 +7,7 @@ are predicted for comparison.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -16,10 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Charted, Line, Mark, Panel
+from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Line, Mark, Panel
 from jointid.common.document import Block, Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_folder
+from jointid.common.matplotlib_backend import Charted
 from jointid.common.messages import Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
 from jointid.common.text import number
@@ -320,6 +322,10 @@ def design_joint_test(
     steps = choose_encoder_steps(chosen.test if present is None else present, encoder)
     on_motor = purpose.predict(chosen.test, motor_encoder=steps[0])
     flexible = isinstance(loop.joint, FlexibleJoint)
+    current = None
+    if present is not None:
+        with contextlib.suppress(JointidError):
+            current = purpose.predict(present)
     units = units_of_limits(loop)
     reached = {**chosen.reached, **_positions(stated_limits, chosen.test)}
     return Design(
@@ -327,7 +333,7 @@ def design_joint_test(
         loop,
         wanted,
         chosen.description,
-        None if present is None else _predict_current(purpose, present),
+        current,
         () if before is None else tuple(describe_excess(stated_limits, before, units)),
         prediction,
         chosen.test,
@@ -544,13 +550,6 @@ def _keep_within(asked: Asked, best: Tried) -> Tried:
             break
         tried = try_plan(asked, smaller, margin=1.0)
     return tried
-
-
-def _predict_current(purpose: Purpose, present: Record) -> PredictedTest | None:
-    try:
-        return purpose.predict(present)
-    except JointidError:
-        return None
 
 
 def _times(samples: int, sample_time: float) -> FloatArray:

@@ -28,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, SIMULATED, Chart, Charted, Line, Panel
+from jointid.common.charts import MEASURED, SIMULATED, Chart, Line, Panel
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError
+from jointid.common.matplotlib_backend import Charted
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import join, number
 from jointid.diagnostics.robots.torques import torques_of
@@ -79,7 +80,7 @@ _FEWEST = 200  # samples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotDesign(Charted, Documented):
-    """A motion of a robot, and what a test along it is foretold to tell.
+    """A motion of a robot, and the predicted intervals of a test along it.
 
     Attributes:
         robot: as it is roughly known.
@@ -146,7 +147,7 @@ class RobotDesign(Charted, Documented):
 
     @property
     def sentence(self) -> str:
-        """What the motion tells, beside the present one."""
+        """Predicted intervals in one sentence, compared with the present motion."""
         lasts = len(self.reference) * self.sample_time
         stated = (
             f"In {number(lasts, 3)} s this motion tells {len(self.told)} of {len(self.names)} parameters to a tenth"
@@ -159,7 +160,7 @@ class RobotDesign(Charted, Documented):
         return f"{stated}.{over}"
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return what is told, the limits, and the intervals that are foretold; there are no further details."""
+        """Return limits and predicted intervals; there are no further details."""
         del details
         header: tuple[str, ...] = ("parameter", "about", "2 sigma foretold", "of the present motion", "unit")
         rows = list[tuple[str, ...]]()
@@ -172,7 +173,12 @@ class RobotDesign(Charted, Documented):
             (
                 name,
                 f"{number(reached['lower'], 3)} to {number(reached['upper'], 3)} {self.robot.position_unit(k)}",
-                *(_beside(reached[what], getattr(self.limits[k], what)) for what in ROBOT_LIMITS[2:]),
+                *(
+                    number(reached[what], 3)
+                    if getattr(self.limits[k], what) is None
+                    else f"{number(reached[what], 3)} of {number(getattr(self.limits[k], what), 3)}"
+                    for what in ROBOT_LIMITS[2:]
+                ),
             )
             for k, (name, reached) in enumerate(zip(self.robot.names, self.reached, strict=True))
         )  # fmt: skip
@@ -291,14 +297,14 @@ def design_robot_test(
         before = None if present is None else model.deviations(*present, of_noise)
     else:
 
-        def foretold(played: FloatArray) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray, FloatArray]:
+        def predict(played: FloatArray) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray, FloatArray]:
             driven = _references(robot, played, sample_time)
             if feed_forward != "none":
                 driven = add_feed_forward(loop, driven, feed_forward)
             return _by_simulation(loop, driven, of_noise, filtering)
 
-        names, units, values, std = foretold(reference)
-        before = None if present is None else foretold(present[0] @ robot.coupling.T)[3]
+        names, units, values, std = predict(reference)
+        before = None if present is None else predict(present[0] @ robot.coupling.T)[3]
     most = [q.min(axis=0), q.max(axis=0), *(np.abs(one).max(axis=0) for one in (v, a, torque))]
     reached = tuple(dict(zip(ROBOT_LIMITS, map(float, of_joint), strict=True)) for of_joint in zip(*most, strict=True))
     over = [list(find_excess(*one)) for one in zip(given, reached, strict=True)]
@@ -396,7 +402,7 @@ class _Regressor:
         return np.asarray(self.columns(q, v, a) @ self.values)
 
     def deviations(self, q: FloatArray, v: FloatArray, a: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return what white noise of these sizes, (n,), makes of all parameters, (parameters,)."""
+        """Return the standard deviations of all parameters, (parameters,), under white noise of sizes (n,)."""
         columns = self.columns(q, v, a) / noise[:, np.newaxis]
         return _deviations(columns.reshape(-1, columns.shape[2]))
 
@@ -424,7 +430,7 @@ def _usual(model: _Regressor, motions: Motions, seed: int) -> FloatArray:
 def _score(
     model: _Regressor, motions: Motions, noise: FloatArray, limits: Sequence[AxisLimits]
 ) -> Callable[[FloatArray], tuple[float, float]]:
-    """Return what is the smaller, the better a motion: by how far torques pass their limits, then -log det M."""
+    """Return the objective of a motion: the excess of torques over their limits, then -log det M."""
     seen, whole = motions.bases(np.linspace(0.0, motions.period, _INSTANTS, endpoint=False)), motions.whole
     most = np.array([math.inf if one.torque is None else _INSIDE * one.torque for one in limits])
 
@@ -449,7 +455,7 @@ def _search(
     pool: list[tuple[tuple[float, float], FloatArray, float]] = []
     tried = 0
 
-    def moved(one: tuple[tuple[float, float], FloatArray, float]) -> tuple[tuple[float, float], FloatArray, float]:
+    def move(one: tuple[tuple[float, float], FloatArray, float]) -> tuple[tuple[float, float], FloatArray, float]:
         rank, numbers, step = one
         # Some numbers at a time: a motion of one joint is bettered while the others stay.
         which = rng.random(numbers.size) < rng.choice([0.1, 0.3, 1.0])
@@ -467,12 +473,12 @@ def _search(
         pool = sorted(pool, key=lambda one: one[0])[:_KEPT]
         for place in range(len(pool)):
             for _ in range(_MOVES):
-                pool[place] = moved(pool[place])
+                pool[place] = move(pool[place])
                 tried += 1
         best = min(pool, key=lambda one: one[0])
         marked, since = best[0], tried
         while tried < _MOST and tried - since < _STUCK and clock.monotonic() - began < seconds:
-            best = moved(best)
+            best = move(best)
             tried += 1
             if best[0][0] < marked[0] or best[0][1] < marked[1] - _GAIN:
                 marked, since = best[0], tried
@@ -506,7 +512,7 @@ def _modes(robot: Robot, q: FloatArray) -> dict[str, float]:
 def _multisines(
     robot: Robot, modes: dict[str, float], limits: Sequence[AxisLimits], samples: int, sample_time: float
 ) -> FloatArray:
-    """Return what is added to each flexible joint's motion about its mode, (samples, n), within what was kept for it.
+    """Return multisines about the mode of each flexible joint, (samples, n), within the range kept for them.
 
     Sines of equal acceleration; the positions that they take are a part of the margin that motions keep to their ends.
     """
@@ -546,7 +552,7 @@ def _references(robot: Robot, reference: FloatArray, sample_time: float) -> tupl
 def _by_simulation(
     loop: RobotLoop, driven: Sequence[Record], noise: FloatArray, filtering: Filtering | None
 ) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray, FloatArray]:
-    """Return names, units, values and deviations of what DIDIM will find of a robot that is driven so.
+    """Return names, units, values and predicted deviations of the parameters by DIDIM.
 
     Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells as
     much as the samples that it stands for.
@@ -567,7 +573,3 @@ def _by_simulation(
 
 def _sigma(std: float) -> str:
     return number(2 * float(std), 2) if math.isfinite(std) else "not told"
-
-
-def _beside(reached: float | None, limit: float | None) -> str:
-    return number(reached, 3) if limit is None else f"{number(reached, 3)} of {number(limit, 3)}"

@@ -65,7 +65,8 @@ class Motions:
         w = 2.0 * math.pi / self.period * h
         sines, cosines = np.sin(np.outer(time, w)), np.cos(np.outer(time, w))
         # Amplitudes that fall with the frequency: the same speed of all harmonics.
-        a, b = (_null(row) / h[:, np.newaxis] for row in (np.ones(h.size), h))
+        null_spaces = (np.linalg.svd(row[np.newaxis])[2][1:].T for row in (np.ones(h.size), h))
+        a, b = (space / h[:, np.newaxis] for space in null_spaces)
         return (
             np.hstack([sines @ a, cosines @ b]),
             np.hstack([cosines * w @ a, -sines * w @ b]),
@@ -106,11 +107,6 @@ class Motions:
                 out[:, k] = shift + scale * (basis @ weights)
         q_, v_, a_ = found
         return q_, v_, a_
-
-
-def _null(row: FloatArray) -> FloatArray:
-    """Orthonormal basis of a row's null space, (columns, columns - 1)."""
-    return np.asarray(np.linalg.svd(row[np.newaxis])[2][1:].T)
 
 
 def _squash(number: float) -> float:

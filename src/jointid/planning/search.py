@@ -224,7 +224,10 @@ def _try_all(
             tries = in_threads(lambda one: try_plan(asked, one[0].plan(list(one[1]), asked.room)), pair)
             lines += [_Line(family, u, tried) for (family, u), tried in zip(pair, tries, strict=True)]
             yield from tries
-        lines = _best_of_each(lines)
+        best: dict[Family, _Line] = {}
+        for line in sorted(lines, key=lambda line: line.tried.rank):
+            best.setdefault(line.family, line)
+        lines = list(best.values())
         for rounds, kept in _FOLLOWED:
             lines = sorted(lines, key=lambda line: line.tried.rank)[:kept]
             for line in [line for _ in range(rounds) for line in lines]:
@@ -234,11 +237,3 @@ def _try_all(
         for _ in range(_LED):
             leader.move(asked, rng)
             yield leader.tried
-
-
-def _best_of_each(lines: Sequence[_Line]) -> list[_Line]:
-    """Best test of each family, sorted."""
-    best: dict[Family, _Line] = {}
-    for line in sorted(lines, key=lambda line: line.tried.rank):
-        best.setdefault(line.family, line)
-    return list(best.values())

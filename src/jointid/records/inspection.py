@@ -14,8 +14,9 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, Band, Chart, Charted, Line, Panel
+from jointid.common.charts import MEASURED, Band, Chart, Line, Panel
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
+from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import number, pluralise, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_tables

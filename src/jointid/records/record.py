@@ -15,9 +15,10 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, Chart, Charted, Line, Panel
+from jointid.common.charts import MEASURED, Chart, Line, Panel
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import RecordError, extra
+from jointid.common.matplotlib_backend import Charted
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.text import join, pluralise
 from jointid.common.transmission import Side, Transmission

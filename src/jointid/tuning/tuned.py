@@ -17,7 +17,6 @@ from jointid.common.charts import (
     SIMULATED,
     Band,
     Chart,
-    Charted,
     Item,
     Level,
     Line,
@@ -35,6 +34,7 @@ from jointid.common.document import (
     common_facts,
     data_frame,
 )
+from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.models.controllers import CONTROLLER_UNITS, Controller, Notch, in_torque

@@ -10,6 +10,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
+from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.diagnostics.validation import validate
 from jointid.estimation.methods.idim import IDIM
@@ -156,6 +157,9 @@ def test_an_estimate_is_held_beside_the_nominal_model() -> None:
     nominal = replace(ARM, links=tuple(replace(one, inertial=1.2 * one.inertial) for one in ARM.links))
     estimate = identified(nominal, records_of(ARM, 2, noise=0.5))
     held_out = validate(estimate, records_of(ARM, 9, noise=0.5))
+    for verb in (validate, diagnose):
+        with pytest.raises(MethodError, match=r"on (a|the) record of each joint; give them in order"):
+            verb(estimate, records_of(ARM, 9)[0])  # type: ignore[operator]
     assert held_out.better and np.all(held_out.joint_errors[:3] < held_out.nominal_errors[:3])
     assert "better than the nominal model" in held_out.summary().splitlines()[2]
     assert held_out.bodies_better and held_out.body_errors is not None

@@ -1,1 +1,1 @@
-"""What is told of a robot, and what its record leaves open: torques, parameters by joint, the loops as declared."""
+"""Diagnosis of robots: torques, parameters of each joint, controllers, and validation."""

@@ -45,7 +45,7 @@ FeedForwardName = Literal["none", "gravity", "inverse-model", "logged"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointDiagnosis:
-    """What a record says of one joint of a robot.
+    """Diagnosis of one joint of a robot.
 
     Attributes:
         name: of the joint.
@@ -71,7 +71,7 @@ class JointDiagnosis:
 
     @property
     def asked(self) -> tuple[ParameterOfJoint, ...]:
-        """Its parameters but for the fixed ones, which were not asked of the record."""
+        """Its parameters without the fixed ones."""
         return tuple(one for one in self.parameters if one.known is not Told.FIXED)
 
     def names(self, *known: Told) -> tuple[str, ...]:
@@ -105,7 +105,7 @@ class JointDiagnosis:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What is wrong with the joint, each with what to do."""
+        """Faults of the joint, each with its remedy."""
         found = []
         if self.moving < _RESTS:
             found.append(
@@ -143,13 +143,12 @@ class JointDiagnosis:
 
     @property
     def law_sentence(self) -> str:
-        """What one number of the controller or the log would mend; "" where none does, or nothing is wrong."""
+        """A fault of the controller or the log that one number corrects, or ""."""
         law = self.law
         if law is None or self.law_holds or law.left_in_time > _BEYOND_NOISE * max(law.noise, _OF_LAW):
             return ""
-        said = (
-            f"{self.name}: along the logged position the declared controller leaves {_percent(law.left)} of the torque"
-        )
+        share = f"{100 * law.left:.3g} % of the torque"
+        said = f"{self.name}: along the logged position the declared controller leaves {share}"
         if law.late and law.noise < _OF_ANY_LAW:
             when = f"{1e3 * abs(law.late):.3g} ms {'later' if law.late > 0.0 else 'earlier'}"
             return (
@@ -163,7 +162,7 @@ class JointDiagnosis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotDiagnosis(Documented):
-    """What a robot's record tells, and whether its loops are as declared.
+    """Diagnosis of a robot: its parameters, residuals and controllers.
 
     Attributes:
         robot: whose joints they are.
@@ -186,13 +185,13 @@ class RobotDiagnosis(Documented):
 
     @property
     def as_declared(self) -> bool | None:
-        """Whether all controllers that can be seen make the logged torques; None where none can."""
+        """True if all controllers that can be tested make the logged torques; None if none can."""
         seen = [one.law_holds for one in self.joints if one.law_holds is not None]
         return all(seen) if seen else None
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What is wrong, each with what to do."""
+        """Faults of the robot, each with its remedy."""
         found = []
         if self.feed_forward is not None:
             found.append(
@@ -202,7 +201,11 @@ class RobotDiagnosis(Documented):
         else:
             found += [one.law_sentence for one in self.joints if one.law_sentence]
         found += [*self._other_laws(), *(one for joint in self.joints for one in joint.sentences)]
-        unknown = [f"of {one.name} {_some(one.names(Told.NOT))}" for one in self.joints if one.names(Told.NOT)]
+        unknown = []
+        for one in self.joints:
+            if names := one.names(Told.NOT):
+                more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+                unknown.append(f"of {one.name} {', '.join(names[:_MOST_NAMES])}{more}")
         if unknown:
             found.append(
                 f"The record does not tell from 0: {'; '.join(unknown)}. On motions like this one 0 does as well; for "
@@ -211,7 +214,7 @@ class RobotDiagnosis(Documented):
         return tuple(found)
 
     def _other_laws(self) -> list[str]:
-        """Return what is to be said of controllers that no single number mends."""
+        """Return the sentence on controllers that no single number corrects, or none."""
         if self.feed_forward is not None:
             return []
         wrong = [
@@ -239,7 +242,7 @@ class RobotDiagnosis(Documented):
 
     @property
     def answer(self) -> str:
-        """What is to be known first."""
+        """The diagnosis in short."""
         bad = [one.name for one in self.joints if not one.explained]
         coloured = [one.name for one in self.joints if one.coloured]
         first = "The model explains the torques of all joints but for noise, as far as this record shows."
@@ -332,7 +335,7 @@ def diagnose_robot(
                 name,
                 float(np.linalg.norm(torques.error[k])) / whole,
                 whiteness(left, torques.sample_time, torques.cutoff),
-                _followed(torques, k),
+                _strongest_coupling(torques, k),
                 float(np.ptp(torques.position[k])),
                 float(speed.max()),
                 float(np.mean(inside)),
@@ -344,15 +347,6 @@ def diagnose_robot(
     return RobotDiagnosis(robot, estimate.settings.method, tuple(joints), better, torques)
 
 
-def _some(names: tuple[str, ...]) -> str:
-    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-    return f"{', '.join(names[:_MOST_NAMES])}{more}"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
-
-
 def _row(one: JointDiagnosis) -> tuple[str, ...]:
     white = "-" if one.whiteness is None else "yes" if one.whiteness.white else "no"
     law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
@@ -360,8 +354,8 @@ def _row(one: JointDiagnosis) -> tuple[str, ...]:
     return (one.name, f"{100 * one.left:.3g}", white, *(str(len(names)) for names in stated), *law)
 
 
-def _followed(torques: RobotTorques, joint: int) -> tuple[str, Coupling] | None:
-    """Return what a joint's residual follows most beyond chance, and how far."""
+def _strongest_coupling(torques: RobotTorques, joint: int) -> tuple[str, Coupling] | None:
+    """Return the shape that a joint's residual correlates with most, or None."""
     inside = torques.seen[joint]
     error = torques.error[joint][inside]
     if np.count_nonzero(inside) < 100 or not np.any(error):
@@ -378,7 +372,7 @@ def _followed(torques: RobotTorques, joint: int) -> tuple[str, Coupling] | None:
 def _laws(
     robot: Robot, records: Sequence[Record], controllers: Sequence[Controller | None]
 ) -> list[LawOnPosition | None]:
-    """Return what each declared controller leaves of its joint's logged torque."""
+    """Compare each declared controller with its joint's logged torque."""
     if not controllers:
         return [None] * len(robot)
     return [

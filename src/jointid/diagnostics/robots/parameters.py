@@ -1,4 +1,4 @@
-"""The parameters of a robot's estimate, each with the joint that it belongs to, what it stands for, and a verdict.
+"""Parameters of a robot's estimate by joint, with formulas and significance.
 
 A parameter is told by a record where its deviation is below a tenth of it, roughly where it is below itself, and else
 not told from 0. A stiffness that is refused has its bound; what was fixed was not asked of the record.

@@ -172,7 +172,7 @@ def _torques(
 def _shapes(
     robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray, torque: FloatArray, sample_time: float
 ) -> tuple[Callable[[int, int], str], list[FloatArray]]:
-    """Return what the shapes of each joint are of, by joint and place, and the shapes, (samples, n, columns) each."""
+    """Return a function from joint and place to the name of a shape, and the shapes, (samples, n, columns) each."""
     n, way = len(robot), np.sign(v)
     slow = _SLOW * np.max(np.abs(v), axis=0) + 1e-300
     turns = 2.0 * np.pi * (q - q.min(axis=0)) / (np.ptp(q, axis=0) + 1e-300)

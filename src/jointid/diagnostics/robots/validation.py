@@ -62,7 +62,7 @@ class RobotValidation(Documented):
     def to_document(self, *, details: bool = False) -> Document:
         """Return the verdict first, then the errors joint by joint; there are no further details."""
         del details
-        mine, nominal = _percent(self.joint_errors), _percent(self.nominal_errors)
+        mine, nominal = _format_rms(self.joint_errors), _format_rms(self.nominal_errors)
         columns = {"estimate": self.joint_errors}
         if self.robot.has_masses:
             columns["nominal"] = self.nominal_errors
@@ -89,7 +89,7 @@ class RobotValidation(Documented):
             than = "better" if self.bodies_better else "worse"
             said += (
                 f" Bodies near the nominal ones that fit the estimate predict {than} than these: "
-                f"{_percent(self.body_errors)}."
+                f"{_format_rms(self.body_errors)}."
             )
         least = min(_rms(self.joint_errors), np.inf if self.body_errors is None else _rms(self.body_errors))
         useful = self.settled and least < (1.0 + _ALIKE) * _rms(self.nominal_errors)
@@ -109,7 +109,7 @@ def validate_robot(estimate: Estimate, records: Sequence[Record]) -> RobotValida
     if isinstance(part, InverseModelRobot):
         rows = base_rows(robot, part.base, motion_of_robot(robot, records, filtering))
         mine, nominal = (relative_errors(rows, values) for values in (part.values, part.nominal))
-        _require_unseen(mine, own)
+        _require_another_record(mine, own)
         bodies = None
         if can_be_near(robot):
             bodies = relative_errors(rows, part.base.with_friction(consistent_robot(estimate).robot))
@@ -119,7 +119,7 @@ def validate_robot(estimate: Estimate, records: Sequence[Record]) -> RobotValida
     mine, nominal = (
         simulated_errors(closing, records, filtering, numbers) for numbers in (found, nominal_numbers(robot, found))
     )
-    _require_unseen(mine, own)
+    _require_another_record(mine, own)
     if not np.all(np.isfinite(mine)):
         what = "references" if isinstance(closing, RobotLoop) else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
@@ -130,7 +130,7 @@ def validate_robot(estimate: Estimate, records: Sequence[Record]) -> RobotValida
     return RobotValidation(robot, mine, nominal, bodies, settled=estimate.fit.converged)
 
 
-def _require_unseen(errors: FloatArray, own: FloatArray) -> None:
+def _require_another_record(errors: FloatArray, own: FloatArray) -> None:
     """Raise a `MethodError` if the errors, (n,), are those of the estimate's own record."""
     if np.allclose(errors, own, rtol=_SAME, atol=0.0):
         raise MethodError(
@@ -143,6 +143,6 @@ def _rms(errors: FloatArray) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def _percent(errors: FloatArray) -> str:
+def _format_rms(errors: FloatArray) -> str:
     """Return the root mean square over the joints, each by the size of its own torque."""
     return f"{100 * _rms(errors):.3g} %"

@@ -13,7 +13,7 @@ from jointid.common.errors import MethodError
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.models.robots.inertial import is_consistent, mass_properties
-from jointid.models.robots.robot import Link, Robot, RobotJoint
+from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.output.export.joint_model import number
 from jointid.output.export.robots import require_timestep, write_document
 
@@ -93,7 +93,10 @@ def robot_mjcf(robot: Robot, *, timestep: float | None = None) -> tuple[str, tup
         place = {"pos": _numbers(link.origin), "xyaxes": _numbers(link.rotation[:, :2].T)}
         body = bodies[i] = ET.SubElement(bodies[link.parent], "body", {"name": link.name, **place})
         if link.inertial[0] > 0:
-            _mjcf_inertial(body, link)
+            solid = mass_properties(link.inertial)
+            moments = {"fullinertia": _numbers(solid.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}
+            place = {"pos": _numbers(solid.centre), "mass": number(solid.mass)}
+            ET.SubElement(body, "inertial", place | moments)
         drive = {
             "armature": number(joint.rotor_inertia),
             "damping": number(joint.viscous),
@@ -102,12 +105,6 @@ def robot_mjcf(robot: Robot, *, timestep: float | None = None) -> tuple[str, tup
         kind = "hinge" if link.kind == "revolute" else "slide"
         ET.SubElement(body, "joint", {"name": joint.name, "type": kind, "axis": _numbers(link.axis), **drive})
     return write_document(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
-
-
-def _mjcf_inertial(body: ET.Element, link: Link) -> None:
-    solid = mass_properties(link.inertial)
-    inertia = solid.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    ET.SubElement(body, "inertial", pos=_numbers(solid.centre), mass=number(solid.mass), fullinertia=_numbers(inertia))
 
 
 def _lost(robot: Robot) -> list[str]:

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.common.charts import Chart, Charted
+from jointid.common.charts import Chart
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
+from jointid.common.matplotlib_backend import Charted
 from jointid.common.matplotlib_backend import draw as draw_chart
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate

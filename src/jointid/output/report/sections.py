@@ -44,6 +44,11 @@ def report_blocks(
 ) -> tuple[Block, ...]:
     """Return the whole report; where it is interactive its figures are plots, too, for a page."""
     picture = pictures_of(charts, interactive=interactive, absent=partial(_explain_absence, given))
+    tuning: list[Block] = []
+    if tuned is not None:
+        blocks = tuned.to_document().blocks
+        blocks = tuple(replace(block, level=3) if isinstance(block, Heading) else block for block in blocks)
+        tuning = [Heading("Tuning in full"), *blocks, *picture("tuning")]
     return (
         *summary_blocks(given, tuned, design, picture),
         Heading("Appendix"),
@@ -57,7 +62,7 @@ def report_blocks(
         *_section("Convergence", picture("convergence")),
         *_loop(given),
         *_tests(given),
-        *([] if tuned is None else _tuning(tuned, picture)),
+        *tuning,
         *next_test_in_full(design, picture),
         *_settings(given, repetition),
     )
@@ -105,12 +110,6 @@ def _settings(given: ReportData, repetition: Repetition) -> list[Block]:
     hashes = [("Torque, SHA-256 of its samples", estimate.data.fingerprint), *repetition.facts]
     found += [Heading("Reproducing this report", 3), Facts(tuple(hashes))]
     return [*found, *repetition.blocks]
-
-
-def _tuning(tuned: Tuned, picture: Callable[[str], list[Block]]) -> list[Block]:
-    """Return margins, gains, feed-forward and notes, all of them, and the responses."""
-    blocks = (replace(block, level=3) if isinstance(block, Heading) else block for block in tuned.to_document().blocks)
-    return [Heading("Tuning in full"), *blocks, *picture("tuning")]
 
 
 def _parabolic(given: ReportData) -> list[Block]:

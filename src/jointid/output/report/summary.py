@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 
 from jointid.common.document import Block, Heading, Listing, Paragraph, Table, Tone, Verdicts
-from jointid.common.messages import Message
 from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
@@ -129,7 +128,11 @@ def _checks(estimate: Estimate) -> Iterator[Block]:
     failed = [verdict for verdict in verdicts if verdict.good is False]
     unknown = [verdict for verdict in verdicts if verdict.good is None]
     passed = [verdict for verdict in verdicts if verdict.good]
-    rows = [(v.subject.question, v.good, (_reasons(v.reasons), consequence(estimate, v))) for v in (*failed, *unknown)]
+    rows = []
+    for v in (*failed, *unknown):
+        first, *others = (reason.brief for reason in v.reasons)
+        more = f" (and {len(others)} more in the appendix)" if others else ""
+        rows.append((v.subject.question, v.good, (sentence(f"{first}{more}"), consequence(estimate, v))))
     yield Paragraph(f"{len(passed)} of {len(verdicts)} checks passed. The appendix has the reasons in full.")
     yield Verdicts((*rows, *((v.subject.question, True, ()) for v in passed)))
     if estimate.checks.warnings:
@@ -148,9 +151,3 @@ def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
         yield Paragraph("This method has no checks beyond the fit.")
     if estimate.checks.tests:
         yield Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.checks.tests))
-
-
-def _reasons(reasons: Sequence[Message]) -> str:
-    first, *others = (reason.brief for reason in reasons)
-    more = f" (and {len(others)} more in the appendix)" if others else ""
-    return sentence(f"{first}{more}")
