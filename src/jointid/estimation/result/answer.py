@@ -225,7 +225,7 @@ def _not_yet(against: list[Message]) -> Message:
 def _known_of_robot(estimate: EstimateParts) -> Message:
     """Return the number of known parameters of a robot, and its largest error."""
     asked = [row for row in estimate.params.rows if row.free and row.of_joint]
-    known = [row for row in asked if row.value is not None and row.stderr is not None and _is_known(row)]
+    known = [row for row in asked if row.value and row.stderr is not None and row.stderr < KNOWN * abs(row.value)]
     left = estimate.fit.axis_errors
     worst = max(left, key=lambda axis: left[axis])
     words = (
@@ -234,10 +234,6 @@ def _known_of_robot(estimate: EstimateParts) -> Message:
     words += f"{worst} not explained"
     values = _values(None, None) | {"known": len(known), "asked": len(asked), "worst": worst}
     return Message(Found.PARAMETERS, words, values)
-
-
-def _is_known(row: EstimatedParameter) -> bool:
-    return row.value is not None and row.stderr is not None and row.stderr < KNOWN * abs(row.value)
 
 
 def _trust_of_robot(estimate: EstimateParts) -> Message:

@@ -20,7 +20,7 @@ from jointid.estimation.result.answer import (
 )
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, known_on_other_side
 from jointid.estimation.result.robot_summary import robot_document
-from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
 
@@ -396,19 +396,16 @@ def bands_table(estimate: EstimateParts, caption: str = "") -> Table | None:
     return Table(("band [Hz]", "error [% of the torque there]", "share of the residual [%]"), rows, caption)
 
 
-def _spring(joint: Joint) -> str:
-    """Return the law of a joint's spring, where it is not linear."""
-    return f", {joint.spring.name} spring" if isinstance(joint, FlexibleJoint) and not joint.spring.linear else ""
-
-
 def settings_facts(estimate: EstimateParts) -> Facts:
     """Return how it was identified."""
     f, joint, fit = estimate.settings.filtering, estimate.settings.joint, estimate.fit
     position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"
+    nonlinear = isinstance(joint, FlexibleJoint) and not joint.spring.linear
+    spring = f", {joint.spring_name} spring" if nonlinear else ""
     return Facts(
         (
             ("Method", estimate.settings.variant),
-            ("Model", f"{joint.model}, {joint.friction.name} friction" + _spring(joint)),
+            ("Model", f"{joint.model}, {joint.friction.name} friction" + spring),
             ("Left out of the raw error", f"{fit.borders[0]} samples at the start, {fit.borders[1]} at the end"),
             ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
             ("Rows fitted", str(fit.rows)),
