@@ -59,7 +59,9 @@ def run(*words: str | Path) -> None:
 
 
 def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run("identify", folder / "robot.toml", "--json", tmp_path / "found.json", "--details")
+    figure = tmp_path / "torque.svg"
+    run("identify", folder / "robot.toml", "--json", tmp_path / "found.json", "--details", "--figure", figure)
+    assert all(f"joint{k}" in figure.read_text(encoding="utf-8") for k in range(1, 7))
     printed = capsys.readouterr().out
     assert printed.startswith("arm: 58 parameters of 6 joints") and "Izz1 is Izz1 + " in printed
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
@@ -134,7 +136,10 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
     joint = folder / "robot.toml"
     for words, said in (
         (("identify", joint, "--window", "2"), "A log in windows takes one joint, and .*is a robot file"),
-        (("identify", joint, "--figure", tmp_path / "a.png"), "as report --figures draws all joints of a robot"),
+        (
+            ("identify", joint, "--record", "a.csv", "--record", "b.csv", "--figure", tmp_path / "a.png"),
+            "--figure of several records takes one joint",
+        ),
         (("simulate", joint, "--estimate", tmp_path / "none.json"), "none.json cannot be"),
         (
             ("validate", joint, "--record", folder / "two.csv", "--figure", tmp_path / "a.png"),

@@ -117,8 +117,8 @@ def identify(
     first = records[0] if records else None
     options = Options(record=first, changes=changes, axis=axis, json=json, quiet=quiet)
     file = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
-    if figure is not None:
-        require_joint(file, "--figure of identify, as report --figures draws all joints of a robot,")
+    if figure is not None and len(records) > 1:
+        require_joint(file, "--figure of several records")
     logged = None
     estimate: Estimate
     if window is not None or settling is not None:

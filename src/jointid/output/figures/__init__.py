@@ -16,6 +16,7 @@ from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
 from jointid.common.matplotlib_backend import Charted
 from jointid.common.matplotlib_backend import draw as draw_chart
+from jointid.diagnostics.robots.diagnose import RobotDiagnosis
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures import charts
@@ -40,7 +41,9 @@ def torque(answer: Estimate | Validation) -> Figure:
 
 
 def torque_chart(answer: Estimate | Validation) -> Chart:
-    """Return the chart of `torque`."""
+    """Return the chart of `torque`; of a robot that was checked, a panel for each joint."""
+    if isinstance(answer, Estimate) and isinstance(answer.checks.loop, RobotDiagnosis):
+        return charts.torques_chart(AxisSignals.of_robot(answer.checks.loop))
     if isinstance(answer, Estimate):
         title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
     else:
