@@ -93,7 +93,7 @@ def _law(file: FileTable) -> Controller | None:
 
 
 def _method_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield what the method lacks, and settings that are not its own."""
+    """Yield missing channels of the method, and settings of other methods."""
     if file.is_wrong("method"):
         return
     table = file.method
@@ -192,7 +192,7 @@ def _record_faults(file: FileTable) -> Iterator[Fault]:
 
 
 def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | None:
-    """Return the rest of the sentence on numbers that a controller does not have, or cannot have."""
+    """Return the rest of the sentence on unknown or refused numbers of a controller."""
     known = (*numbers_of(controller), "period")
     for name in numbers:
         if name not in known:
@@ -201,7 +201,7 @@ def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | No
 
 
 def _free_faults(place: Place, names: Collection[str], file: FileTable) -> Iterator[Fault]:
-    """Yield names of what nothing around the joint is called, or what cannot be freed of this controller."""
+    """Yield names that cannot be identified beside the joint: unknown ones, or those of other controllers."""
     controller = _law(file)
     if controller is None:
         return

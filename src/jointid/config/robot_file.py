@@ -586,8 +586,9 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
         )
     down = -np.linalg.norm(ordered.gravity) * np.array([0.0, 0.0, 1.0])
     if any(said.robot.base) and np.linalg.norm(ordered.gravity - down) > _UPRIGHT * np.linalg.norm(down):
+        own = " ".join(f"{value:.4g}" for value in ordered.gravity)
         raise JointFileError(
-            f"robot.base turns the model, whose own gravity is turned already ({_three(ordered.gravity)} m/s2), as in "
+            f"robot.base turns the model, whose own gravity is turned already ({own} m/s2), as in "
             "an export of a robot on a turned base; expected one of both: leave base out, or set the model's gravity "
             "to 0 0 -9.81."
         )
@@ -595,10 +596,6 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     # A base that is written as 3.1416 hangs upside down: a trace of gravity sideways would be told by no record.
     turned = np.where(np.abs(turned) < _UPRIGHT * np.linalg.norm(turned), 0.0, turned)
     return replace(ordered, gravity=turned, name=said.robot.name or ordered.name)
-
-
-def _three(values: FloatArray) -> str:
-    return " ".join(f"{value:.4g}" for value in values)
 
 
 def _base(angles: list[float]) -> FloatArray:

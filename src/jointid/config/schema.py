@@ -309,7 +309,7 @@ class FilterTable(Table):
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield what is missing, what is of another kind, and that there is no such filter."""
+        """Yield missing keys, keys of another kind of filter, and an impossible filter."""
         meant = self._meant()
         if self.kind is None and len(meant) > 1:
             yield "kind", messages.missing(messages.either(meant), "which filter")
@@ -343,7 +343,7 @@ class FilterTable(Table):
         return found or list(FILTERS)
 
     def _given(self, kind: str) -> dict[str, Any]:
-        """Return what is given, a cut-off as the setting that a filter of that kind has for it."""
+        """Return the given settings, with a cut-off as the setting of that kind of filter."""
         given = self.settings("kind")
         name = _CUTOFFS.get(kind)
         if name is None or name in given or "cutoff" not in given:

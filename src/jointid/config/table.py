@@ -121,7 +121,7 @@ class Table(BaseModel):
 
     @classmethod
     def absent(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
-        """Yield what is missing beside the keys that are given, though no key by itself is needed."""
+        """Yield missing keys, where one of several is needed beside the given keys."""
         yield from ()
 
     @classmethod

@@ -229,7 +229,7 @@ def validate(
 
 
 def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:
-    """Say what changed between two estimates of the same joint, and whether it is more than their errors.
+    """Compare two estimates of the same joint, and test whether they differ by more than their errors.
 
     Args:
         before: the first (A): what identify --json wrote, or the page of a report.
