@@ -13,7 +13,7 @@ import pytest
 
 from jointid.common.errors import JointFileError
 from jointid.config import controller_text, dumps, load, load_to_learn, loads, with_table
-from jointid.config.quantities import Stated, units_declared
+from jointid.config.quantities import Stated, list_units
 from jointid.models.controllers import Cascade, FirstOrder, SecondOrder
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.limits import AxisLimits
@@ -262,9 +262,9 @@ def test_what_a_cutoff_leaves_open_is_asked() -> None:
 
 
 def test_units_are_those_of_the_declaration() -> None:
-    assert units_declared("controller units per m s or rad s", "revolute")[:2] == ("N m/(rad s)", "A/(rad s)")
-    assert units_declared("m/s or rad/s", "prismatic") == ("m/s",)
-    assert units_declared("some share of it") == ()
+    assert list_units("controller units per m s or rad s", "revolute")[:2] == ("N m/(rad s)", "A/(rad s)")
+    assert list_units("m/s or rad/s", "prismatic") == ("m/s",)
+    assert list_units("some share of it") == ()
 
 
 def test_a_stated_number_is_copied_with_its_words() -> None:

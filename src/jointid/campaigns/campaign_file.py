@@ -134,7 +134,7 @@ def load_campaign(path: Path) -> Campaign:
     """Load and validate a campaign file, without the records."""
     path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
     raw = parse_toml(read_text(path))
-    corrected, faults = CampaignTable.corrected(raw)
+    corrected, faults = CampaignTable.correct_keys(raw)
     try:
         table = CampaignTable.model_validate(corrected)
     except ValidationError as error:

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field
 from jointid.common.messages import Says, either
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.common.text import join
-from jointid.config.table import Table, Text, dotted, keys_from
+from jointid.config.table import Table, Text, flatten_keys, keys_from
 
 KINDS = ("fleet", "monte_carlo", "bootstrap", "multistart")
 """Tables of which a campaign has one."""
@@ -131,7 +131,7 @@ class CampaignTable(Table):
     monte_carlo: MonteCarloTable | None = Field(None, description="runs that are simulated")
     bootstrap: BootstrapTable | None = Field(None, description="runs of one record whose error is drawn anew")
     multistart: MultistartTable | None = Field(None, description="searches of one record from many starts")
-    sweep: Annotated[dict[str, Annotated[list[Any], Says("a list of values")]], BeforeValidator(dotted)] = Field(
+    sweep: Annotated[dict[str, Annotated[list[Any], Says("a list of values")]], BeforeValidator(flatten_keys)] = Field(
         default_factory=dict, description="keys of the joint file, each with its values; every combination is a case"
     )
 

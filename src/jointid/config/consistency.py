@@ -47,8 +47,8 @@ _BESIDE_FRICTION = (
 )
 
 
-def faults_between(file: FileTable) -> Iterator[Fault]:
-    """Yield what is wrong between the tables of a joint file."""
+def find_contradictions(file: FileTable) -> Iterator[Fault]:
+    """Yield contradictions between the tables of a joint file."""
     yield from _joint_faults(file)
     yield from _transmission_faults(file)
     yield from _channel_faults(file)
@@ -123,7 +123,7 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
             for key in [key for key in lacking("didim") if key not in lacking(name)]:
                 rest = ' is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
                 yield fault_at(tuple(key.split(".")), rest, "missing")
-    for key, sentence in _not_its_own(table, name, file.model, file.joint.heading):
+    for key, sentence in _foreign_settings(table, name, file.model, file.joint.heading):
         yield fault_at(("method", key), sentence)
     yield from _free_faults(("method", "free"), table.free, file)
 
@@ -140,16 +140,18 @@ def _needs(method: str, model: str) -> str:
 
 
 def _no_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
-    """Return the rest of the sentence on a file that has what no method needs."""
+    """Return the rest of the sentence on a file without a possible method."""
     lacks = [f"{method_of(method).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
     rigid = choose_method(file, None, "rigid") is not None
     remedy = "add what one of them lacks" + (f', or set {file.joint.heading}.model = "rigid"' if rigid else "")
     return f" is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
 
 
-def _not_its_own(table: MethodTable, name: str | None, model: str | None, heading: str) -> Iterator[tuple[str, str]]:
-    """Yield the key and the rest of the sentence on settings of the other model or method, or of a preset."""
-    for key, value in table.given("name").items():
+def _foreign_settings(
+    table: MethodTable, name: str | None, model: str | None, heading: str
+) -> Iterator[tuple[str, str]]:
+    """Yield the key and the rest of the sentence on settings of another model, method or preset."""
+    for key, value in table.given_values("name").items():
         owners = [owner for owner in METHODS if _models_of(owner, key)]
         owner = name if name in owners else owners[0]
         models = _models_of(owner, key)
@@ -169,7 +171,7 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None, headin
 
 
 def _record_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield names of own parameters that the model does not have, and numbers that the controller cannot have."""
+    """Yield unknown parameters and impossible controller numbers of the records."""
     joint, controller = known_joint(file), _law(file)
     known = None if joint is None else [parameter.name for parameter in joint.parameters]
     for number, run in enumerate(file.records):
@@ -211,7 +213,7 @@ def _free_faults(place: Place, names: Collection[str], file: FileTable) -> Itera
 
 
 def _joint_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield a drive, a gravity or a ripple that this joint cannot have."""
+    """Yield an impossible drive, gravity or ripple of the joint."""
     if not file.is_wrong("drive") and (refused := refusal(lambda: file.joint.drive(file.drive.build()))):
         yield fault_at(("drive",), refused)
     if not file.is_wrong("joint"):
@@ -219,7 +221,7 @@ def _joint_faults(file: FileTable) -> Iterator[Fault]:
 
 
 def _refusals(file: FileTable) -> Iterator[tuple[str, str]]:
-    """Yield the table and why the joint cannot have it, beside a gravity that it can have."""
+    """Yield gravity or ripple with the reason why the joint refuses it."""
     if refused := refusal(lambda: file.joint.joint(None, gravity=file.gravity)):
         yield "gravity", refused
     elif refused := refusal(lambda: file.joint.joint(None, gravity=file.gravity, ripple=file.ripple)):
@@ -234,7 +236,7 @@ def known_joint(file: FileTable) -> Joint | None:
 
 
 def _parameter_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield parameters that the model does not have, and values that they cannot have."""
+    """Yield unknown parameters and impossible values."""
     joint = known_joint(file)
     if joint is None:
         return
@@ -246,12 +248,12 @@ def _parameter_faults(file: FileTable) -> Iterator[Fault]:
             continue
         # A parameter that is a bare number has no keys.
         keys = table.model_fields_set - {"value"}
-        for key, rest in _misgiven(known[name], table, file.joint, file.gravity):
+        for key, rest in _value_faults(known[name], table, file.joint, file.gravity):
             yield fault_at((*place, key) if key and keys else place, rest)
 
 
 def change_parameter(parameter: Parameter, table: ParameterTable) -> Parameter:
-    """Return a parameter of the model with what the file says of it; of two bounds the tighter one holds."""
+    """Return a parameter of the model with the file's value and the tighter bounds."""
     lower, upper = _bounds(parameter, table)
     free = table.value is None and (parameter.free if table.free is None else table.free)
     start = next((given for given in (table.value, table.start, parameter.start) if given is not None), None)
@@ -264,10 +266,10 @@ def _bounds(parameter: Parameter, table: ParameterTable) -> tuple[float, float]:
     return lower, upper
 
 
-def _misgiven(
+def _value_faults(
     parameter: Parameter, table: ParameterTable, joint: JointTable, gravity: GravityTable | None
 ) -> Iterator[tuple[str, str]]:
-    """Yield the key and the rest of the sentence on what a parameter cannot be given."""
+    """Yield the key and the rest of the sentence on impossible values of a parameter."""
     if not parameter.free and table.value is None:
         constant_load = gravity is not None and gravity.load == "constant"
         beside = _BESIDE_LOAD if constant_load else _BESIDE_FRICTION.format(joint.friction, joint.heading)
@@ -293,7 +295,7 @@ def _range(lower: float, upper: float) -> str:
 
 
 def _open(lower: float) -> float:
-    """Return the bound that is meant: one that no number of interest is below says that 0 itself is excluded."""
+    """Return the bound as shown: 0 for a tiny one that only excludes 0."""
     return 0.0 if 0.0 < lower < _NEXT_TO_ZERO else lower
 
 
@@ -301,7 +303,7 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
     """Return the rest of the sentence on a parameter that this model does not have."""
     remedy = messages.suggest(name, known, "leave it out")
     for key, choices in (("model", MODELS), ("friction", FRICTIONS), ("spring", SPRINGS)):
-        # Last of all, and so told, the one that is most like what is declared, else that of the fewest parameters.
+        # The last match is the remedy: the law most like the declared one, else that of the fewest parameters.
         like = [choice for choice in choices if key == "friction" and choice.startswith(joint.friction)]
         for choice in (*reversed(list(choices)), *like):
             changed = joint.model_copy(update={key: choice})
@@ -321,7 +323,7 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
 
 
 def _channel_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield channels without a column, or with settings or units that are not theirs, and torques that differ."""
+    """Yield missing columns, misplaced settings, impossible units, and torques in different units."""
     # Behind a transmission that is not right, a motor may move in any way.
     kinds = KINDS if file.geared and not file.transmission else file.kinds
     drive = file.drive_of_joint
@@ -346,7 +348,7 @@ def _channel_faults(file: FileTable) -> Iterator[Fault]:
 
 
 def _unit_faults(file: FileTable, name: str, table: ChannelTable, kinds: Collection[Kind]) -> Iterator[Fault]:
-    """Yield a unit that a joint of none of these kinds can have, or for which a number of the drive is missing."""
+    """Yield an impossible unit of a channel, or one that needs a missing number of the drive."""
     place = ("record", "channels", name)
     moving = [_kind_of(file, name, kind) for kind in kinds]
     known = tuple(dict.fromkeys(unit for kind in moving for unit in known_units(name, kind)))
@@ -389,7 +391,7 @@ def _si_unit(file: FileTable, channel: str, kind: Kind) -> str | None:
 
 
 def _kind_of(file: FileTable, channel: str, kind: Kind) -> Kind:
-    """Return how a channel's side of a joint moves whose load is of that kind: with a lead the motor turns."""
+    """Return the kind of motion of a channel's side; with a lead the motor turns."""
     table, transmission = file.channels.get(channel), file.transmission
     side = (file.drive_of_joint or Drive()).side(channel, None if table is None else table.build())
     return "revolute" if transmission and transmission.lead is not None and side == "motor" else kind
@@ -423,7 +425,7 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
 
 
 def _limit_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield limits in units that the side they are of does not have, and one of a spring that is not there."""
+    """Yield limits in impossible units, and a limit on the spring of a rigid joint."""
     if len(file.kinds) > 1 or (file.geared and file.transmission is None):
         return
     gear, (kind,) = file.transmission, file.kinds
@@ -440,7 +442,7 @@ def _limit_faults(file: FileTable) -> Iterator[Fault]:
 
 
 def _transmission_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield that a load of these kinds has no lead, and sides that are named where there is no transmission."""
+    """Yield a lead of a revolute load, and sides without a transmission."""
     transmission = file.transmission
     if transmission is not None and transmission.lead is not None and "prismatic" not in file.kinds:
         yield fault_at(

@@ -18,7 +18,7 @@ from jointid.config import serialise
 from jointid.config.consistency import (
     change_parameter,
     choose_method,
-    faults_between,
+    find_contradictions,
     needed_channels,
     torque_unit,
 )
@@ -104,7 +104,7 @@ class JointFile:
 
     @classmethod
     def of(cls, tables: Mapping[str, Any], path: Path = Path("joint.toml")) -> Self:
-        """Return what the tables of a joint file say.
+        """Build a joint file from its tables.
 
         Args:
             tables: the file's tables by name, as `tomllib` reads them.
@@ -113,15 +113,15 @@ class JointFile:
         Raises:
             JointFileError: with one sentence for each fault.
         """
-        if crowded := list(_crowded(tables)):  # each of so many would be a sentence
+        if crowded := list(_size_faults(tables)):  # each of so many would be a sentence
             raise JointFileError(crowded)
-        corrected, misspelt = FileTable.corrected(tables)
+        corrected, misspelt = FileTable.correct_keys(tables)
         file, faults = FileTable.read(in_our_words(corrected))
         return cls.of_table(file, path, [*misspelt, *faults])
 
     @classmethod
     def of_table(cls, file: FileTable, path: Path, faults: Sequence[str] = ()) -> Self:
-        """Return what the tables of a joint file say.
+        """Build a joint file from checked tables.
 
         Args:
             file: the tables, without those that are wrong.
@@ -131,7 +131,7 @@ class JointFile:
         Raises:
             JointFileError: with these faults, and those between the tables.
         """
-        if faults := [*faults, *unit_faults(file), *faults_between(file)]:
+        if faults := [*faults, *unit_faults(file), *find_contradictions(file)]:
             raise JointFileError(faults)
         transmission = file.transmission.transmission(file.joint.kind) if file.transmission else None
         joint = file.joint.joint(torque_unit(file, file.joint.kind), transmission, file.gravity, file.ripple)
@@ -140,7 +140,7 @@ class JointFile:
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
-            columns={name: table.build() for name, table in file.record.channels.given().items()},
+            columns={name: table.build() for name, table in file.record.channels.given_values().items()},
             method=file.method.method(method, joint.model),
             controller=file.controller.refer(transmission, controller_gain(file)) if file.controller else None,
             filtering=file.filtering.build(),
@@ -158,7 +158,7 @@ class JointFile:
 
     @property
     def torque_per_unit(self) -> float | None:
-        """The torque constant: what takes plain numbers of a controller on the motor's side to torque."""
+        """The torque constant: torque per plain number of a controller on the motor's side."""
         return self.drive.torque_constant or self.drive.torque_per_volt
 
     def drive_numbers(self, learned: Controller) -> tuple[DriveNumber, ...]:
@@ -181,10 +181,9 @@ class JointFile:
 
     @property
     def scale(self) -> str:
-        """The torque constant where all values are proportional to it: log and controller are in A or V; else nothing.
+        """The torque constant where all values scale with it, as log and controller are in A or V.
 
-        All of it then scales with it, and no record shows an error in it. What is injected in a torque, or a gain in
-        one, would.
+        No record then shows an error of the constant. An injected torque, or a gain, would; the text is then empty.
         """
         constant, gear = self.torque_per_unit, self.joint.transmission
         if constant is None or "torque" not in self.columns:
@@ -253,7 +252,7 @@ class JointFile:
         return record
 
     def driving(self, path: str | os.PathLike[str] | None = None) -> Record:
-        """Read what drives a simulation: the reference and what is injected; torque and positions if they are there.
+        """Read the signals that drive a simulation: reference and injection, others if present.
 
         Args:
             path: of the record, instead of the one the joint file names.
@@ -265,7 +264,7 @@ class JointFile:
         return self.driving_of(read_table(path, **self.source.options), Path(path).stem)
 
     def driving_of(self, table: Table, name: str) -> Record:
-        """Return what drives a simulation from a table of columns; see `driving`."""
+        """Return the signals that drive a simulation from a table; see `driving`."""
         seen = ("torque", "motor_position", "load_position")
         columns = {name: replace(c, optional=True) if name in seen else c for name, c in self._columns.items()}
         record = self._reader(columns).build_record(table, name)
@@ -287,7 +286,7 @@ class JointFile:
 
         Args:
             record: what `record` gave.
-            progress: is told each step.
+            progress: is called with each step.
             checks: whether to check the estimate.
             unchecked: is called with the estimate before its checks.
 
@@ -308,7 +307,7 @@ class JointFile:
 
         Args:
             paths: of the records, instead of those the file lists.
-            progress: is told each step.
+            progress: is called with each step.
 
         Raises:
             JointidError: see `jointid.identify`.
@@ -338,7 +337,7 @@ class JointFile:
         Args:
             path: of the record, instead of the one the file names.
             windows: their length and settling.
-            progress: is told each step.
+            progress: is called with each step.
 
         Raises:
             JointidError: see `jointid.identify`.
@@ -357,7 +356,7 @@ class JointFile:
 
         Args:
             record: what `record` gave.
-            progress: is told each step.
+            progress: is called with each step.
 
         Raises:
             JointidError: see `jointid.learn_controller`.
@@ -451,7 +450,7 @@ class JointFile:
         return tuple(factor * run.added_inertia for run in self.runs)
 
     def each(self, paths: Sequence[Path] = ()) -> tuple[JointFile, ...]:
-        """Return this file once for each record that is identified together, as if it were of that record alone.
+        """Return a copy of this file for each record that is identified together.
 
         Args:
             paths: of the records, instead of those the file lists, in their order.
@@ -491,7 +490,7 @@ class JointFile:
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 
     def tables(self) -> dict[str, Any]:
-        """Return the tables that say the same, as `of` takes them; what is at its default is left out.
+        """Return the tables that `of` reads back to this file, without defaults.
 
         Raises:
             JointFileError: a joint file has no word for the friction or the controller, or the method is for the other
@@ -518,16 +517,16 @@ class JointFile:
             "together": serialise.settings(self.together),
             "limits": serialise.settings(self.limits),
         }
-        return serialise.as_stated({name: table for name, table in tables.items() if table}, self.stated)
+        return serialise.restore_units({name: table for name, table in tables.items() if table}, self.stated)
 
 
-def _crowded(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:
-    """Yield the tables that have more keys, and the lists that have more tables, than anyone writes."""
+def _size_faults(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:
+    """Yield tables with too many keys, and lists with too many tables."""
     if len(raw) > _MOST:
         yield f"{where} has {len(raw)} keys; expected at most {_MOST}: is it another kind of file?"
         return
     for key, value in raw.items():
         if isinstance(value, dict):
-            yield from _crowded(value, key)
+            yield from _size_faults(value, key)
         elif isinstance(value, list) and len(value) > _MOST and isinstance(value[0], dict):
             yield f"{key} lists {len(value)} tables; expected at most {_MOST}: split the joint file."

@@ -1,6 +1,6 @@
-"""What takes a controller's output to torque, found from the units of its numbers and from the torque constant.
+"""Gain from a controller's output to torque, from its units and the torque constant.
 
-The torque constant is said once, below [joint]; the torque's channel and the controller both take theirs from it.
+The torque constant is given once, below [joint], for the torque's channel and the controller.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ AGREES = 1e-3
 
 
 def unit_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield numbers of the joint and of the controller in units of the other kind of motion, or of two outputs."""
+    """Yield numbers of joint and controller in units of another motion or output."""
     joint, law = file.joint, file.controller
     if file.is_wrong("joint") or len(file.kinds) > 1 or (file.geared and file.transmission is None):
         return
@@ -81,13 +81,13 @@ def _numbers(law: LawTable) -> Iterator[tuple[str, Stated, str]]:
 
 
 def _gain(file: FileTable, joint: JointTable, law: LawTable, drive: Drive) -> float:
-    """Return what takes the controller's output to torque on its own side.
+    """Return the gain from the controller's output to torque on its side.
 
     Raises:
-        JointFileError: it is not known, or is said twice and differs.
+        JointFileError: it is not known, or is given twice and differs.
     """
     given: float | None = law.gain if "gain" in law.model_fields_set else None
-    spoken = _spoken(law, _kind_of(file, law.side))
+    spoken = _find_output(law, _kind_of(file, law.side))
     if spoken is None:
         constant = drive.torque_constant or drive.torque_per_volt
         known = None if constant is None else constant * _through(file, law)
@@ -107,36 +107,36 @@ def _gain(file: FileTable, joint: JointTable, law: LawTable, drive: Drive) -> fl
     )
 
 
-def _why(joint: JointTable, spoken: _Spoken | None) -> str:
+def _why(joint: JointTable, spoken: _StatedOutput | None) -> str:
     constant = joint.torque_constant
     if constant is not None and (spoken is None or spoken.output in ("A", "V")):
         return f"joint.torque_constant = {constant.text if isinstance(constant, Stated) else format(constant, 'g')}"
     return "" if spoken is None else f'controller.{spoken.key} = "{spoken.text}"'
 
 
-class _Spoken(NamedTuple):
-    """Output of a controller, as its first number with a unit says, and that number."""
+class _StatedOutput(NamedTuple):
+    """Output unit of a controller, with the key and text of the number that states it."""
 
     output: str
     key: str
     text: str
 
     def fault(self, rest: str) -> Fault:
-        """Return a fault that begins with the number."""
+        """Return a fault of that number."""
         return fault_at(("controller", self.key), f' = "{self.text}" is {rest}', "unit")
 
 
-def _spoken(law: LawTable, kind: Kind) -> _Spoken | None:
+def _find_output(law: LawTable, kind: Kind) -> _StatedOutput | None:
     for name, number, declared in _numbers(law):
         if output := output_of(number.text, declared, kind):
-            return _Spoken(output, name, number.text)
+            return _StatedOutput(output, name, number.text)
     return None
 
 
 def _of_output(
-    file: FileTable, joint: JointTable, drive: Drive, spoken: _Spoken, through: float, given: float | None
+    file: FileTable, joint: JointTable, drive: Drive, spoken: _StatedOutput, through: float, given: float | None
 ) -> float | None:
-    """Return what takes one unit of the output to torque; None where only the given gain can say it."""
+    """Return the torque per unit of the output; None where only the given gain defines it."""
     torque, output = torque_unit(file, joint.kind), spoken.output
     if output in TORQUE_UNIT.values():
         if torque in ("A", "V"):
@@ -168,7 +168,7 @@ def _of_output(
 
 
 def _share(file: FileTable, drive: Drive) -> float:
-    """Return what takes 1 % of the rated torque to torque, on the motor's side."""
+    """Return the torque of 1 % of the rated torque, on the motor's side."""
     return drive.resolve_unit(units.unit("%"), _kind_of(file, "motor")).factor
 
 
@@ -180,7 +180,7 @@ def _is_share(file: FileTable, drive: Drive, gain: float, through: float) -> boo
         return False
 
 
-def _unlike(spoken: _Spoken, output: str, torque: str, per: str) -> Fault:
+def _unlike(spoken: _StatedOutput, output: str, torque: str, per: str) -> Fault:
     return spoken.fault(
         f"{output}, but {torque}; expected what takes one to the other: add the torque constant below [joint], as "
         f'torque_constant = "0.72 N m/{per}".'
@@ -194,14 +194,14 @@ def _kind_of(file: FileTable, side: str) -> Kind:
 
 
 def _through(file: FileTable, law: LawTable) -> float:
-    """Return what takes a torque of the motor to the controller's side."""
+    """Return the factor from motor torque to the controller's side."""
     if file.transmission is None or law.side == "motor":
         return 1.0
     return abs(file.transmission.transmission(file.joint.kind).motor_per_load)
 
 
 def _channel_faults(file: FileTable, joint: JointTable) -> Iterator[Fault]:
-    """Yield that the constant is not per the torque's unit, and a gain of its column that is another one."""
+    """Yield contradictions between the torque constant and the torque's channel."""
     torque, drive = file.channels.get("torque"), file.drive_of_joint
     if torque is None or drive is None or joint.torque_constant is None:
         return

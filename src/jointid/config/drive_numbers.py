@@ -1,4 +1,4 @@
-"""The numbers of a controller as the drive of a joint file shows them: units, names and values that the file says."""
+"""The numbers of a controller as the drive shows them: units, names and values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.transmission import SIDES
 from jointid.common.units import Kind
 from jointid.config.controller_gain import AGREES
-from jointid.config.quantities import OUTPUTS, Stated, output_of, speaks_output, units_declared
+from jointid.config.quantities import OUTPUTS, Stated, list_units, output_of, speaks_output
 from jointid.models.controllers import Cascade, Controller, ServoController, declared_unit, numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
@@ -24,14 +24,14 @@ _TIMES: Mapping[str, str] = {"integral_gain": "integral_time", "derivative_gain"
 
 @dataclass(frozen=True, slots=True)
 class _Said:
-    """What a joint file says of its controller.
+    """The controller of a joint file, with its given keys and units.
 
     Attributes:
         controller: as declared; gains that are not said have stand-ins.
         keys: settings of it that the file gives.
         stated: numbers with their units, by the path of their key.
         kind: how the controller's side moves.
-        output: the unit of what the controller gives out; None where that is not known.
+        output: the unit of the controller's output; None where it is not known.
         profile: names and units of the drive's own parameters, by the key that they are.
     """
 
@@ -67,11 +67,11 @@ def drive_numbers(
     gains = () if drive.traces is None else drive.traces.gains
     profile = {gain.key: (gain.name, gain.units) for gain in gains}
     said = _Said(declared, keys, stated, kind, _output(declared, stated, joint, drive, kind), profile)
-    return tuple(one for name in numbers_of(learned) for one in _shown(learned, name, said))
+    return tuple(one for name in numbers_of(learned) for one in _convert_number(learned, name, said))
 
 
 def _kind(joint: Joint, ratio: float) -> Kind:
-    """Return how the side of a controller moves that sees the joint through that ratio."""
+    """Return the kind of motion of the controller's side, found by its ratio."""
     gear = joint.transmission
     if gear is None:
         return joint.kind
@@ -96,15 +96,15 @@ def _output(declared: Any, stated: Mapping[str, Stated], joint: Joint, drive: Dr
     return None
 
 
-def _shown(learned: Any, name: str, said: _Said) -> Iterator[DriveNumber]:
-    """Yield how the drive shows one number; nothing where its unit is not known there."""
+def _convert_number(learned: Any, name: str, said: _Said) -> Iterator[DriveNumber]:
+    """Yield a number as the drive shows it; nothing if its unit is unknown."""
     known = numbers_of(said.controller) if type(said.controller) is type(learned) else {}
     declared = known.get(name) if name.partition(".")[0] in said.keys else None
     if (time := _time_of(learned, name, said)) is not None:
         unit, inverse = _unit_in_drive(time, "ms", said), name == "integral_gain"
         per = "" if isinstance(learned, Cascade) else "position_gain"
         second = 1.0 / units.parse_unit(unit).factor
-        there = DriveNumber(name, _called(time, said), unit, second, inverse, per=per)
+        there = DriveNumber(name, _label(time, said), unit, second, inverse, per=per)
         yield replace(there, declared=there.of(declared, known)) if declared else there
         return
     if f"controller.{(cutoff := _cutoff_of(name))}" in said.stated:
@@ -113,10 +113,10 @@ def _shown(learned: Any, name: str, said: _Said) -> Iterator[DriveNumber]:
         yield replace(there, declared=there.of(declared, known)) if declared else there
         return
     measured = declared_unit(learned, name)
-    candidates, speaks = units_declared(measured, said.kind), speaks_output(measured)
+    candidates, speaks = list_units(measured, said.kind), speaks_output(measured)
     if not candidates:  # a share, say
         if declared is not None:
-            yield DriveNumber(name, _called(name, said), "", 1.0, declared=declared)
+            yield DriveNumber(name, _label(name, said), "", 1.0, declared=declared)
         return
     plain = dict(zip(OUTPUTS[said.kind], candidates, strict=True)).get(said.output or "") if speaks else candidates[0]
     unit = _unit_in_drive(name, plain or "", said)
@@ -126,11 +126,11 @@ def _shown(learned: Any, name: str, said: _Said) -> Iterator[DriveNumber]:
     factor = abs(said.controller.ratio / learned.ratio) ** _power(measured) / one
     if speaks:
         factor *= abs(learned.gain * learned.ratio) / abs(said.controller.gain * said.controller.ratio)
-    yield DriveNumber(name, _called(name, said), unit, factor, declared=None if declared is None else declared / one)
+    yield DriveNumber(name, _label(name, said), unit, factor, declared=None if declared is None else declared / one)
 
 
 def _time_of(learned: Any, name: str, said: _Said) -> str | None:
-    """Return the key of the time that a drive shows for a gain, None where it shows the gain.
+    """Return the key of a time shown instead of a gain; None for the gain.
 
     Of a cascade it is the time where nothing is declared; of the other laws, which have both, where it is declared.
     """
@@ -140,13 +140,13 @@ def _time_of(learned: Any, name: str, said: _Said) -> str | None:
 
 
 def _cutoff_of(name: str) -> str:
-    """Return the key of the cut-off frequency that a drive may show for a filter's time constant."""
+    """Return the key of a filter's cut-off, shown instead of its time constant."""
     owner, _, last = name.rpartition(".")
     return f"{owner}.cutoff" if last == "time_constant" else ""
 
 
-def _called(key: str, said: _Said) -> str:
-    """Return what a number is called: its key, and the drive's own name before it."""
+def _label(key: str, said: _Said) -> str:
+    """Return the label of a number: the drive's name, if known, and its key."""
     return f"{said.profile[key][0]} {key}" if key in said.profile else key
 
 

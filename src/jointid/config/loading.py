@@ -158,9 +158,9 @@ def read_text(path: Path) -> str:
 
 
 def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = (), axis: str | None = None) -> JointFile:
-    """Load a joint file whose controller is to be learned: it need not have one, nor its gains.
+    """Load a joint file whose controller, or gains, may be missing, to learn them.
 
-    What [controller] says, as the gain of the drive's chain, is kept; a gain of the loop that it does not say is 1.
+    The keys of [controller], such as the gain of the drive's chain, are kept; a missing gain of the loop is 1.
 
     Args:
         path: as of `load`.
@@ -219,7 +219,7 @@ def _file(
     filtering: str | None = None,
     friction: str | None = None,
 ) -> JointFile | RobotFile:
-    """Return the file that tables with changes say; see `load`."""
+    """Return the file of some tables with changes; see `load`."""
     changes = list(changes)
     changed = apply_changes(tables, changes)
     is_robot = "robot" in changed
@@ -246,7 +246,7 @@ def _file(
 
 
 def _method_name(tables: Mapping[str, Any]) -> str | None:
-    """Return the method that a file names, or that it has where it names none."""
+    """Return the file's method, or the default one."""
     if "robot" in tables:
         from jointid.config.robot_file import read_robot_tables
 
@@ -347,7 +347,7 @@ def learned_text(file: JointFile, controller: Controller) -> str:
 
 
 def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[str, DriveNumber]) -> str:
-    """Return the lines of a controller, each number's unit behind it, and the number as the drive shows it."""
+    """Return the lines of a controller, with units and the drive's numbers as comments."""
     law = numbers_of(controller)
 
     def comment(name: str, value: float) -> str:
@@ -382,11 +382,11 @@ def with_table(text: str, written: str) -> str:
     """
     tables, replaced = parse_toml(text), tomllib.loads(written)
     (name,) = replaced
-    return _checked(_join(split_sections(text), written, re.compile(_HEADING.format(name))), tables | replaced)
+    return _verify(_join(split_sections(text), written, re.compile(_HEADING.format(name))), tables | replaced)
 
 
 def with_paths(text: str, before: Path, after: Path) -> str:
-    """Return the text of a joint file as it says the same in another folder; all but the records' paths stays as it is.
+    """Return the text of a joint file for another folder, with the records' paths changed.
 
     Where a path does not stand on a line of its own below its heading, the whole file is written anew and its comments
     are lost.
@@ -408,13 +408,13 @@ def with_paths(text: str, before: Path, after: Path) -> str:
     for table in named:
         table["file"] = _from_there(table["file"], before, after)
 
-    def moved(line: re.Match[str]) -> str:
+    def relocate(line: re.Match[str]) -> str:
         file = _from_there(tomllib.loads(f"file = {line[2]}")["file"], before, after)
         return line[1] + json.dumps(file, ensure_ascii=False)
 
     sections = split_sections(text)
-    made = "".join(_FILE.sub(moved, one, count=1) if _OF_RECORD.match(one) else one for one in sections)
-    return _checked(made, expected)
+    made = "".join(_FILE.sub(relocate, one, count=1) if _OF_RECORD.match(one) else one for one in sections)
+    return _verify(made, expected)
 
 
 def with_record(text: str, file: str) -> str:
@@ -438,11 +438,11 @@ def with_record(text: str, file: str) -> str:
             break
     else:
         sections.append(f"\n[record]\nfile = {line}\n")
-    return _checked("".join(sections), expected)
+    return _verify("".join(sections), expected)
 
 
-def _checked(made: str, expected: Mapping[str, Any]) -> str:
-    """Return a text that was changed, or, where it does not say what it should, the tables written anew."""
+def _verify(made: str, expected: Mapping[str, Any]) -> str:
+    """Return a changed text, or the expected tables as text if it does not contain them."""
     try:
         return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
     except tomllib.TOMLDecodeError:  # two tables of one name, where the old one has no heading; a path of several lines
@@ -450,7 +450,7 @@ def _checked(made: str, expected: Mapping[str, Any]) -> str:
 
 
 def _from_there(file: str, before: Path, after: Path) -> str:
-    """Return the path of a file, relative to one folder, as it is from another; an absolute one as it is."""
+    """Return a relative path as seen from another folder; an absolute one is unchanged."""
     if Path(file).is_absolute():
         return file
     try:

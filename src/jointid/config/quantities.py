@@ -15,7 +15,7 @@ from jointid.common.units import Kind, UnitError
 from jointid.models.controllers import CONTROLLER_UNITS
 
 OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}
-"""What a controller may give out, by how its side moves."""
+"""Output units of a controller, by the motion of its side."""
 
 _LENGTHS = ("m", "m/s", "m/s2", "m s")  # what is behind a "per" for a side that moves straight
 
@@ -38,13 +38,13 @@ class Stated(float):
         return made
 
     def __getnewargs__(self) -> tuple[float, str, str]:  # type: ignore[override]
-        """Return what makes it again: for copies."""
+        """Return the arguments of a copy."""
         return float(self), self.text, self.key
 
 
 @lru_cache(maxsize=256)
-def units_declared(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
-    """Return the units that measure what a declaration says; "N m s/rad" and others for controller units per rad/s.
+def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
+    """List the units of a declaration; "N m s/rad" and others for controller units per rad/s.
 
     Args:
         declared: of the setting: "1/s", "m/s or rad/s", "controller units per m/s or rad/s".
@@ -55,7 +55,7 @@ def units_declared(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
         choices = [unit.strip() for unit in declared.replace(",", " or ").split(" or ")]
         if len(choices) == 2 and kind is not None:  # straight, then turning
             choices = [choices[kinds[0] == "revolute"]]
-        return tuple(unit for unit in choices if _is_known(unit))
+        return tuple(unit for unit in choices if _is_unit(unit))
     per = declared.removeprefix(CONTROLLER_UNITS).removeprefix(" per ").split(" or ") if " per " in declared else [""]
     found = []
     for one in kinds:
@@ -64,7 +64,7 @@ def units_declared(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _is_known(unit: str) -> bool:
+def _is_unit(unit: str) -> bool:
     try:
         units.parse_unit(unit)
     except UnitError:
@@ -73,27 +73,27 @@ def _is_known(unit: str) -> bool:
 
 
 def output_of(text: str, declared: str, kind: Kind) -> str | None:
-    """Return what the controller gives out, N, N m, A, V or %, as a text in its units says; None in no such unit."""
+    """Return the controller's output unit (N, N m, A, V or %) in a text; None without one."""
     if not speaks_output(declared):
         return None
     said = units.parse_quantity(text)
-    known = zip(OUTPUTS[kind], units_declared(declared, kind), strict=True)
+    known = zip(OUTPUTS[kind], list_units(declared, kind), strict=True)
     return next((output for output, unit in known if said.matching(unit) is not None), None)
 
 
 def speaks_output(declared: str) -> bool:
-    """Return True for what is measured in the controller's own units, by itself or per another unit."""
+    """Return True for a declaration in controller units, possibly per another unit."""
     return declared.startswith(CONTROLLER_UNITS)
 
 
 def is_quantity(text: str) -> bool:
-    """Return True for a text that is a number and something behind it: a unit that is known, or one that is not."""
+    """Return True for a number followed by a unit, known or not."""
     return not messages.is_number(text) and text.lstrip()[:1] in set("0123456789.+-")
 
 
 def misfit(text: str, declared: str, kind: Kind | None = None) -> str | None:
-    """Return the rest of the sentence on a text whose unit does not measure what is declared, else None."""
-    known = units_declared(declared, kind)
+    """Return the rest of the sentence on a text with a wrong unit, else None."""
+    known = list_units(declared, kind)
     try:
         said = units.parse_quantity(text)
     except UnitError as error:
@@ -112,10 +112,10 @@ def _either(known: tuple[str, ...]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def stated(text: str, declared: str) -> Stated:
-    """Return the number of a text that is no `misfit`."""
+def to_si(text: str, declared: str) -> Stated:
+    """Return the SI value of a text that is no `misfit`."""
     said = units.parse_quantity(text)
-    return Stated(next(v for unit in units_declared(declared) if (v := said.matching(unit)) is not None), text)
+    return Stated(next(v for unit in list_units(declared) if (v := said.matching(unit)) is not None), text)
 
 
 def stated_in(table: Any, before: str = "") -> Iterator[tuple[str, Stated]]:

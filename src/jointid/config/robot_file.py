@@ -81,14 +81,14 @@ class RobotTable(Table):
     in_motion: bool = Field(False, description="whether the records begin while the robot moves, as its references do")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield angles beyond a turn, which are degrees."""
+        """Yield angles above a turn, which are degrees."""
         if any(abs(float(angle)) > _TURNS for angle in self.base):
             yield "base", f" is {self.base}, beyond a turn; expected roll, pitch and yaw in rad: convert the degrees."
 
 
 @keys_from(JointSpring, without=("stiffness",))
 class JointSpringTable(Table):
-    """joints.spring: between motor and link, and the friction beyond it; a bare word is the spring's law."""
+    """joints.spring: between motor and link, with the link's friction; a bare word is its law."""
 
     shorthand = "law"
 
@@ -100,7 +100,7 @@ class JointSpringTable(Table):
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that numbers stand there without a stiffness."""
+        """Yield the fault of numbers without a stiffness."""
         if self.stiffness is None and self.model_fields_set - {"law"}:
             yield "stiffness", self.lacks("stiffness")
 
@@ -149,7 +149,7 @@ class RobotJointTable(JointTable):
         said: dict[str, Any] = {"kind": kind, "model": "flexible" if self.flexible else "rigid"}
         if self.spring is not None:
             said["spring"] = self.spring.law
-        own = self.given(*said, "spring")
+        own = self.given_values(*said, "spring")
         return _OneOfJoints.model_construct(
             **said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields}
         )
@@ -204,7 +204,7 @@ class RobotFileTable(Table):
 
     @property
     def method_name(self) -> str:
-        """Name of the method that is named, or that the channels are for."""
+        """Name of the given method, or of the default one for the channels."""
         # A joint without a controller leaves one method only.
         measured = self.record.channels.motor_position is not None or any(
             one.controller is None or (one.channels is not None and one.channels.motor_position is not None)
@@ -220,8 +220,8 @@ class RobotFileTable(Table):
             kind: of the joint.
         """
         own = self.joints[number]
-        channels = self.record.channels.given() | ({} if own.channels is None else own.channels.given())
-        named = {channel: _named(table, own.name, number) for channel, table in channels.items()}
+        channels = self.record.channels.given_values() | ({} if own.channels is None else own.channels.given_values())
+        named = {channel: _fill_placeholders(table, own.name, number) for channel, table in channels.items()}
         record = self.record.model_copy(update={"channels": ChannelsTable().model_copy(update=named)})
         axis = {} if self.drive.profile is None or "axis" in self.drive.model_fields_set else {"axis": number + 1}
         # What a joint of a robot is identified by is not its own method, but says which channels must be there.
@@ -241,10 +241,10 @@ _OF_JOINT_FILE = ("transmission", "gravity", "ripple", "controller", "parameters
 """Tables of a joint file that are below [[joints]] in a robot file."""
 
 
-def _named(table: ChannelTable, name: str, number: int) -> ChannelTable:
-    """Return a channel with the joint's own name and place where its texts have a stand-in."""
+def _fill_placeholders(table: ChannelTable, name: str, number: int) -> ChannelTable:
+    """Return a channel with the placeholders of its texts replaced by name and number."""
     own = {"{joint}": name, "{axis}": str(number + 1), "{index}": str(number)}
-    texts = {key: value for key, value in table.given().items() if isinstance(value, str)}
+    texts = {key: value for key, value in table.given_values().items() if isinstance(value, str)}
     for stand_in, meant in own.items():
         texts = {key: text.replace(stand_in, meant) for key, text in texts.items()}
     return table.model_copy(update=texts)
@@ -280,7 +280,7 @@ class RobotFile:
 
     @classmethod
     def of(cls, tables: Mapping[str, Any], path: Path = Path("robot.toml")) -> Self:
-        """Return what the tables of a robot file say.
+        """Build a robot file from its tables.
 
         Args:
             tables: by name, as `tomllib` reads them.
@@ -294,7 +294,7 @@ class RobotFile:
         files = _joint_files(said, bare, path)
         each = list(zip(said.joints, bare.joints, files, strict=True))
         unmodelled = [
-            f"joints.{n + 1}{rest}" for n, (own, _, file) in enumerate(each) for rest in _unmodelled(own, file)
+            f"joints.{n + 1}{rest}" for n, (own, _, file) in enumerate(each) for rest in _model_faults(own, file)
         ]
         try:
             robot = bare if unmodelled else replace(bare, joints=tuple(_joint(*one) for one in each))
@@ -447,7 +447,7 @@ class RobotFile:
         return found
 
     def record(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> tuple[Record, ...]:
-        """Read the records that `identify` takes, with a computed feed-forward for a method that simulates.
+        """Read the records for `identify`, with a computed feed-forward if the method simulates.
 
         Args:
             path: of the record, instead of the one that the file names.
@@ -473,7 +473,7 @@ class RobotFile:
 
         Args:
             records: of each joint, as `record` reads them; or those of several logs, identified in one fit.
-            progress: is told how a search goes.
+            progress: is called with the state of a search.
             checks: whether to check the estimate.
 
         Raises:
@@ -490,7 +490,7 @@ class RobotFile:
 
         Args:
             paths: of the records.
-            progress: is told how a search goes.
+            progress: is called with the state of a search.
 
         Raises:
             RecordError, MethodError: see `jointid.identify`.
@@ -552,7 +552,7 @@ def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
     Raises:
         JointFileError: with one sentence for each fault.
     """
-    raw, faults = RobotFileTable.corrected(tables)
+    raw, faults = RobotFileTable.correct_keys(tables)
     try:
         said = RobotFileTable.model_validate(raw)
     except ValidationError as error:
@@ -593,7 +593,7 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
             "to 0 0 -9.81."
         )
     turned = _base(said.robot.base).T @ ordered.gravity
-    # A base that is written as 3.1416 hangs upside down: a trace of gravity sideways would be told by no record.
+    # A base that is written as 3.1416 hangs upside down: no record would show a trace of gravity sideways.
     turned = np.where(np.abs(turned) < _UPRIGHT * np.linalg.norm(turned), 0.0, turned)
     return replace(ordered, gravity=turned, name=said.robot.name or ordered.name)
 
@@ -665,7 +665,7 @@ def _starts(file: JointFile) -> tuple[dict[str, float], dict[str, float], dict[s
 
 
 def _joint(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> RobotJoint:
-    """Return a joint of the model with the numbers and the laws that a robot file says of it."""
+    """Return a joint of the model with the file's numbers and laws."""
     motor, spring, numbers = _starts(file)
     given = {name: value for name, value in own.settings().items() if name in (*_NUMBERS, "coupling")} | motor
     friction = file.joint.friction
@@ -679,8 +679,8 @@ def _joint(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> RobotJoi
     return replace(joint, **given, numbers=numbers)
 
 
-def _unmodelled(own: RobotJointTable, file: JointFile) -> Iterator[str]:
-    """Yield the rest of a sentence on what the model of a robot has not, and on each number that its laws lack."""
+def _model_faults(own: RobotJointTable, file: JointFile) -> Iterator[str]:
+    """Yield the rest of a sentence on unsupported tables, and on missing numbers of the laws."""
     motor, excess, numbers = _starts(file)
     friction, spring = file.joint.friction.name, getattr(file.joint, "spring", None)
     if "load_inertia" in file.parameters:
@@ -704,7 +704,7 @@ def _unmodelled(own: RobotJointTable, file: JointFile) -> Iterator[str]:
 
 
 def _shared_columns(files: Sequence[JointFile]) -> dict[str, list[str]]:
-    """Return which channels are one column of several joints, and of which."""
+    """Return channels that share a column, with the names of their joints."""
     found: dict[str, list[str]] = {}
     for file in files:
         for channel, column in file.columns.items():

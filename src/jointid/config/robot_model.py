@@ -117,7 +117,7 @@ def read_robot(text: str, called: str = "the robot's model") -> Robot:
     kept = _URDF if root.tag == "robot" else _MJCF
     _refuse_elements(root, called)
     order = [one.get("name", "") for one in root.iter("joint")]
-    stripped = _kept(root, kept)
+    stripped = _filter_tree(root, kept)
     _refuse_infinite(stripped, called)
     _give_masses(stripped)
     mujoco = extra("mujoco", "robots", "A robot's model")
@@ -176,7 +176,7 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
         elif one.tag == "joint" and one.get("type") in ("ball", "free", "floating", "planar"):
             kinds = "expected joints that turn or slide about one axis: write it as several joints, or leave it out"
             faults.append(f"{called}: {name} is of the type {one.get('type')}; {kinds}.")
-        elif one.tag == "body" and one.find("inertial") is None and any(map(_is_drawn, one.findall("geom"))):
+        elif one.tag == "body" and one.find("inertial") is None and any(map(_is_mesh, one.findall("geom"))):
             faults.append(f"{called}: the mass of {name} follows from a mesh, which is not read; add <inertial> to it.")
     if len(list(root.iter("joint"))) > 10 * _MOST:
         faults.append(f"{called} has more than {10 * _MOST} joints; expected a robot of at most {_MOST}.")
@@ -196,22 +196,22 @@ def _refuse_infinite(root: ET.Element, called: str) -> None:
                 )
 
 
-def _is_drawn(geom: ET.Element) -> bool:
+def _is_mesh(geom: ET.Element) -> bool:
     return geom.get("type") in _SHAPES or any(name in geom.attrib for name in _SHAPES)
 
 
-def _kept(element: ET.Element, allowed: Mapping[str, tuple[str, ...]]) -> ET.Element:
-    """Return an element with what is allowed of it and below it."""
+def _filter_tree(element: ET.Element, allowed: Mapping[str, tuple[str, ...]]) -> ET.Element:
+    """Return an element with its allowed attributes and children."""
     names = allowed[element.tag]
     found = ET.Element(element.tag, {name: value for name, value in element.items() if name in names})
     for child in element:
-        if child.tag in allowed and not (child.tag == "geom" and (_is_drawn(child) or element.tag == "worldbody")):
-            found.append(_kept(child, allowed))
+        if child.tag in allowed and not (child.tag == "geom" and (_is_mesh(child) or element.tag == "worldbody")):
+            found.append(_filter_tree(child, allowed))
     return found
 
 
 def _give_masses(root: ET.Element) -> None:
-    """Give the least mass that MuJoCo moves to the links and bodies that say none."""
+    """Give MuJoCo's least mass to links and bodies without one."""
     least = repr(_NOTHING)
     for link in root.findall("link"):
         if link.find("inertial") is None:
@@ -237,7 +237,7 @@ def _robot(mujoco: Any, model: Any, name: str, called: str) -> Robot:
             anchor, axis = model.jnt_pos[joint].copy(), model.jnt_axis[joint] / np.linalg.norm(model.jnt_axis[joint])
             origin, back = origin + rotation @ anchor, -float(model.qpos0[model.jnt_qposadr[joint]])
             if kind == "revolute":
-                rotation = rotation @ _turned(mujoco, axis, back)
+                rotation = rotation @ _rotation_about(mujoco, axis, back)
             else:
                 origin = origin + rotation @ axis * back
             joints.append(_joint(model, joint, called))
@@ -284,22 +284,22 @@ def _matrix(mujoco: Any, quaternion: FloatArray) -> FloatArray:
     return found.reshape(3, 3)
 
 
-def _turned(mujoco: Any, axis: FloatArray, angle: float) -> FloatArray:
+def _rotation_about(mujoco: Any, axis: FloatArray, angle: float) -> FloatArray:
     quaternion = np.empty(4)
     mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
     return _matrix(mujoco, quaternion)
 
 
 def in_order(robot: Robot, names: Sequence[str]) -> Robot:
-    """Return a robot with its joints in the order of these names, but each after that which carries it."""
+    """Return a robot with its joints in the given order, parents before children."""
     rank = {name: place for place, name in enumerate(dict.fromkeys(names))}
-    chosen = list(_sorted(robot, [rank.get(name, len(rank)) for name in robot.names]))
+    chosen = list(_sort_links(robot, [rank.get(name, len(rank)) for name in robot.names]))
     place = {-1: -1} | {old: new for new, old in enumerate(chosen)}
     links = tuple(replace(robot.links[old], parent=place[robot.links[old].parent]) for old in chosen)
     return replace(robot, links=links, joints=tuple(robot.joints[old] for old in chosen))
 
 
-def _sorted(robot: Robot, ranks: list[int]) -> Iterator[int]:
+def _sort_links(robot: Robot, ranks: list[int]) -> Iterator[int]:
     left, there = sorted(range(len(robot)), key=lambda i: ranks[i]), {-1}
     while left:
         following = next(i for i in left if robot.links[i].parent in there)

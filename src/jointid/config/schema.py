@@ -1,7 +1,7 @@
 """The joint file as a whole, and its tables of the joint, of its controller and of how it is identified.
 
-What may stand there, and what it becomes. What a key is when it is left out is the default of the object the table
-becomes; a test holds the two together.
+The tables define the allowed keys and values, and build the objects. The default of a key is that of the object; a
+test compares the two.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 from jointid.common import messages, units
 from jointid.common.errors import Fault, JointidError, MethodError
 from jointid.common.messages import Says
-from jointid.common.settings import Declared, settings_of
+from jointid.common.settings import settings_of
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.config.quantities import Stated
@@ -71,7 +71,7 @@ from jointid.records.signals.filtering import Filtering
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 EFFECTS = ("harmonics", "period", "drift")
-"""The keys of [method] that say the effects of a method that has any."""
+"""The keys of [method] for the effects of a regression."""
 
 FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
     "default": Filtering,
@@ -116,7 +116,7 @@ class JointTable(Table):
 
     @property
     def torque_per(self) -> str:
-        """What the torque constant is per: A or V."""
+        """Denominator of the torque constant: A or V."""
         text = self.torque_constant.text if isinstance(self.torque_constant, Stated) else "1 N/A"
         return "V" if "V" in text else "A"
 
@@ -137,7 +137,7 @@ class JointTable(Table):
         return FlexibleJoint(*common, find_spring(self.spring)) if self.model == "flexible" else RigidJoint(*common)
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that a rigid joint has no spring, or why a joint cannot have its friction."""
+        """Yield the faults of a spring in a rigid joint, or of an impossible friction."""
         if self.model == "rigid" and self.spring != LinearSpring.name:
             yield (
                 "spring",
@@ -160,7 +160,7 @@ class GravityTable(Table):
     """[gravity]: what the load weighs."""
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that there is no such gravity."""
+        """Yield the fault of an impossible gravity."""
         if refused := refusal(self.gravity):
             yield "angle", refused
 
@@ -192,7 +192,7 @@ class TransmissionTable(Table):
     lead_unit: LengthUnit = Field("m", description="unit of the lead")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that there is not one of ratio and lead."""
+        """Yield the fault of a missing or double ratio and lead."""
         if self.ratio is None and self.lead is None:
             yield "", " has neither ratio nor lead; expected one of them: add it."
         elif self.ratio is not None and self.lead is not None:
@@ -223,7 +223,7 @@ class FilteringTable(Table):
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the keys beside a preset."""
         if self.preset is not None:
-            for key, value in self.given("preset").items():
+            for key, value in self.given_values("preset").items():
                 yield key, messages.beside_preset(value, self.preset)
 
     def build(self) -> Any:
@@ -257,7 +257,7 @@ class MethodTable(Table):
 
     def beside_preset(self) -> dict[str, Any]:
         """Return the values that the preset sets too; the paper knew its frequency, and another joint has another."""
-        return {} if self.preset is None else self.given("name", "preset", "frequency")
+        return {} if self.preset is None else self.given_values("name", "preset", "frequency")
 
     def effects(self) -> tuple[Effect, ...]:
         """Return the further columns of a regression."""
@@ -265,7 +265,12 @@ class MethodTable(Table):
         return (*ripple, *(() if self.drift is None else (Drift(self.drift),)))
 
     def method(self, name: str, model: str) -> Method:
-        """Return the method of that name with these settings, for a joint of that model."""
+        """Return the method with these settings.
+
+        Args:
+            name: of the method.
+            model: of the joint.
+        """
         made: Any = method_of(name)
         given = self.settings("name", "preset", *EFFECTS)
         for one in settings_of(made):
@@ -284,7 +289,7 @@ def has_effects(method: type[Method]) -> bool:
 
 
 def keys_of(method: type[Method], model: str) -> tuple[str, ...]:
-    """Return the keys of [method], beside its name, that a method has for a joint of that model."""
+    """Return the keys of [method] for a method and a joint model, without the name."""
     own = settings_of(method)
     settings = tuple(one.name for one in own if not one.setting.systems or model in one.setting.systems)
     return (*settings, *(EFFECTS if has_effects(method) else ()), *(("preset",) if hasattr(method, "paper") else ()))
@@ -316,7 +321,7 @@ class FilterTable(Table):
             return
         kind = meant[0]
         known = fields(FILTERS[kind])
-        given, names = self._given(kind), [field.name for field in known]
+        given, names = self._settings_of_kind(kind), [field.name for field in known]
         if "cutoff" in given:
             twice = f" is {self.cutoff:g} Hz beside {_CUTOFFS.get(kind)}, which says the same: leave one out."
             yield "cutoff", twice if kind in _CUTOFFS else messages.foreign(kind, names)
@@ -331,18 +336,18 @@ class FilterTable(Table):
             yield "denominator" if kind == "digital" else "", refused
 
     def _meant(self) -> list[str]:
-        """Return the kinds that have every key that is given: the one that is named, or else all that can be."""
+        """Return the named kind of filter, or all kinds with the given keys."""
         if self.kind is not None:
             return [self.kind]
         found = []
         for kind, made in FILTERS.items():
             names = {one.name: one.default is MISSING for one in fields(made)}
-            given = self._given(kind)
+            given = self._settings_of_kind(kind)
             if set(given) <= set(names) and all(name in given for name, needed in names.items() if needed):
                 found.append(kind)
         return found or list(FILTERS)
 
-    def _given(self, kind: str) -> dict[str, Any]:
+    def _settings_of_kind(self, kind: str) -> dict[str, Any]:
         """Return the given settings, with a cut-off as the setting of that kind of filter."""
         given = self.settings("kind")
         name = _CUTOFFS.get(kind)
@@ -352,14 +357,14 @@ class FilterTable(Table):
         return {name: 1.0 / (2.0 * math.pi * cutoff) if name == "time_constant" else cutoff} | given
 
     def filter(self) -> Filter | tuple[float, ...]:
-        """Return the filter, or the numerator where that is all there is."""
+        """Return the filter, or only the numerator if nothing else is given."""
         (kind,) = self._meant()
-        made: Filter = FILTERS[kind](**self._given(kind))
-        return made.numerator if isinstance(made, DigitalFilter) and len(self.given()) == 1 else made
+        made: Filter = FILTERS[kind](**self._settings_of_kind(kind))
+        return made.numerator if isinstance(made, DigitalFilter) and len(self.given_values()) == 1 else made
 
 
 _CUTOFFS = {"first_order": "time_constant", "second_order": "frequency"}
-"""What of a filter a cut-off frequency says."""
+"""The setting of each kind of filter that a cut-off frequency gives."""
 
 FilterTables = Annotated[list[FilterTable], Says("a list of filters, each a table or the list of a numerator")]
 
@@ -387,7 +392,7 @@ AMBIGUOUS: Mapping[str, str] = {
     "kp": _KP, "Kp": _KP, "KP": _KP, "kv": _KV, "Kv": _KV, "KV": _KV, "ki": _KI, "Ki": _KI, "KI": _KI,
     "kd": _KD, "Kd": _KD, "KD": _KD, "Tn": _TN, "tn": _TN, "Ti": _TN, "ti": _TN, "Td": _TD, "td": _TD, "Tv": _TD,
 }  # fmt: skip
-"""Names of gains that mean one loop's on one drive and the other's on another, with the rest of the sentence."""
+"""Names of gains with another meaning on each drive, with the rest of the sentence."""
 
 
 class LawTable(Table):
@@ -409,17 +414,17 @@ class LawTable(Table):
         return seen
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that there is no such law; what depends on the period is seen where the file has one."""
+        """Yield the fault of an impossible law, checked at the period where there is one."""
         period = self.period
         if refused := refusal(lambda: self.controller() if period is None else self.controller().law(period)):
             yield "", refused
 
 
 class DrawnTable(LawTable):
-    """A law that is drawn: it may filter velocity and torque."""
+    """A law with a block diagram, which may filter velocity and torque."""
 
     def settings(self, *without: str) -> dict[str, Any]:
-        """Return what the law is made of."""
+        """Return the settings of the law."""
         found = super().settings("law", "side", "velocity_filter", "torque_filters", *without)
         for time, (gain, made) in _TIMES.items():
             if time in found:
@@ -434,16 +439,16 @@ class DrawnTable(LawTable):
         return made
 
     @classmethod
-    def absent(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
-        """Yield the gains that are needed and are not there, nor the time that is another word for them."""
+    def find_missing(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Yield required gains that are given neither as a gain nor as a time."""
         for time, (gain, _) in _TIMES.items():
             needed = time in cls.model_fields and cls.model_fields[gain].default is None
             if needed and not {time, gain} & set(given):
                 yield gain, cls.lacks(gain).removesuffix(": add it.") + f": add it, or {time}."
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a time beside the gain that it is another word for, and neither of them where one is needed."""
-        wrong = [*self.absent(self.model_fields_set)]
+        """Yield missing gains, and gains given twice, also as a time."""
+        wrong = [*self.find_missing(self.model_fields_set)]
         for time, (gain, _) in _TIMES.items():
             if {time, gain} <= self.model_fields_set:
                 said = f" = {getattr(self, time):g} s stands beside {gain}, which says the same: leave one out."
@@ -479,7 +484,7 @@ class StateSpaceTable(LawTable):
     D: InputGains = Field(description="direct gain of each input: a number")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that the shapes do not fit."""
+        """Yield faults of the shapes."""
         if len({len(row) for row in self.A}) > 1:
             lengths = ", ".join(str(len(row)) for row in self.A)
             yield "A", f" has rows of {lengths} numbers; expected rows of one length: complete them."
@@ -488,14 +493,16 @@ class StateSpaceTable(LawTable):
 
     def controller(self) -> StateSpaceController:
         """Return the controller."""
-        return StateSpaceController(B=self.B.given(), D=self.D.given(), **self.given("law", "side", "B", "D"))
+        return StateSpaceController(
+            B=self.B.given_values(), D=self.D.given_values(), **self.given_values("law", "side", "B", "D")
+        )
 
 
 _TIMES: Mapping[str, tuple[str, Callable[[float, float], float]]] = {
     "integral_time": ("integral_gain", lambda time, gain: gain / time),
     "derivative_time": ("derivative_gain", lambda time, gain: gain * time),
 }
-"""Keys that are times, the gain that each is another word for, and that gain by the time and the proportional gain."""
+"""Gain of each time, with the function that computes it from the time and the proportional gain."""
 
 _MEANT = {
     ("cascade", "integral_time"): "integral time Tn of the velocity loop, 1 over its integral gain",
@@ -506,24 +513,20 @@ _MEANT = {
 
 
 def with_gains_meant(keys: Iterable[str]) -> frozenset[str]:
-    """Return keys of [controller] and the gains that they say in other words: integral_gain for integral_time."""
+    """Return keys of [controller], with the gain of each time: integral_gain for integral_time."""
     given = list(keys)
     return frozenset([*given, *(_TIMES[key][0] for key in given if key in _TIMES)])
 
 
-def _declared(law: Any) -> tuple[Declared, ...]:
-    return settings_of(law)
-
-
-def _table_of(word: str, law: type[Any]) -> type[LawTable]:
-    """Return the table of a law that is drawn."""
+def _table_of(word: str, law: Any) -> type[LawTable]:
+    """Return the table of a law with a block diagram."""
     make: Any = create_model
     times: dict[str, Typed] = {}
     types: dict[str, Typed] = {"velocity_filter": (FilterTable, None), "torque_filters": (FilterTables, [])}
     for (of, time), meaning in _MEANT.items():
         if of == word:
             gain = _TIMES[time][0]
-            (declared,) = [one for one in _declared(law) if one.name == gain]
+            (declared,) = [one for one in settings_of(law) if one.name == gain]
             times[time] = (with_unit(Positive, "s") | None, Field(None, description=f"{meaning} [s]"))
             types |= {gain: (annotation_of(declared), None)} if declared.required else {}
     made: type[LawTable] = make(
@@ -556,7 +559,7 @@ class ParameterTable(Table):
     free: Flag | None = Field(None, description="whether the parameter is identified")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield what contradicts itself."""
+        """Yield contradictions between bounds, value, start and free."""
         if self.lower is not None and self.upper is not None and not self.lower < self.upper:
             yield "lower", f" is {self.lower:g}; expected less than upper = {self.upper:g}: exchange them."
         if self.value is not None and self.free:
@@ -572,7 +575,7 @@ class LimitsTable(Table):
     """[limits]: what the axis may do in a test that is planned, on the side that is reported."""
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that the band of frequencies is none, or that there is no room between the positions."""
+        """Yield the fault of an empty band of frequencies or range of positions."""
         if refused := refusal(self.build):
             yield "highest" if "frequency" in refused else "upper", refused
 
@@ -655,7 +658,7 @@ class FileTable(Table):
     @property
     def channels(self) -> Mapping[str, ChannelTable]:
         """Channels that are right."""
-        found: dict[str, ChannelTable] = self.record.channels.given()
+        found: dict[str, ChannelTable] = self.record.channels.given_values()
         return found
 
     @property

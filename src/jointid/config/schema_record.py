@@ -97,7 +97,7 @@ class ChannelTable(Table):
     """[record.channels.reference] and its like: the column of one channel."""
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a clock that is told twice."""
+        """Yield a clock that is given twice."""
         if self.time is not None and self.sample_time is not None:
             yield "time", f' is "{self.time}" beside sample_time = {self.sample_time:g}; keep one of them.'
 
@@ -112,7 +112,7 @@ class InjectedTable(ChannelTable):
     """[record.channels.injected]: a known signal added to the controller's output."""
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that no such injection exists."""
+        """Yield the fault of an impossible injection."""
         yield from super().faults()
         any_signal = Channel(np.zeros(1), "N", 1.0)
         if refused := refusal(lambda: Injection(any_signal, self.build().at, self.in_torque)):
@@ -149,19 +149,19 @@ class RecordTable(Table):
     channels: ChannelsTable = Field(default_factory=ChannelsTable, description="where the channels are found")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that the file's format has no such option."""
+        """Yield the fault of an option that the file's format does not have."""
         if self.file is not None and (refused := refusal(partial(format_of, self.file, **self.options()))):
             yield "file", refused
 
     def options(self) -> dict[str, Any]:
         """Return the options of the format's reader that are given."""
-        return {key: value for key, value in self.given().items() if key in OPTIONS}
+        return {key: value for key, value in self.given_values().items() if key in OPTIONS}
 
     def build(self) -> Source:
         """Return the file of the record, and how it is read."""
         options = self.options()
         resample = None if self.resample is None else self.resample.build()
-        return Source(**self.given("channels", "resample", *options), resample=resample, options=options)
+        return Source(**self.given_values("channels", "resample", *options), resample=resample, options=options)
 
 
 @keys_from(Drive, without=("torque_constant", "torque_per_volt"))

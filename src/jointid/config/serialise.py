@@ -31,7 +31,7 @@ _LAWS: Mapping[type, str] = {made: law for law, made in LAWS.items()}
 
 
 def settings(made: Any, *without: str) -> dict[str, Any]:
-    """Return the fields of a dataclass that are not at their defaults, as TOML has them, but for those named."""
+    """Return the non-default fields of a dataclass as TOML, without those named."""
     found = {}
     for field in fields(made):
         value = _plain(getattr(made, field.name))
@@ -95,8 +95,8 @@ def torque_constant(drive: Drive, joint: Joint) -> dict[str, Any]:
     return {} if per_volt is None else {"torque_constant": f"{per_volt!r} {TORQUE_UNIT[kind]}/V"}
 
 
-def as_stated(tables: dict[str, Any], stated: Mapping[str, Stated]) -> dict[str, Any]:
-    """Return tables with the numbers that still are what was given with a unit in those words."""
+def restore_units(tables: dict[str, Any], stated: Mapping[str, Stated]) -> dict[str, Any]:
+    """Return tables with unchanged numbers written with their original units."""
     written = copy.deepcopy(tables)
     for path, number in stated.items():
         *above, key = path.split(".")
@@ -116,7 +116,7 @@ def as_stated(tables: dict[str, Any], stated: Mapping[str, Stated]) -> dict[str,
 
 
 def _same(value: Any, number: float) -> bool:
-    """Return True if a value is that number, or a text that begins with it: in SI."""
+    """Return True for that number, or a text with it in SI."""
     return value == number or (isinstance(value, str) and value.split(maxsplit=1)[:1] == [repr(number)])
 
 
@@ -141,7 +141,7 @@ def method_table(method: Method, model: str) -> dict[str, Any]:
 
 
 def _effects(effects: tuple[Effect, ...]) -> dict[str, Any]:
-    """Return the keys of [method] that say the same as a method's effects."""
+    """Return the keys of [method] for a method's effects."""
     found: dict[str, Any] = {}
     for effect in effects:
         match effect:

@@ -35,7 +35,7 @@ from jointid.common.errors import Fault, JointidError
 from jointid.common.messages import Says
 from jointid.common.settings import Declared, settings_of
 from jointid.common.units import units_of
-from jointid.config.quantities import Stated, is_quantity, misfit, stated, units_declared
+from jointid.config.quantities import Stated, is_quantity, list_units, misfit, to_si
 
 if TYPE_CHECKING:
     from pydantic import GetJsonSchemaHandler
@@ -69,24 +69,24 @@ class Table(BaseModel):
     """The key whose value may be written instead of the whole table."""
 
     decided_by: ClassVar[Mapping[str, str]] = {}
-    """Keys that hold one table or another, as a key of that table decides: controller by law."""
+    """Keys whose table depends on one of its own keys: controller on law."""
 
     ambiguous: ClassVar[Mapping[str, str]] = {}
-    """What is no key because it may mean several, with the rest of the sentence that says which."""
+    """Ambiguous names that are refused, with the rest of the sentence on the choices."""
 
     builds: ClassVar[Any] = None
     """The dataclass whose settings its keys are, where that is one."""
 
     def build(self) -> Any:
-        """Return the object that the table says."""
+        """Return the object that the table describes."""
         return self.builds(**self.settings())
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield what is wrong with these values together: a key, or "" for the table, and the rest of a sentence."""
+        """Yield contradictions between the values: a key, or "" for the table, and a sentence without its place."""
         if self.builds is not None and (refused := refusal(self.build)):
             yield "", refused
 
-    def given(self, *without: str) -> dict[str, Any]:
+    def given_values(self, *without: str) -> dict[str, Any]:
         """Return the values that stand in the file, by key, without those named."""
         keys = [key for key in type(self).model_fields if key in self.model_fields_set and key not in without]
         given = {key: getattr(self, key) for key in keys}
@@ -94,14 +94,14 @@ class Table(BaseModel):
 
     def settings(self, *without: str) -> dict[str, Any]:
         """Return the values that stand in the file as the settings of a dataclass, by key, without those named."""
-        given = self.given(*without)
+        given = self.given_values(*without)
         return {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
 
     @classmethod
-    def corrected(cls, raw: Mapping[str, Any], *path: str) -> tuple[dict[str, Any], list[Fault]]:
-        """Return a table and those below it with each misspelt key as it is meant, and a fault for each of them.
+    def correct_keys(cls, raw: Mapping[str, Any], *path: str) -> tuple[dict[str, Any], list[Fault]]:
+        """Return nested tables with corrected misspelt keys, and a fault for each.
 
-        What is looked for beside it is then not missed as well.
+        A required key that is misspelt is then not reported as missing as well.
         """
         found, faults = dict[str, Any](), list[Fault]()
         for key, value in raw.items():
@@ -115,18 +115,18 @@ class Table(BaseModel):
             below = [] if field is None or get_origin(field.annotation) in (dict, list) else _tables(field)
             found[meant] = value
             if len(below) == 1 and isinstance(value, dict):
-                found[meant], more = below[0].corrected(value, *path, key)
+                found[meant], more = below[0].correct_keys(value, *path, key)
                 faults += more
         return found, faults
 
     @classmethod
-    def absent(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
+    def find_missing(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield missing keys, where one of several is needed beside the given keys."""
         yield from ()
 
     @classmethod
     def lacks(cls, key: str) -> str:
-        """Return the rest of the sentence on a key that is needed beside the others and not there."""
+        """Return the rest of the sentence on a missing key."""
         field = cls.model_fields[key]
         return messages.missing(_expectation(field).expected, field.description or "")
 
@@ -136,7 +136,7 @@ class Table(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _checked(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _check_table(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         short = cls.shorthand is not None and not isinstance(data, dict)
         raw = {cls.shorthand: data} if short else data
         try:
@@ -145,7 +145,7 @@ class Table(BaseModel):
         except ValidationError as error:
             given = set(raw) if isinstance(raw, dict) else set[str]()
             faulty = error.errors(include_url=False)
-            absent = [((key,), "missing", rest) for key, rest in cls.absent(given)] if given else []
+            absent = [((key,), "missing", rest) for key, rest in cls.find_missing(given)] if given else []
             if given & set(cls.ambiguous):  # which may be what is missing
                 faulty, absent = [one for one in faulty if one["type"] != "missing"], []
             found = [*(cls._fault(one, raw, short) for one in faulty), *absent]
@@ -172,10 +172,10 @@ class Table(BaseModel):
             return (key,), "unknown", rest
         if error["type"].startswith("union_tag"):
             deciding = cls.decided_by[str(key)]
-            return (key, deciding), "choice", _describe_undecided(deciding, field, raw[key])
+            return (key, deciding), "choice", _describe_choice(deciding, field, raw[key])
         if error["type"] == "missing":
             return (key,), "missing", messages.missing(_expectation(field).expected, field.description or "")
-        return (key,), "value", _describe_unexpected(field, raw[key], short)
+        return (key,), "value", _describe_value(field, raw[key], short)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -204,12 +204,12 @@ def refusal(make: Callable[[], object]) -> str | None:
 def accept_by(make: Callable[[Any], object]) -> AfterValidator:
     """Return the validator of a value that `make` must not refuse."""
 
-    def checked(value: object) -> object:
+    def check(value: object) -> object:
         if refused := refusal(lambda: make(value)):
             raise _our_error("refused", refused)
         return value
 
-    return AfterValidator(checked)
+    return AfterValidator(check)
 
 
 def _our_error(code: str, rest: str) -> PydanticCustomError:
@@ -220,8 +220,8 @@ def _as_error(place: Place, code: str, rest: str) -> InitErrorDetails:
     return InitErrorDetails(type=_our_error(code, rest), loc=place, input=None)
 
 
-def _describe_undecided(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> str:
-    """Return the rest of the sentence on a table that does not say which of several it is."""
+def _describe_choice(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> str:
+    """Return the rest of the sentence on a missing or unknown deciding key."""
     deciders = [table.model_fields[deciding] for table in _tables(field)]
     choices = [choice for decider in deciders for choice in _choices(decider)]
     if deciding in raw:
@@ -229,8 +229,8 @@ def _describe_undecided(deciding: str, field: FieldInfo, raw: Mapping[str, objec
     return messages.missing(messages.either(choices), deciders[0].description or "")
 
 
-def _describe_unexpected(field: FieldInfo, value: object, short: bool) -> str:
-    """Return the rest of the sentence on a value that is not what the key's annotation says."""
+def _describe_value(field: FieldInfo, value: object, short: bool) -> str:
+    """Return the rest of the sentence on a value of the wrong type."""
     if choices := _choices(field):
         return messages.no_choice(value, choices)
     says = _expectation(field)
@@ -243,7 +243,7 @@ def _describe_unexpected(field: FieldInfo, value: object, short: bool) -> str:
 
 
 def _expectation(field: FieldInfo) -> Says:
-    """Return what is expected of a key's value."""
+    """Return the expected value of a key, in words."""
     says = [part for part in _parts(field) if isinstance(part, Says)]
     return says[0] if says else Says(messages.either(_choices(field)) or "a table")
 
@@ -259,27 +259,27 @@ def _tables(field: FieldInfo) -> list[type[Table]]:
 
 
 def _parts(field: FieldInfo) -> Iterator[Any]:
-    """Yield what a key's annotation is made of: what it says of itself, and its types."""
-    return chain(field.metadata, _unfolded(field.annotation))
+    """Yield the metadata and the types of a key's annotation."""
+    return chain(field.metadata, _flatten(field.annotation))
 
 
-def _unfolded(annotation: Any) -> Iterator[Any]:
-    """Yield the types and the metadata of an annotation; of a list or a dictionary, those of its items."""
+def _flatten(annotation: Any) -> Iterator[Any]:
+    """Yield types and metadata of an annotation, or of the items of a container."""
     origin = get_origin(annotation)
     if origin is Annotated:
         yield from annotation.__metadata__
-        yield from _unfolded(annotation.__origin__)
+        yield from _flatten(annotation.__origin__)
     elif origin in (None, Literal):
         yield annotation
     else:
-        yield from chain.from_iterable(map(_unfolded, get_args(annotation)))
+        yield from chain.from_iterable(map(_flatten, get_args(annotation)))
 
 
 # Keys made from settings
 
 T = TypeVar("T", bound=Table)
 Typed = tuple[Any, Any]
-"""The annotation of a key, and its default, or what makes it; ... for one that is required."""
+"""Annotation of a key, and its default or factory; ... for a required key."""
 
 _LENGTH_UNITS = units_of("length")
 MOST = 10**9
@@ -292,13 +292,13 @@ def _not_nan(value: float) -> float:
     return value
 
 
-def dotted(value: object) -> object:
-    """Return a table of tables as one, of names with points: TOML reads ``filter.depth = 0.1`` as a table below."""
+def flatten_keys(value: object) -> object:
+    """Return nested tables as one with dotted names: TOML nests ``filter.depth = 0.1``."""
     if not isinstance(value, dict):
         return value
     found: dict[str, object] = {}
     for key, below in value.items():
-        inner = dotted(below)
+        inner = flatten_keys(below)
         found |= {f"{key}.{name}": one for name, one in inner.items()} if isinstance(inner, dict) else {key: inner}
     return found
 
@@ -328,7 +328,7 @@ Names = Annotated[list[Text], Says("a list of names in quotes")]
 Numbers = Annotated[list[Number], Says("a list of numbers")]
 Coefficients = Annotated[list[Number], Field(min_length=1), Says("a list of one or more numbers")]
 Matrix = Annotated[list[list[Number]], Says("a list of rows, each a list of numbers")]
-ControllerNumbers = Annotated[dict[str, Number], BeforeValidator(dotted)]
+ControllerNumbers = Annotated[dict[str, Number], BeforeValidator(flatten_keys)]
 """By their names, those of a filter with points."""
 
 _PLAIN: Mapping[Any, Any] = {
@@ -400,7 +400,7 @@ def _key(same: Sequence[Declared], typed: Typed | None) -> Typed:
 
 
 def _default(same: Sequence[Declared]) -> Any:
-    """Return a key's default: None for one that may be left out without one, or with one that differs."""
+    """Return a key's default; None where declarations differ or there is none."""
     defaults = {str(one.default): one for one in same}
     if len(defaults) > 1:
         return None
@@ -412,7 +412,7 @@ def _default(same: Sequence[Declared]) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a default as TOML has it; None where it has no word for it."""
+    """Return a default as TOML writes it; None where TOML cannot."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, tuple):
@@ -421,7 +421,7 @@ def _plain(value: Any) -> Any:
 
 
 def annotation_of(one: Declared) -> Any:
-    """Return what pydantic is to check of a setting's value."""
+    """Return the pydantic annotation of a setting."""
     found = _annotation_of(one)
     if one.setting.accept is not None:
         found = Annotated[found, accept_by(one.setting.accept)]
@@ -434,13 +434,13 @@ def _annotation_of(one: Declared) -> Any:
         return Annotated[Text, Field(json_schema_extra={"enum": list(declared.choices)})]
     if one.choices:
         return Literal[*one.choices]
-    allowed = AfterValidator(_check_allowed(one))
+    allowed = AfterValidator(_make_validator(one))
     if declared.only:  # a Literal would take true for 1
         return Annotated[int, allowed, Field(json_schema_extra={"enum": [*declared.only]}), one.says]
     if one.type is float:
         bounds = Field(gt=declared.above, ge=declared.at_least, le=declared.at_most, allow_inf_nan=declared.infinite)
         number = Annotated[float, bounds, allowed, one.says]
-        return with_unit(number, declared.unit) if units_declared(declared.unit) else number
+        return with_unit(number, declared.unit) if list_units(declared.unit) else number
     if one.type is int:
         return Annotated[int, Field(gt=declared.above, ge=declared.at_least, le=declared.at_most or MOST), one.says]
     return _PLAIN[one.type]
@@ -451,7 +451,7 @@ def with_unit(number: Any, declared: str) -> Any:
 
     Args:
         number: its annotation.
-        declared: its unit, see `units_declared`.
+        declared: its unit, see `list_units`.
     """
 
     def read(value: object, handler: ValidatorFunctionWrapHandler) -> object:
@@ -459,7 +459,7 @@ def with_unit(number: Any, declared: str) -> Any:
             return handler(value)
         if (fault := misfit(value, declared)) is not None:
             raise _our_error("unit", fault)
-        said = stated(value, declared)
+        said = to_si(value, declared)
         handler(float(said))
         return said
 
@@ -473,8 +473,8 @@ def _or_text(described: dict[str, Any]) -> None:
     described["anyOf"] = [number, {"type": "string", "description": "a number with its unit"}]
 
 
-def _check_allowed(one: Declared) -> Callable[[float], float]:
-    """Return the validator of what bounds do not say: that a number is one, and not 0, or one of a few."""
+def _make_validator(one: Declared) -> Callable[[float], float]:
+    """Return the validator of a setting beyond its bounds: NaN, 0, or a choice."""
 
     def check(value: float) -> float:
         if one.fault(value) is not None:

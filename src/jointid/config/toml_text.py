@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-# Strings of several lines, strings of one, comments; an end that is missing is not looked for twice.
+# Strings of several lines, strings of one, comments; a missing end is searched for once.
 _QUOTED = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5})?'
     r"|'''(?:[^']|'(?!''))*+(?:'{3,5})?"
@@ -22,7 +22,7 @@ def _blank(text: str) -> str:
 
 
 def deepest_key(text: str) -> int:
-    """Return the largest number of points in a key of a TOML text, or in what stands where a key would.
+    """Return the largest number of dots in a key of a TOML text.
 
     Example:
         >>> from jointid.config.toml_text import deepest_key
@@ -33,7 +33,7 @@ def deepest_key(text: str) -> int:
 
 
 def split_sections(text: str) -> list[str]:
-    """Return a TOML text cut before each heading; what begins with a bracket inside a list is none.
+    """Return a TOML text split before each heading; brackets inside lists do not count.
 
     Example:
         >>> from jointid.config.toml_text import split_sections

@@ -23,7 +23,7 @@ try:
     del thrown
     time.sleep(20)
 except BaseException as error:
-    print(type(error).__name__, endings.received())
+    print(type(error).__name__, endings.last_signal())
 """
 
 

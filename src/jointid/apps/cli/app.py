@@ -99,7 +99,7 @@ def _run(words: list[str], debug: bool) -> int:
     except (KeyboardInterrupt, endings.EndedError):
         return _end(debug)
     except Exception as error:
-        if endings.received() is not None:  # a library made another exception of it
+        if endings.last_signal() is not None:  # a library made another exception of it
             return _end(debug)
         if debug and not isinstance(error, CycloptsError):
             traceback.print_exc()
@@ -110,13 +110,13 @@ def _run(words: list[str], debug: bool) -> int:
 
 
 def _explain(error: Exception) -> int:
-    """Say what went wrong, and return the exit code."""
+    """Print an error, and return the exit code."""
     if isinstance(error, JointidError):
         return _say(str(error), USERS_MISTAKE)
     if isinstance(error, CycloptsError):
         setting = _setting(error) if isinstance(error, UnknownOptionError) else ""
         return _say(f"{error} {setting}See jointid --help.", USERS_MISTAKE)
-    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # of any path that is looked at
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # of any path that is opened
         return _explain(RecordError(f"{error.filename} is longer than the name of a file may be; name another file."))
     return _say(
         f"jointid failed, which is a fault of ours ({type(error).__name__}: {error}); please report it with the "
@@ -126,8 +126,8 @@ def _explain(error: Exception) -> int:
 
 
 def _end(debug: bool) -> int:
-    """Say by what the program is ended, and return the exit code."""
-    number = endings.received() or signal.SIGINT
+    """Print the signal that ends the program, and return the exit code."""
+    number = endings.last_signal() or signal.SIGINT
     if debug:
         traceback.print_exc()
     return _say(endings.describe(number), SIGNALLED + number)

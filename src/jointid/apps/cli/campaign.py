@@ -87,7 +87,7 @@ def work(campaign: Path, /, *, shard: str, out: Path, workers: int = 1, quiet: Q
 
 
 def status(results: Path, /, *, details: Flag = False) -> None:
-    """Say how a campaign is getting on, while it runs and after: how many are done, the rate, and the time left.
+    """Print the progress of a campaign: finished cases, rate and time left.
 
     Args:
         results: folder of the results.
@@ -108,7 +108,7 @@ def report(
     markdown: Path | None = None,
     csv: Path | None = None,
 ) -> None:
-    """Say what came of a campaign, while it runs and after: joints that drifted, distributions, outliers, scatter.
+    """Report the results of a campaign: joints that drifted, distributions, outliers, scatter.
 
     Args:
         results: folder of the results.
@@ -165,7 +165,7 @@ def _load(path: Path, listener: Progress) -> Campaign:
 
 
 def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, partition: str | None) -> Engine:
-    """Return who carries out the cases.
+    """Return the engine that runs the cases.
 
     Raises:
         MethodError: what is asked for does not go together.

@@ -70,7 +70,7 @@ class Inputs:
         """
         from jointid.config import load
 
-        return self._spared(joint, outputs, lambda: load(joint, self.changes, axis=self.axis, **choices))
+        return self._load_and_spare(joint, outputs, lambda: load(joint, self.changes, axis=self.axis, **choices))
 
     def load_joint(
         self, joint: Path, outputs: Outputs = NOTHING, *, what: str = "This command", **choices: str | None
@@ -82,11 +82,11 @@ class Inputs:
         """
         from jointid.config import load_joint
 
-        return self._spared(
+        return self._load_and_spare(
             joint, outputs, lambda: load_joint(joint, self.changes, what=what, axis=self.axis, **choices)
         )
 
-    def _spared(self, joint: Path, outputs: Outputs, load: Callable[[], F]) -> F:
+    def _load_and_spare(self, joint: Path, outputs: Outputs, load: Callable[[], F]) -> F:
         outputs.spare("JOINT", joint)
         outputs.spare("--record", self.record)
         file = load()
@@ -134,9 +134,9 @@ DEFAULTS = Options()
 
 
 def show(result: object = "", *, details: bool = False) -> None:
-    """Print a line or a result, in colour where the output is a terminal, with details all there is to say of it.
+    """Print a line or a result, in colour on a terminal, optionally with all details.
 
-    Nothing that a name in a file may hold reaches the terminal as a command.
+    Control characters of names in a file are not sent to the terminal.
     """
     from jointid.common.document import Documented
 
@@ -163,14 +163,14 @@ def _bars() -> Bars:
 
 
 def listen(quiet: bool) -> Progress:
-    """Return who listens to progress: bars on a terminal, else lines."""
+    """Return the listener to progress: bars on a terminal, else lines."""
     if quiet:
         return ignore_progress
     return _bars() if sys.stderr.isatty() else tell
 
 
 def clear_bars() -> None:
-    """Take what is drawn of progress off the terminal, before something else is printed or the program ends."""
+    """Remove progress bars from the terminal, before other output or the end."""
     if _bars.cache_info().currsize:
         _bars().clear()
 
@@ -181,7 +181,7 @@ def deliver(
     *figures: tuple[Path | None, Callable[[Any], Figure]],
     details: bool = False,
 ) -> None:
-    """Print a result, and write it where it was asked for: as JSON, and as figures, each a file and what draws it."""
+    """Print a result, and write it as JSON and as figures where requested."""
     from jointid.output import json as answers
 
     show(result, details=details)
@@ -195,7 +195,7 @@ def deliver(
 
 
 def ready(listener: Progress, *, derivatives: bool = True) -> None:
-    """Load the compiled simulation, and its derivatives; where they must be compiled first, say why that takes long."""
+    """Load the compiled simulation and its derivatives, and explain a long compilation."""
     from jointid.simulation.warm_up import warm_up
 
     said = "loading the simulation; the first time on a machine it is compiled, which takes some 10 to 20 s"

@@ -41,7 +41,7 @@ def inspect(
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     outputs.spare("FILE", file)
-    deliver(look(file, **_given(delimiter, decimal, header)), json, (figure, figures.draw))
+    deliver(look(file, **_reader_options(delimiter, decimal, header)), json, (figure, figures.draw))
 
 
 def convert(
@@ -75,10 +75,10 @@ def convert(
     if source.is_dir():  # of a single file it is said by what converts it
         outputs.spare("SOURCE", source)
     writing = {} if mat_version is None else {"version": mat_version}
-    show(turn(source, target, columns, reading=_given(delimiter, decimal, header), writing=writing))
+    show(turn(source, target, columns, reading=_reader_options(delimiter, decimal, header), writing=writing))
 
 
-def _given(delimiter: str | None, decimal: str | None, header: bool | None) -> dict[str, Any]:
+def _reader_options(delimiter: str | None, decimal: str | None, header: bool | None) -> dict[str, Any]:
     """Return the options of a text file's reader that were given."""
     options = {"delimiter": delimiter, "decimal": decimal, "header": header}
     return {name: value for name, value in options.items() if value is not None}

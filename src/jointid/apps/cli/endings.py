@@ -28,12 +28,12 @@ class EndedError(BaseException):
 
 
 def describe(number: int) -> str:
-    """Return by what the program is ended."""
+    """Return the sentence on the signal that ends the program."""
     return INTERRUPTED if number == signal.SIGINT else f"Ended by {signal.Signals(number).name}; {WHOLE}"
 
 
 def listen_to_signals() -> None:
-    """Raise what ends the program where a signal arrives; those that are ignored, as under nohup, stay so."""
+    """End the program by an exception on a signal; ignored signals stay ignored."""
     signal.signal(signal.SIGINT, _receive)
     for name in ("SIGTERM", "SIGHUP"):
         one = getattr(signal, name, None)
@@ -43,15 +43,15 @@ def listen_to_signals() -> None:
 
 
 def ignore_signals() -> None:
-    """Let nothing more disturb a program whose work is done, and which will end by itself at once."""
+    """Ignore signals from now on, as the program is about to end."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         one = getattr(signal, name, None)
         if one is not None:
             signal.signal(one, signal.SIG_IGN)
 
 
-def received() -> int | None:
-    """Return the signal that the program is to end by, None if there was none."""
+def last_signal() -> int | None:
+    """Return the last signal, or None."""
     return _received[-1] if _received else None
 
 
@@ -64,7 +64,7 @@ def _receive(number: int, frame: FrameType | None) -> None:
 
 
 def _raise_again(swallowed: UnraisableHookArgs) -> None:
-    """Raise once more what a callback has swallowed; report anything else as ever."""
+    """Raise an ending again that a callback has swallowed; report other exceptions as usual."""
     if isinstance(swallowed.exc_value, KeyboardInterrupt | EndedError) and _received:
         _once_more()
     else:
@@ -72,14 +72,14 @@ def _raise_again(swallowed: UnraisableHookArgs) -> None:
 
 
 def _once_more() -> None:
-    """Let the last signal arrive again, a moment later: at once it would arrive where it cannot be raised."""
+    """Send the last signal again a moment later, as here it cannot be raised."""
     again = threading.Timer(_MOMENT, _send, (signal.Signals(_received[-1]),))
     again.daemon = True
     again.start()
 
 
 def _send(number: signal.Signals) -> None:
-    """Send a signal to the main thread, which wakes it, too, where the system can do that."""
+    """Send a signal to the main thread, and wake it where possible."""
     if sys.platform == "win32":
         _thread.interrupt_main(number)
     else:

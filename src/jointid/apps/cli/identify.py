@@ -1,4 +1,4 @@
-"""What a record tells: the joint by `jointid identify`, the drive's law by `controller`, what to set by `tune`."""
+"""The commands `jointid examine`, `identify`, `controller` and `tune`, on a record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a command writes, by the option that names it: checked before anything runs."""
+"""Output files of a command by option, checked before anything runs."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Outputs:
         figures: Mapping[str, Path | None] | None = None,
         folders: Mapping[str, Path | None] | None = None,
     ) -> None:
-        pictures, self._folders = _given(figures), _given(folders)
-        self._files = _given(files) | pictures
+        pictures, self._folders = _drop_missing(figures), _drop_missing(folders)
+        self._files = _drop_missing(files) | pictures
         for path in self._files.values():
             _require_place(path)
         for path in self._folders.values():
@@ -70,7 +70,7 @@ class Outputs:
                     )
 
 
-def _given(paths: Mapping[str, Path | None] | None) -> dict[str, Path]:
+def _drop_missing(paths: Mapping[str, Path | None] | None) -> dict[str, Path]:
     return {option: path for option, path in (paths or {}).items() if path is not None}
 
 
@@ -103,4 +103,4 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 NOTHING = Outputs()
-"""What a command writes that writes nothing."""
+"""The outputs of a command without any."""

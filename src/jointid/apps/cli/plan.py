@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What the axis may do, on the side and in the units of the joint (m, rad, N, N m); else as [limits] says.
+    """Limits of the axis, in the joint's units (m, rad, N, N m); default [limits].
 
     Attributes:
         stroke: of the position, from one end to the other; without a limit that of the record.
@@ -50,7 +50,7 @@ class Limits:
     highest: float | None = None
 
     def beside(self, stated: AxisLimits) -> AxisLimits:
-        """Return the limits that a joint file states, with those that are given here in their place."""
+        """Return the limits of a joint file, overridden by the given ones."""
         given = {name: getattr(self, name) for name in self.__slots__}
         return replace(stated, **{name: limit for name, limit in given.items() if limit is not None})
 
@@ -61,7 +61,7 @@ NO_LIMITS = Limits()
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rough:
-    """What is known of a joint, and of what will disturb a test, where it is not identified from a record.
+    """Known values of a joint and the noise of a test, without identification.
 
     Attributes:
         noise_log: standard deviation of white noise on each logged torque, N or N m.
@@ -95,7 +95,7 @@ class Rough:
         return False
 
     def plan(self, file: JointFile, record: Path | None, asked: Mapping[str, Any]) -> Design:
-        """Plan a test from what is stated; of a record only the motion is read.
+        """Plan a test from the stated values; only the motion of a record is read.
 
         Raises:
             JointidError: a value or a limit is missing, or no test could be simulated.
@@ -160,7 +160,7 @@ def design(
 ) -> None:
     """Plan the next test from a first record: the one that tells most of the joint within what its axis may do.
 
-    The joint is identified from the record by didim; tests that a drive can play are then looked for, at the joint as
+    The joint is identified from the record by didim; tests that a drive can play are then searched for, at the joint as
     it was found and at others of its interval. Ctrl-C ends the search and keeps the best test there is. With
     --noise-log or --noise-force nothing is identified, and no record is needed: the joint is as an earlier answer, or
     [parameters], says.
@@ -175,7 +175,7 @@ def design(
             (what is known worst) or "all".
         duration: of the test, in s; without it that of the record.
         seconds: that the search may take.
-        motion: a test of your own, predicted in the place of one that is looked for: a table with the columns t (s),
+        motion: a test of your own, predicted in the place of a search: a table with the columns t (s),
             reference (m or rad) and, if a signal is added to the torque, injected (N, N m, or the torque's unit); or a
             past record, logged as the joint file says.
         out: also write the test into this folder: a CSV, a MAT file, and a page on how to run it; of a robot a CSV as
@@ -224,7 +224,7 @@ def _design_robot(
     file: RobotFile, options: Options, duration: float | None, seconds: float, motion: Path | None, out: Path | None,
     figure: Path | None,
 ) -> None:  # fmt: skip
-    """Plan the motion that tells most of a robot, beside that of a first record where there is one."""
+    """Plan the most informative motion of a robot, compared with a first record if any."""
     from jointid import IDIM, figures
     from jointid import design as run
 

@@ -1,4 +1,4 @@
-"""What becomes of estimates: `jointid report`, `validate`, `compare` and `export`."""
+"""The commands `jointid report`, `validate`, `compare` and `export`, on estimates."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def _with_test(stated: Report, plan: Callable[[], Design | RobotDesign]) -> Repo
 
 
 def _save(stated: Report, page: Path | None, markdown: Path | None, figures: Path | None) -> list[Path]:
-    """Write a report where it was asked for, and return the files."""
+    """Write a report to the given places, and return the files."""
     written = [] if page is None else [stated.save(page)]
     written += [] if markdown is None else [stated.save_markdown(markdown)[0]]
     return written + ([] if figures is None else [*stated.save_figures(figures)])
@@ -187,7 +187,7 @@ def validate(
     figure: Path | None = None,
     residuals: Path | None = None,
 ) -> None:
-    """Say whether an estimate predicts a record, within what noise allows, and what to do if not.
+    """Test whether an estimate predicts a record within the noise, with a remedy if not.
 
     That is the cross test, on another record than the one it came from; on its own, the direct test only says
     what is left.
@@ -210,7 +210,7 @@ def validate(
     friction = None if estimate is None else answers.read_friction(estimate)
     file = options.load(joint, outputs, friction=friction)
     if not isinstance(file, JointFile):
-        _require_none(
+        _refuse_options(
             "A robot is identified from the record that its file names, and its torques are drawn by report --figures",
             {"--estimate": estimate, "--figure": figure, "--residuals": residuals},
         )
@@ -221,7 +221,7 @@ def validate(
             )
         deliver(run(file.identify(file.record(), options.progress), file.record(options.record)), options.json)
         return
-    estimate = _needed(estimate)
+    estimate = _require_estimate(estimate)
     identified = answers.read_identified(estimate, file.joint, file.loop)
     record = options.load_joint(joint, friction=friction, method=identified.method).record(options.record)
     ready(options.progress)
@@ -261,7 +261,7 @@ def export(
     delay: float | None = None,
     timestep: float | None = None,
 ) -> None:
-    """Write an estimate for another tool, and say what that tool's language does not hold of it.
+    """Write an estimate for another tool, and list what its language cannot represent.
 
     The ending of the file says for which: .toml a joint file with the values filled in, .json a linear state space for
     SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .mo Modelica.
@@ -294,7 +294,7 @@ def export(
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     language = find_language(format or out.suffix.lower()).name
     if not isinstance(file, JointFile):
-        _require_none(
+        _refuse_options(
             "A robot is identified from the record that its file names, and written as bodies behind their gears",
             {"--estimate": estimate, "--side": side, "--fixed": fixed},
         )
@@ -305,7 +305,7 @@ def export(
             show(f"Left out: {one}.")
         show(f"Written: {out}")
         return
-    estimate = _needed(estimate)
+    estimate = _require_estimate(estimate)
     if language == "joint-file":
         settings |= {"file": file, "folder": out.parent}
     exported = run(read_estimated(estimate, file.joint, file.name), language, side=side, **settings)
@@ -314,8 +314,8 @@ def export(
     show(f"Written: {out}")
 
 
-def _require_none(why: str, options: dict[str, object]) -> None:
-    """Refuse options that a robot has no use for.
+def _refuse_options(why: str, options: dict[str, object]) -> None:
+    """Refuse options of a joint file for a robot file.
 
     Raises:
         MethodError: one of them was given.
@@ -324,8 +324,8 @@ def _require_none(why: str, options: dict[str, object]) -> None:
         raise MethodError(f"{why}; {', '.join(given)} is for a joint file: leave it out.")
 
 
-def _needed(estimate: Path | None) -> Path:
-    """Return the estimate of a joint file, without which there is nothing to hold or to write.
+def _require_estimate(estimate: Path | None) -> Path:
+    """Return the estimate that a joint file needs.
 
     Raises:
         MethodError: it was not given.

@@ -64,7 +64,7 @@ def serve(
 def run_page(folder: Path, host: str, port: int, announce: Callable[[str], None]) -> None:
     """Serve the page until it is interrupted; a folder that is made for it may be read by its owner alone.
 
-    `announce` is told the page's address, which holds the token, as soon as it can be reached.
+    `announce` is called with the page's address, including the token, as soon as it can be reached.
 
     Raises:
         ExtraError: a package of the page is not installed.

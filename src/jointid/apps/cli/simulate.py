@@ -1,4 +1,4 @@
-"""What is simulated: `jointid simulate`, and the paper's axis by `jointid demo` and `jointid reproduce`."""
+"""The commands `jointid simulate`, `demo` and `reproduce`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
     Outputs(folders={"FOLDER": folder})
     options, listener, joint = Options(quiet=quiet), listen(quiet), folder / "joint.toml"
     with fresh_folder(folder):
-        _require_own(folder)
+        _refuse_foreign_files(folder)
         listener("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
         ready(listener)
         axis = twin(seed=seed)
@@ -54,7 +54,7 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
     sums = {name: axis.truth[f"motor_{name}"] + axis.truth[f"load_{name}"] for name in ("viscous", "coulomb")}
     rows = []
     for name, truth in (axis.truth | sums).items():
-        value, std, symbol, unit = _found(estimate, name)
+        value, std, symbol, unit = _look_up(estimate, name)
         rows.append((symbol, number(value), number(2 * std, 2), number(truth), unit))
     show()
     show("Beside the truth; torque alone knows the two viscous frictions, and the two Coulomb ones, by their sum:")
@@ -65,7 +65,7 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
     show(f"Change the joint file, then: jointid identify {joint}")
 
 
-def _require_own(folder: Path) -> None:
+def _refuse_foreign_files(folder: Path) -> None:
     """Raise a `RecordError` if a folder holds files of others by the names that the demo writes."""
     from jointid.paper.twin import JOINT_FILE
 
@@ -78,7 +78,7 @@ def _require_own(folder: Path) -> None:
         )
 
 
-def _found(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
+def _look_up(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
     """Return value, deviation, symbol and unit of a parameter, or of the sum of both sides."""
     if name in estimate.values:
         found = estimate[name]

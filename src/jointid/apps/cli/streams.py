@@ -1,4 +1,4 @@
-"""The standard output and error: what cannot be shown or printed there ends no command.
+"""Standard output and error that do not end a command when printing fails.
 
 A terminal that has no `±` is given `+-`. An output that is full, or whose reader has gone, takes nothing more, and the
 command goes on to write its files.
@@ -25,7 +25,7 @@ _ALIKE = {
 
 
 def replace_unshowable(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Return what is shown instead of characters that an encoding lacks, and where to go on: an error handler."""
+    """Replace characters that an encoding lacks: a handler for `codecs.register_error`."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     shown = "".join(map(_alike, error.object[error.start : error.end]))
@@ -82,10 +82,10 @@ _outputs: list[Patient] = []
 def prepare_outputs() -> None:
     """Make the standard output and error such that printing never fails."""
     codecs.register_error(SHOWABLE, replace_unshowable)
-    sys.stdout, sys.stderr = _prepared(sys.stdout), _prepared(sys.stderr)
+    sys.stdout, sys.stderr = _wrap(sys.stdout), _wrap(sys.stderr)
 
 
-def _prepared(stream: IO[str] | None) -> IO[str]:
+def _wrap(stream: IO[str] | None) -> IO[str]:
     if stream is None:  # it was closed before the program began
         return open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123 - open as long as the program runs
     if not isinstance(stream, io.TextIOWrapper):

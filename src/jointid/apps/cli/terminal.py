@@ -17,11 +17,11 @@ _MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow
 def print_document(document: Document, console: Console | None = None) -> None:
     """Print a document; names of files are plain text to it, whatever they hold."""
     console = console or Console()
-    blocks = [Padding(_rendered(block), (1, 0, 0, 0)) for block in document.blocks]
+    blocks = [Padding(_render(block), (1, 0, 0, 0)) for block in document.blocks]
     console.print(Panel(_text(document.title, "bold"), expand=False), Group(*blocks))
 
 
-def _rendered(block: Block) -> RenderableType:
+def _render(block: Block) -> RenderableType:
     if isinstance(block, Table):
         return _table(block)
     if isinstance(block, Facts | Verdicts):
