@@ -23,7 +23,7 @@ def timed(search: Search, problem: ClosedLoopProblem, start: Array) -> tuple[flo
     begin = time.perf_counter()
     end, simulations = search(problem, start)
     took = time.perf_counter() - begin
-    size = float(np.linalg.norm(problem.filtered(problem.measured)))
+    size = float(np.linalg.norm(problem.filter(problem.measured)))
     return took, simulations, float(np.linalg.norm(problem.residual(end))) / size
 
 

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.diagnostics.identify import identify
-from jointid.estimation.identify_several import SOLVER, by_itself, whitened
+from jointid.estimation.identify_several import SOLVER, by_itself, whiten_fit
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -72,7 +72,7 @@ def judge_difference(seed: int, noise: Noise) -> dict[str, float]:
     problems = [problem_of(logged(axis.loop, t, noise, 2 * seed + k), axis.loop) for k, t in enumerate(truths)]
     alone = [by_itself(problem, values) for problem, values in zip(problems, truths, strict=True)]
     apart = alone[1].values["load_inertia"] - alone[0].values["load_inertia"]
-    alone = [whitened(one) for one in alone]
+    alone = [whiten_fit(one) for one in alone]
     criterion = several(problems, [("load_inertia",)] * 2).weighing([one.weights for one in alone])
     end = solve(criterion, SOLVER, criterion.vector([one.end.x for one in alone]))
     found = dict(zip([p.name for p in criterion.free], end.x, strict=True))

@@ -301,7 +301,7 @@ def _left(made: Drives, fit: RobotFit) -> float:
     problem, noise = problem_of(closing, made.records, fit.parameters), made.noise
     if isinstance(problem, RobotDriveSideProblem):
         noise = np.column_stack([window_torque(Channel(column, "N m", problem.sample_time)) for column in noise.T])
-    noise = problem.by_joint(problem.decimated(noise[: len(problem.measured)]))
+    noise = problem.by_joint(problem.decimate(noise[: len(problem.measured)]))
     found = problem.error_of(fit.run.numbers)
     assert found is not None
     error = problem.by_joint(found)

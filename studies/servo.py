@@ -96,7 +96,7 @@ def _foretold() -> FloatArray:
     J = problem.linearise(_truth(problem))[1]
     whole = float(np.hypot(axis.noise, RATED / 1000 / np.sqrt(12)))
     draws = np.random.default_rng(0).standard_normal((problem.measured.size, _DRAWS))
-    answers = np.linalg.pinv(J) @ problem.filtered(whole * draws)
+    answers = np.linalg.pinv(J) @ problem.filter(whole * draws)
     return np.asarray(answers.std(axis=1)[: len(problem.free_joint)])
 
 

@@ -273,8 +273,8 @@ def test_the_inverse_model_s_deviations_are_not_those_of_the_torque(
     _, raw = problem.sensitivities(x)
     run = problem.simulate(x)
     columns = problem.loop.joint.regressor(run.motor, run.load)
-    J, W = problem.filtered(raw), np.concatenate([problem.filtered(row) for row in columns])
-    size = 0.08 * np.linalg.norm(problem.filtered(problem.measured)) / math.sqrt(len(J))
+    J, W = problem.filter(raw), np.concatenate([problem.filter(row) for row in columns])
+    size = 0.08 * np.linalg.norm(problem.filter(problem.measured)) / math.sqrt(len(J))
 
     def covariance(M: FloatArray) -> FloatArray:
         norms = np.linalg.norm(M, axis=0)

@@ -67,7 +67,7 @@ def _optimised(loop: Loop, problem: ClosedLoopProblem, start: Array) -> tuple[Ar
     names = [p.name for p in problem.free]
     order = [names.index(name) for name in NAMES]
     peer = MujocoStep(loop, _SETTING)
-    size = float(np.linalg.norm(problem.filtered(problem.measured)))
+    size = float(np.linalg.norm(problem.filter(problem.measured)))
     simulations = 0
 
     def residual(x: Array, _parameters: Any) -> tuple[list[Array], None, None]:
@@ -79,7 +79,7 @@ def _optimised(loop: Loop, problem: ClosedLoopProblem, start: Array) -> tuple[Ar
         error = np.nan_to_num(
             problem.measured - np.array(torque), nan=1e3 * size, posinf=1e3 * size, neginf=-1e3 * size
         )
-        found = problem.filtered(error.T) / size
+        found = problem.filter(error.T) / size
         return [found if x.ndim > 1 else found[:, 0]], None, None
 
     given = sysid.ParameterDict()

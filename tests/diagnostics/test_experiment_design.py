@@ -139,7 +139,7 @@ def test_and_does_what_is_predicted_of_it(logged: tuple[Twin, Estimate]) -> None
 
     def estimated(seed: int) -> FloatArray:
         rng = np.random.default_rng(seed)
-        noise = problem.filtered(axis.noise * rng.standard_normal(len(seen))) / np.sqrt(variance)
+        noise = problem.filter(axis.noise * rng.standard_normal(len(seen))) / np.sqrt(variance)
         rounding = rng.uniform(-1, 1, len(seen)) * np.sqrt(3)
         return np.asarray(np.linalg.lstsq(stacked, np.concatenate([noise, rounding]), rcond=None)[0])
 

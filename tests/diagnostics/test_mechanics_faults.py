@@ -62,11 +62,11 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
     assert len({(one.fault, one.shape) for one in found}) == len(found)  # a test names one of them
     for one in found:
         assert one.raw is not None
-        np.testing.assert_allclose(one.column, made.filtered(one.raw), rtol=0, atol=1e-12 * largest)
+        np.testing.assert_allclose(one.column, made.filter(one.raw), rtol=0, atol=1e-12 * largest)
     for shape, part in ((VISCOUS, "viscous"), (COULOMB, "coulomb")):  # half of the loss at the end is lost on average
         column = next(one.column for one in found if (one.fault, one.shape) == (CHANGING_FRICTION, shape))
         lost = {f"{side}_{part}": 0.9 * where.truth[f"{side}_{part}"] for side in ("motor", "load")}
-        steady = made.filtered(made.torque(made.vector({**where.truth, **lost})) - made.torque(x)) / 0.2
+        steady = made.filter(made.torque(made.vector({**where.truth, **lost})) - made.torque(x)) / 0.2
         cosine = float(column @ steady) / float(np.linalg.norm(column) * np.linalg.norm(steady))
         assert cosine > 0.6
         assert 0.5 < np.linalg.norm(column) / np.linalg.norm(steady) < 2.0

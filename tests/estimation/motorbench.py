@@ -62,7 +62,7 @@ class Bench:
             zero = np.concatenate([-ones, ones])
             wider = InverseModel(model.torque, np.concatenate([model.columns, zero], axis=2), model.inside, model.motor)
             names = (*(p.name for p in JOINT.parameters), _ZERO.name)
-            Y, W = wider.decimated(resolved, PERIOD, np.zeros(len(names)))
+            Y, W = wider.decimate(resolved, PERIOD, np.zeros(len(names)))
             fit = least_squares(W, Y, names)
             return float(np.linalg.norm(fit.residual)), fit.values
 

@@ -14,7 +14,7 @@ from jointid.estimation.methods.endogeneity import (
     InstrumentedProblem,
     Judgement,
     contrast,
-    judged,
+    judge_endogeneity,
     known_motions,
     solve_with_instruments,
 )
@@ -167,7 +167,7 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
         record = twin("L19", noise="white", seed=seed).record
         problem = problem_of(record, log_delay=0.0)
         solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-        verdict = judged(record, problem, solution, "tested", ignore_progress)
+        verdict = judge_endogeneity(record, problem, solution, "tested", ignore_progress)
         assert verdict.x is None
         assert not verdict.warnings
         assert verdict.probability is not None
@@ -180,7 +180,7 @@ def test_a_disturbance_in_the_loop_is_noticed() -> None:
     record = twin("L30", seed=1).record
     problem = problem_of(record, log_delay=-1e-3)
     solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-    verdict = judged(record, problem, solution, "tested", ignore_progress)
+    verdict = judge_endogeneity(record, problem, solution, "tested", ignore_progress)
     assert verdict.x is not None
     assert "Durbin-Wu-Hausman" in verdict.warnings[0]
     at = [p.name for p in problem.free].index("stiffness")
@@ -195,7 +195,7 @@ def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
         record = twin("L30", seed=seed).record
         problem = problem_of(record, log_delay=-1e-3)
         solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-        verdict = judged(record, problem, solution, "tested", ignore_progress)
+        verdict = judge_endogeneity(record, problem, solution, "tested", ignore_progress)
         assert verdict.x is not None
         assert "Durbin-Wu-Hausman" in verdict.warnings[0]
         truth = problem.vector(TABLE_2)
@@ -232,7 +232,7 @@ def test_without_pulses_every_answer_says_that_it_is_biased_or_cannot_be_tested(
 def answered(record: Record) -> tuple[DriveSideProblem, Solution, Judgement]:
     problem = problem_of(record, log_delay=-1e-3)
     solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-    return problem, solution, judged(record, problem, solution, "tested", ignore_progress)
+    return problem, solution, judge_endogeneity(record, problem, solution, "tested", ignore_progress)
 
 
 def coloured(pulses: bool, seed: int) -> Record:
@@ -332,7 +332,7 @@ def test_an_answer_goes_to_json_and_back_but_is_not_validated(tmp_path: Path) ->
     record = twin("L19", noise="none").record.without("reference", "injected")
     estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
     answers.write(answers.to_dict(estimate), tmp_path / "found.json")
-    back = answers.read_identified(tmp_path / "found.json", JOINT, None)
+    back = answers.read_identified_joint(tmp_path / "found.json", JOINT, None)
     assert back.method == "drive_side"
     assert back.values == pytest.approx(estimate.values)
     with pytest.raises(ji.MethodError, match="drive_side"):

@@ -26,7 +26,7 @@ class Line(RecordProblem):
     def joint(self) -> Joint:
         return RigidJoint("prismatic")
 
-    def filtered(self, columns: Array) -> Array:
+    def filter(self, columns: Array) -> Array:
         return columns
 
     def residual(self, x: Array) -> Array:

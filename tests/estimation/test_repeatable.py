@@ -162,7 +162,7 @@ def fits(emps: Record, emps_pulses: Record) -> list[tuple[np.ndarray, np.ndarray
     for record in (emps, emps_pulses):
         problem, residual, J, where = emps_fit(record)
         found.append((np.array(list(identify(record, LOOP, DIDIM("residual")).values.values())), residual, J, where))
-        assert residual.size == where.label.size == len(problem.filtered(problem.measured))
+        assert residual.size == where.label.size == len(problem.filter(problem.measured))
     return found
 
 
@@ -208,7 +208,7 @@ def test_on_the_twin_the_intervals_hold_the_truth_and_nothing_repeats() -> None:
     for seed in range(100):
         noisy = twin("L30", seed=seed + 5000).record.torque
         assert noisy is not None
-        error = problem.filtered(noisy.values - problem.measured)
+        error = problem.filter(noisy.values - problem.measured)
         change = -np.linalg.lstsq(J / np.linalg.norm(J, axis=0), error, rcond=None)[0] / np.linalg.norm(J, axis=0)
         found = uncertainty(J, J, error + J @ change, where, [p.name for p in problem.free], "N")
         inside += np.abs(change) <= 2 * found.covariance.std

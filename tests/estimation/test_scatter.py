@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.estimation.result.agreement import Agreement, Alone, agreement
+from jointid.estimation.result.agreement import Agreement, Alone, compare_records
 from jointid.uncertainty.covariance import covariance_of
 
 NAMES = ("inertia", "viscous", "coulomb")
@@ -23,7 +23,7 @@ def drawn(random: np.random.Generator, records: int, between: float = 0.0) -> Ag
     for _ in range(records):
         moved = truth + np.array([between * random.standard_normal(), 0.0, 0.0])
         found.append(run_of(random.multivariate_normal(moved, COVARIANCE)))
-    return agreement(found, UNITS)
+    return compare_records(found, UNITS)
 
 
 @pytest.mark.slow
@@ -53,7 +53,7 @@ def test_a_widened_interval_holds_the_mean_of_the_runs_truths() -> None:
         means = 95.0 + 2.0 * random.standard_normal(5)
         found = [run_of(np.array([m + 0.2 * random.standard_normal(), 200.0, 20.0])) for m in means]
         common, alone = np.mean([one.values["inertia"] for one in found]), 0.2**2 / 5
-        wide = alone + agreement(found, UNITS)["inertia"].widening
+        wide = alone + compare_records(found, UNITS)["inertia"].widening
         inside += abs(common - 95.0) <= 2 * np.sqrt(wide)
         narrow += abs(common - 95.0) <= 2 * np.sqrt(alone)
     assert 0.85 <= inside / 500 <= 0.97  # five runs tell their own variance to a third
@@ -61,7 +61,7 @@ def test_a_widened_interval_holds_the_mean_of_the_runs_truths() -> None:
 
 
 def test_two_runs_that_differ_say_so_and_what_two_are_worth() -> None:
-    found = agreement([run_of(np.array([95.0, 200.0, 20.0])), run_of(np.array([97.0, 200.0, 20.0]))], UNITS)
+    found = compare_records([run_of(np.array([95.0, 200.0, 20.0])), run_of(np.array([97.0, 200.0, 20.0]))], UNITS)
     inertia = found["inertia"]
     assert inertia.statistic == pytest.approx(2.0**2 / (2 * 0.2**2))
     assert inertia.between == pytest.approx(np.sqrt(2.0**2 / 2 - 0.2**2))
@@ -69,14 +69,16 @@ def test_two_runs_that_differ_say_so_and_what_two_are_worth() -> None:
     assert "disagree by more than their intervals allow" in str(found)
     assert "one degree of freedom" in str(found)
     assert found["coulomb"].widening == 0.0
-    same = agreement([run_of(np.array([95.0, 200.0, 20.0]))] * 2, UNITS)
+    same = compare_records([run_of(np.array([95.0, 200.0, 20.0]))] * 2, UNITS)
     assert str(same).startswith("the 2 records agree within their intervals")
 
 
 def test_a_difference_along_what_both_know_well_is_seen_jointly() -> None:
     """Each parameter by itself agrees; their well-known difference does not."""
     apart = np.array([0.2, -3.0, 0.0])  # against a correlation of +0.9
-    found = agreement([run_of(np.array([95.0, 200.0, 20.0])), run_of(np.array([95.0, 200.0, 20.0]) + apart)], UNITS)
+    found = compare_records(
+        [run_of(np.array([95.0, 200.0, 20.0])), run_of(np.array([95.0, 200.0, 20.0]) + apart)], UNITS
+    )
     assert found.differs
     assert not any(p.differs for p in found.parameters)
     assert "jointly" in str(found)
@@ -85,10 +87,10 @@ def test_a_difference_along_what_both_know_well_is_seen_jointly() -> None:
 def test_parameters_of_some_records_are_compared_among_those() -> None:
     first = Alone({"inertia": 95.0}, covariance_of(np.array([[0.04]]), 0))
     others = [run_of(np.array([95.0, 200.0, 20.0]))] * 2
-    found = agreement([first, *others], UNITS)
+    found = compare_records([first, *others], UNITS)
     assert [p.records for p in found.parameters] == [3, 2, 2]
     assert found.degrees == 4
-    nothing = agreement([first, Alone({"viscous": 3.0}, covariance_of(np.eye(1), 0))], UNITS)
+    nothing = compare_records([first, Alone({"viscous": 3.0}, covariance_of(np.eye(1), 0))], UNITS)
     assert nothing.p_value is None
     assert not nothing.differs
     assert "nothing says whether they agree" in str(nothing)

@@ -89,7 +89,7 @@ def test_a_right_model_leaves_a_step_of_the_size_that_noise_makes(kind: str) -> 
         problem = torque_problem(record, loop, Filtering(), loop.joint.parameters)
         start = problem.vector(truth | {"initial_position": 0.0, "initial_velocity": 10.0, "initial_torque": 0.0})
         end = solve(problem, least_squares(problem, 1e-8), start)
-        J, W = -end.jacobian, problem.filtered(problem.regressor(problem.simulate(end.x)))
+        J, W = -end.jacobian, problem.filter(problem.regressor(problem.simulate(end.x)))
         step, deviation = second_solution(np.hstack([W, J[:, 4:]]), J, end.residual)
         steps.append((step / deviation)[:4])
     size = np.sqrt(np.mean(np.square(steps), axis=0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.identify_several import by_itself, starts, whitened
+from jointid.estimation.identify_several import by_itself, starts, whiten_fit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -272,7 +272,7 @@ def test_weighing_what_repeats_away_would_believe_a_wrong_model(emps: Record) ->
     problem = torque_problem(emps, RIGID, Filtering(), RIGID.joint.parameters, state)
     one = by_itself(problem, {p.name: p.value or 0.0 for p in estimate.params.rows})
     assert one.values["viscous"] == pytest.approx(210, abs=2)
-    assert whitened(one).values["viscous"] > 235
+    assert whiten_fit(one).values["viscous"] > 235
 
 
 # What is refused

@@ -61,7 +61,7 @@ def test_a_problem_s_derivatives_are_those_of_its_residual() -> None:
     known = {"inertia": 1.1 * (plant.truth["motor_inertia"] + plant.truth["load_inertia"]), "ratio": 0.05}
     known |= {"share": 0.3, "mode": 50.0} | {name: plant.truth[name] for name in names}
     x = np.array([known[p.name] for p in at.free])
-    assert at.described(x) == pytest.approx(known)
+    assert at.values_by_name(x) == pytest.approx(known)
     _, J = at.linearise(x)
     for i, p in enumerate(at.free):
         step = np.zeros(x.size)

@@ -62,7 +62,7 @@ def test_the_truth_of_both_leaves_nothing(axis: Twin) -> None:
     names = [p.name for p in criterion.free]
     assert names == [p.name for p in axis.loop.joint.parameters] + ["initial_position@1", "initial_position@2"]
     x = at(criterion, axis.truth)
-    size = np.linalg.norm(problems[0].filtered(problems[0].measured))
+    size = np.linalg.norm(problems[0].filter(problems[0].measured))
     assert np.linalg.norm(criterion.residual(x)) <= 1e-9 * size
     assert np.linalg.norm(several(problems).residual(x)) > 0.01 * size  # without the 10 kg that were added
     assert criterion.of_member(x, 1)[5] == x[5] + 10.0

@@ -93,7 +93,7 @@ def test_a_stribeck_friction_looks_like_its_column() -> None:
     columns = [a for a in compute_signatures(clean, x)[2] if a.fault.name == "stribeck"]
     nearest = min(columns, key=lambda a: abs((a.shape or 0.0) - 5e-3))
     faulty = problem(where, FAULTS["stribeck"], None)
-    shown = clean.filtered(faulty.measured - clean.measured)
+    shown = clean.filter(faulty.measured - clean.measured)
     scale = float(nearest.column @ shown) / float(nearest.column @ nearest.column)
     assert scale == pytest.approx(0.3 * (where.truth["motor_coulomb"] + where.truth["load_coulomb"]), rel=0.1)
     assert np.linalg.norm(shown - scale * nearest.column) < 0.25 * np.linalg.norm(shown)
@@ -108,7 +108,7 @@ def test_the_gain_of_a_known_signal_is_a_column() -> None:
     known = where.record.injected.channel
     stronger = replace(where.record.injected, channel=replace(known, values=1.01 * known.values))
     other = problem(replace(where, record=replace(where.record, injected=stronger)), None, None)
-    shown = clean.filtered(other.torque(x) - clean.torque(x))
+    shown = clean.filter(other.torque(x) - clean.torque(x))
     assert np.linalg.norm(shown - 0.01 * column) < 0.01 * np.linalg.norm(shown)
 
 
@@ -443,4 +443,4 @@ def test_a_loop_that_needs_more_delay_than_it_can_bear_is_not_explained_away() -
     where = setting("L30")
     made = problem(where, Fault(on("L19", "delay").law), "white", 1)
     x = solved(made, where)
-    assert np.linalg.norm(made.residual(x)) > 0.9 * np.linalg.norm(made.filtered(made.measured))
+    assert np.linalg.norm(made.residual(x)) > 0.9 * np.linalg.norm(made.filter(made.measured))

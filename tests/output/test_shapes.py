@@ -26,7 +26,7 @@ from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
 from jointid.output.json.documents import SHAPES
-from jointid.output.json.estimates import Shape, named, percent, take
+from jointid.output.json.estimates import Shape, as_percentage, by_name, take
 from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known
 from jointid.uncertainty.verdict import StiffnessBound
 
@@ -148,7 +148,14 @@ def test_a_part_of_a_result_is_no_document() -> None:
 
 @pytest.mark.parametrize(
     "shape",
-    ["no_such", "data.no_such", "fit.measured.no_such", percent("fit.no_such"), named("no_such"), {"a": {"b": "no"}}],
+    [
+        "no_such",
+        "data.no_such",
+        "fit.measured.no_such",
+        as_percentage("fit.no_such"),
+        by_name("no_such"),
+        {"a": {"b": "no"}},
+    ],
 )
 def test_a_misspelt_path_is_found_out(shape: Shape) -> None:
     with pytest.raises(AttributeError):

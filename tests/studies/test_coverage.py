@@ -26,7 +26,7 @@ def deviations(cutoff: float) -> np.ndarray:
     keep, samples = problem.filtering.decimation or 1, problem.measured.size
     impulses = np.zeros((samples, keep))
     impulses[samples // 2 + np.arange(keep), np.arange(keep)] = 1.0
-    answers = problem.filtered(impulses)
+    answers = problem.filter(impulses)
     by_lag = sum(np.correlate(answer, answer, "full") for answer in answers.T)
     norms = np.linalg.norm(J, axis=0)
     inverse = np.linalg.pinv(J / norms)

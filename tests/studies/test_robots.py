@@ -43,7 +43,7 @@ def test_a_search_of_springs_begins_where_the_rigid_robot_moves(seed: int) -> No
     parameters = robot_parameters(loop.robot, logarithmic=True)
     problem = robot_problem(loop, made.records, parameters)
     start = StartOfSprings.of(problem, rigid, loop.robot.names)
-    stiff = problem.run(parameters.searched(start.all_at(start.stiff)))
+    stiff = problem.run(parameters.to_search_variables(start.all_at(start.stiff)))
     before, after = (np.linalg.norm(problem.by_joint(problem.error(run)), axis=1) for run in (rigid.run, stiff))
     assert np.all(after < 1.05 * before)
 

@@ -37,7 +37,7 @@ from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.models.disturbances import Drift
 from jointid.models.linear import frequency_response
 from jointid.models.position_forces import PositionHarmonics
-from jointid.output.export import read_estimated
+from jointid.output.export import read_joint_model
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES
 from jointid.paper.recomputed import compare_table as recomputed
@@ -1355,7 +1355,7 @@ def matrices(found: Any, period: float | None = None, side: Any = None) -> Json:
     """Return the state space of an estimate, sampled where a period is given."""
     made = ji.state_space(found, side=side)
     if period is not None:
-        made = made.sampled(period)
+        made = made.discretise(period)
     return {
         **{key: numbers(getattr(made, key)) for key in "ABCD"},
         "period": number(made.period),
@@ -1367,7 +1367,7 @@ def matrices(found: Any, period: float | None = None, side: Any = None) -> Json:
 
 def read_export(identified: Path, joint_path: Path) -> Any:
     """Return an answer read back for export."""
-    return read_estimated(identified, load_joint(joint_path).joint)
+    return read_joint_model(identified, load_joint(joint_path).joint)
 
 
 def dossier(found: Any, record: Any) -> Json:

@@ -112,7 +112,7 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
     else:
         other = next(default for default in _defaults() if default != name)
         for key in lacking(name):
-            needing = method_of(name).called(of_model)
+            needing = method_of(name).describe(of_model)
             yield fault_at(
                 tuple(key.split(".")),
                 f" is missing, but {needing} needs it: add it, "
@@ -141,7 +141,7 @@ def _needs(method: str, model: str) -> str:
 
 def _no_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
     """Return the rest of the sentence on a file without a possible method."""
-    lacks = [f"{method_of(method).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
+    lacks = [f"{method_of(method).describe(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
     rigid = choose_method(file, None, "rigid") is not None
     remedy = "add what one of them lacks" + (f', or set {file.joint.heading}.model = "rigid"' if rigid else "")
     return f" is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."

@@ -186,7 +186,7 @@ def search_faults(
     first_law: _OtherLawTest | None = None
     while len(findings) < settings.most:
         found = _search_shapes(state, _run_tests(state, settings), settings)
-        if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filtered(problem.measured)):
+        if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filter(problem.measured)):
             first, others = first or found, []
             break
         others = _test_other_laws(state, found, settings)
@@ -450,7 +450,7 @@ def _stack_columns(state: SearchState, own: FloatArray) -> FloatArray:
 def _assign_cells(state: SearchState) -> Cells:
     """Return the cell of position, direction and speed of each row."""
     run = state.problem.simulate(state.x)
-    motion = state.problem.filtered(np.column_stack([run.motor_position, run.motor_velocity]))
+    motion = state.problem.filter(np.column_stack([run.motor_position, run.motor_velocity]))
     return cells(motion[:, 0], motion[:, 1])
 
 
@@ -460,7 +460,7 @@ def _simulate_forces(state: SearchState) -> list[FloatArray]:
     force = find_force(problem, state.x, run, problem.measured - run.torque)
     if force is None:
         return []
-    return [problem.filtered(one - run.torque) for one in simulate_with_force(problem, state.x, force, _FORCES)]
+    return [problem.filter(one - run.torque) for one in simulate_with_force(problem, state.x, force, _FORCES)]
 
 
 def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:

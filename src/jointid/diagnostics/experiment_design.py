@@ -220,7 +220,7 @@ def predict_intervals(
         response, columns = changed.sensitivities(x)
         predicted: dict[str, float] = {}
         if response.outcome is Outcome.FINISHED:
-            J = changed.filtered(columns)
+            J = changed.filter(columns)
             after = stationary(J, J, error[: len(J)]).std * math.sqrt(len(J) / error.size)
             changes = dict(zip(names, map(float, after / before), strict=False))
             predicted = {name: std * changes[name] for name, std in reported.items()}
@@ -338,12 +338,14 @@ def design_stiffness_test(
     """Predict the modes that pulses or a load encoder would identify; see `advise`."""
     problem, _ = rebuild_declared_problem(estimate, record)
     parted = ("motor_", "load_", "stiffness", "damping")  # free, even those that were kept fixed
-    problem = problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name.startswith(parted)})
+    problem = problem.replace_parameters(
+        {p.name: replace(p, free=True) for p in problem.parameters if p.name.startswith(parted)}
+    )
     sample_time, cutoff = problem.experiment.sample_time, problem.filtering.cutoff
     assert cutoff is not None
     band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolve(sample_time, "flexible")
     wide = replace(problem, filtering=band)
-    error = wide.filtered(estimate.fit.measured - estimate.fit.predicted)
+    error = wide.filter(estimate.fit.measured - estimate.fit.predicted)
     assert estimate.checks.known is not None
     rigid = {p.name: p.value or 0.0 for p in estimate.params.rows if acts_on_whole(p.name) or not p.of_joint}
     rigid = {one.combination.quantity: one.value for one in estimate.checks.known.physical} | rigid
@@ -356,7 +358,7 @@ def design_stiffness_test(
         response, columns = by.sensitivities(x)
         if response.outcome is not Outcome.FINISHED:
             return math.inf
-        J = by.filtered(columns)
+        J = by.filter(columns)
         known = doubt**2 * stationary(J, J, error).matrix
         if encoder:
             _, load = compute_encoder_information(by, x, noise or find_noise_source(record), step, step)

@@ -69,7 +69,7 @@ def compute_signatures(
     names = [name for name in (*wanted, LOG_GAIN.name, LOG_DELAY.name) if name not in taken]
     wider = problem.freeing(*names)
     bare = [p for p in wider.parameters if p.name == OFFSET.name and not p.free and (p.start or 0.0) == 0.0]
-    wider = wider.changed({p.name: replace(p, free=True) for p in bare})
+    wider = wider.replace_parameters({p.name: replace(p, free=True) for p in bare})
     residual, slopes = wider.linearise(wider.vector(problem.values(x)))
     columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))
     own = np.column_stack([columns[p.name] for p in problem.free])

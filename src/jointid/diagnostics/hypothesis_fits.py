@@ -162,7 +162,7 @@ def _choose_best(starts: Iterable[Fit]) -> list[Fit]:
             start = numbers_of(fit.problem.loop.controller)[name]
             problem = fit.problem.freeing(name)
             number = next(p for p in problem.parameters if p.name == name)
-            problem = problem.changed({name: replace(number, lower=start / _RANGE, upper=start * _RANGE)})
+            problem = problem.replace_parameters({name: replace(number, lower=start / _RANGE, upper=start * _RANGE)})
             free.append(replace(fit, problem=problem, x=problem.vector(fit.values | {name: start})))
         else:
             free.append(fit)

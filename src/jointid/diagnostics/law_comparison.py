@@ -239,7 +239,7 @@ def cut(problem: ClosedLoopProblem) -> NDArray[np.intp] | None:
     Half of the cut is by time, half by how much the torque changes: parts of equal length would hold most of the motion
     in a few of them if an axis rests. There are fewer parts if all changes are within a few rows.
     """
-    torque = problem.filtered(problem.measured)
+    torque = problem.filter(problem.measured)
     change = np.square(np.diff(torque, prepend=torque[0]))
     rows = change.size
     if rows < _FEWEST:
@@ -269,7 +269,7 @@ def parts_of(problem: ClosedLoopProblem, laws: str) -> NDArray[np.intp]:
     if parts is None:
         raise MethodError(
             f"A record is cut into {PARTS} parts to compare {laws}, which takes {_FEWEST} rows or more; received "
-            f"{problem.filtered(problem.measured).size}: give a longer record, or a higher cut-off."
+            f"{problem.filter(problem.measured).size}: give a longer record, or a higher cut-off."
         )
     return parts
 

@@ -160,7 +160,7 @@ def compare_methods(
 def _list_methods(model: ClosedLoop | Joint, didim: DIDIM | None) -> Iterator[tuple[str, ClosedLoop | Joint, Method]]:
     """Yield the name of each method, the model with its friction law, and the method."""
     joint = model.joint if isinstance(model, ClosedLoop) else model
-    made = [one.compared(joint.model) for one in methods()]
+    made = [one.comparison_runs(joint.model) for one in methods()]
     runs = [
         [(label, didim if didim is not None and didim.name == method.name else method) for label, method in each]
         for each in made

@@ -46,7 +46,7 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
         reference: (samples,) in m or rad, over the same time.
         memory: length of the responses, s.
     """
-    torque = problem.filtered(problem.measured)
+    torque = problem.filter(problem.measured)
     if reference.size != problem.measured.size:  # logged at a rate of its own
         at = np.arange(problem.measured.size) * (reference.size / problem.measured.size)
         reference = np.interp(at, np.arange(reference.size), reference)
@@ -56,7 +56,7 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
     if problem.experiment.injected:
         experiment = problem.experiment
         inputs.append(to_log(experiment, experiment.inputs[:, INJECTED] + experiment.after_limit))
-    count, seen = len(inputs), problem.filtered(np.column_stack(inputs))
+    count, seen = len(inputs), problem.filter(np.column_stack(inputs))
     lags = min(math.ceil(memory / (problem.sample_time * reference.size / torque.size)), torque.size)
     rows, width = torque.size, count * lags + 1
     if rows < 2 * width:

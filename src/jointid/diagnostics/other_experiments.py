@@ -164,7 +164,7 @@ def _simulate_load_error(problem: ClosedLoopProblem, x: FloatArray) -> FloatArra
             return None
         if attempt < 2:
             change = run.torque - quiet.torque - to_log(experiment, forced.shown - experiment.shown)
-            size *= wanted / float(np.linalg.norm(problem.filtered(change)))
+            size *= wanted / float(np.linalg.norm(problem.filter(change)))
     assert run.load_position is not None
     assert quiet.load_position is not None
     motor = run.motor_position - quiet.motor_position

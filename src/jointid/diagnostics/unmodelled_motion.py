@@ -70,8 +70,8 @@ def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResi
     run = problem.simulate(x)
     if run.load_position is None or run.torque.size != problem.measured.size:
         return None
-    error = problem.filtered(problem.measured - run.torque)
-    inputs = problem.filtered(_inputs(run))
+    error = problem.filter(problem.measured - run.torque)
+    inputs = problem.filter(_inputs(run))
     parts = cut(problem)
     if parts is None or not np.any(error):
         return None

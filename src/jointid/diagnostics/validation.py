@@ -252,8 +252,8 @@ def _validate_inverse_model(identified: IdentifiedJoint, record: Record) -> Vali
     joint, filtering, sample_time = identified.joint, identified.filtering, record.torque.sample_time
     model = motion_of(record, identified.delay, filtering, joint, identified.effects)
     values = np.array([identified.values[p.name] for p in (*joint.parameters, *effect_parameters(identified.effects))])
-    error, columns = model.decimated(filtering, sample_time, values)
-    whole, _ = model.decimated(filtering, sample_time, np.zeros_like(values))
+    error, columns = model.decimate(filtering, sample_time, values)
+    whole, _ = model.decimate(filtering, sample_time, np.zeros_like(values))
     torques = _Torques(model.torque[0], model.columns[0] @ values, error, whole, equations=len(model.torque))
     least = whole - columns @ np.linalg.lstsq(columns, whole, rcond=None)[0]
     return _describe(identified, record, idim_channels(joint.model), torques, model.motor, lambda: least)
@@ -269,7 +269,7 @@ def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: 
     problem = ClosedLoopProblem((*fixed, *around), measured, identified.filtering, loop, experiment)
     x, runs = fit_initial_state(problem)
     run = require_success(problem.simulate(x))
-    error, whole = problem.filtered(np.column_stack([measured - run.torque, measured])).T
+    error, whole = problem.filter(np.column_stack([measured - run.torque, measured])).T
     motor = Motion(run.motor_position, run.motor_velocity, run.motor.acceleration)
     other_law = (
         "the controller is not the one the joint was identified under; that is right only if its gains were changed"

@@ -65,7 +65,7 @@ class History:
         self._last: Counted | None = None
         self._starts, self._best = 0, math.inf
 
-    def counted(self, problem: ClosedLoopProblem) -> Counted:
+    def count_evaluations(self, problem: ClosedLoopProblem) -> Counted:
         """Return the problem with counted evaluations; it remembers the last point that was linearised."""
         if self._last is None or self._last.problem is not problem:
             self._last = Counted(problem, self.tally)
@@ -83,7 +83,7 @@ class History:
             if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
                 self.tell(number, step.norm / size)
 
-        return Solved(problem, solve(self.counted(problem), solver, start, watch))
+        return Solved(problem, solve(self.count_evaluations(problem), solver, start, watch))
 
     def finish(self, rough: Solved, tolerance: float) -> Solved:
         """Descend from the end of a rough descent to the full tolerance."""

@@ -43,7 +43,7 @@ from jointid.estimation.result.agreement import drift
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import (
     build_params,
-    find_at_bound,
+    find_active_bounds,
     find_lost,
     list_loop_channels,
     name_deviations,
@@ -226,11 +226,11 @@ class StreamingGaussNewton:
             far = math.sqrt(float(step @ sums.A @ step) / level) if level > 0 else 0.0
             if not found.ended:
                 stop = f"interrupted after {len(found.windows)} windows ({found.windows[-1].end / 3600:.3g} h)"
-                return end(x + step, found.moved(step), Status.INTERRUPTED, stop, whole)
+                return end(x + step, found.shift(step), Status.INTERRUPTED, stop, whole)
             # Where nothing is left, nothing is a deviation.
             if every == 1 and (far < self.tolerance or level <= _rounding(sums)):
                 stop = f"the last pass moved the parameters by {far:.2g} deviations (limit {self.tolerance:g})"
-                return end(x + step, found.moved(step), Status.STEP, f"converged: {stop}", whole)
+                return end(x + step, found.shift(step), Status.STEP, f"converged: {stop}", whole)
             before, x = _Before(x, every, level, found), x + step
             problem.progress(f"{len(found.windows)} windows move the parameters by {far:.2g} deviations")
             if number >= self.sparse_passes or far < 1.0:
@@ -277,7 +277,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
     covariance, intervals = _covariance(found, repeated)
     loop = window.loop_at(end.x)
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
-    held = find_at_bound(problem.free, end.x, end.residual, end.jacobian)
+    held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
     lost = find_lost(problem.free, end.x, covariance.std)
     std = name_deviations(window, covariance)
     return FitResult(

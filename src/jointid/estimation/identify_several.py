@@ -45,14 +45,14 @@ from jointid.estimation.problems.several_records import (
     whitening,
 )
 from jointid.estimation.record_warnings import record_warnings
-from jointid.estimation.result.agreement import Agreement, Alone, agreement
+from jointid.estimation.result.agreement import Agreement, Alone, compare_records
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import (
     NOT_CONVERGED,
     build_fit,
     build_params,
     build_rows,
-    find_at_bound,
+    find_active_bounds,
     find_lost,
     list_loop_channels,
     name_deviations,
@@ -93,7 +93,7 @@ def identify_several(
     if isinstance(method, IDIM):
         raise MethodError("Records are identified together by simulating their loops; IDIM does not, so use DIDIM.")
     layout, given = RecordLayout.of(len(records), loops, settings), parameters or {}
-    _require_different(records)
+    _require_distinct(records)
     fits = []
     for k, record in enumerate(records):
         progress(f"record {k + 1}, {record.name}, by itself")
@@ -128,7 +128,7 @@ def identify_several(
     return _build_result(solved, simulations, weighting, about)
 
 
-def _require_different(records: Sequence[Record]) -> None:
+def _require_distinct(records: Sequence[Record]) -> None:
     seen: dict[str, int] = {}
     for number, record in enumerate(records, 1):
         mark = fingerprint(record.torque.values) if record.torque is not None else str(number)
@@ -204,7 +204,7 @@ class BySelf:
         return self.problem.filtered_error(self.error)
 
     def acting(self, gain: float) -> dict[str, float]:
-        """Return them with those of the joint per torque that acts, which is so many times the log's."""
+        """Return the values in terms of the acting torque, `gain` times the logged one."""
         own = {p.name for p in self.problem.joint.parameters}
         return {n: gain * v if n in own else v for n, v in self.values.items()} | {"drive_gain": gain}
 
@@ -225,7 +225,7 @@ def by_itself(problem: ClosedLoopProblem, values: Mapping[str, float]) -> BySelf
     return BySelf(problem, end, end.residual, level, weights, judged, judged.repeatable, used)
 
 
-def whitened(one: BySelf) -> BySelf:
+def whiten_fit(one: BySelf) -> BySelf:
     """Fit a record again, its rows weighted by the spectrum of its residual; one that leaves nothing stays as it is."""
     if one.level <= _nothing(one.problem):
         return one
@@ -238,7 +238,7 @@ def whitened(one: BySelf) -> BySelf:
 
 def _nothing(problem: ClosedLoopProblem) -> float:
     """Return the level of a residual that is as good as none."""
-    return _NOTHING_LEFT * float(np.sqrt(np.mean(problem.filtered(problem.measured) ** 2)))
+    return _NOTHING_LEFT * float(np.sqrt(np.mean(problem.filter(problem.measured) ** 2)))
 
 
 def _judge(problem: ClosedLoopProblem, end: Solution, taps: FloatArray) -> tuple[Uncertainty, int]:
@@ -271,11 +271,11 @@ def _weigh_rows(alone: list[BySelf], weighting: Weighting) -> tuple[list[BySelf]
         return alone, "each record's rows by the level of its residual"
     if any(one.repeatable.significant for one in alone):
         return alone, "each record's rows by the level of its residual alone, because it repeats with the motion"
-    return [whitened(one) for one in alone], "each record's rows by the spectrum of its residual"
+    return [whiten_fit(one) for one in alone], "each record's rows by the spectrum of its residual"
 
 
 def _gain(layout: RecordLayout, alone: Sequence[BySelf]) -> float:
-    """Return where the gain of the drive starts: what was added, over what the records by themselves differ by."""
+    """Return a start of the drive gain: the slope of the added values over those of separate fits."""
     name = next((name for more in layout.added for name in more), None)
     if "drive_gain" not in layout.free or name is None:
         return 1.0
@@ -327,10 +327,10 @@ def _build_result(solved: _Solved, simulations: int, weighting: str, about: tupl
     covariance = covariance_of(wider, judged.covariance.bandwidth)
     shares = tuple(_record_fit(solved, k) for k in range(len(solved.records)))
     predicted = np.concatenate([share.predicted for share in shares])
-    error = problem.filtered(problem.measured - predicted)
+    error = problem.filter(problem.measured - predicted)
     lost = find_lost(problem.free, end.x, covariance.std)
     basis = f"from the output sensitivities, {judged.basis}; no record's rows correlated with another's"
-    held = find_at_bound(problem.free, end.x, end.residual, end.jacobian)
+    held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
     params = build_params(
         problem, end.x, name_deviations(problem, covariance), covariance.correlation, basis, lost, held
     )
@@ -407,7 +407,7 @@ def _compare(solved: _Solved) -> Agreement:
     each = []
     for k, one in enumerate(solved.alone):
         known, free = one.uncertainty.covariance, one.problem.free
-        held = find_at_bound(free, one.end.x, one.end.residual, one.end.jacobian)
+        held = find_active_bounds(free, one.end.x, one.end.residual, one.end.jacobian)
         compared = units.keys() & {p.name for p in solved.problem.of_record(k)} - {*held}
         kept = [i for i, p in enumerate(free) if p.name in compared and known.std[i] > 0]
         rows = solved.by_itself(k)
@@ -415,7 +415,7 @@ def _compare(solved: _Solved) -> Agreement:
         # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
         std = np.array([max(rows[i].stderr or 0.0, _ROUNDING * abs(values[rows[i].name])) for i in kept])
         each.append(Alone(values, Covariance(std, known.correlation[np.ix_(kept, kept)], known.bandwidth)))
-    return agreement(each, units)
+    return compare_records(each, units)
 
 
 def _record_fit(solved: _Solved, number: int) -> RecordFit:
@@ -423,7 +423,7 @@ def _record_fit(solved: _Solved, number: int) -> RecordFit:
     problem, record, one = solved.problem.criterion.problems[number], solved.records[number], solved.alone[number]
     x = solved.problem.criterion.of_member(solved.end.x, number)
     values, predicted = problem.values(x), problem.torque(x)
-    error = problem.filtered(problem.measured - predicted)
+    error = problem.filter(problem.measured - predicted)
     assert record.torque is not None
     return RecordFit(
         name=record.name,
@@ -458,7 +458,7 @@ def _warn(
         *([] if end.converged else [NOT_CONVERGED]),
         *([str(compared)] if compared.differs else []),
         *warn_of_lost(lost, "these records"),
-        *warn_of_bounds(find_at_bound(free, end.x, end.residual, end.jacobian), "records"),
+        *warn_of_bounds(find_active_bounds(free, end.x, end.residual, end.jacobian), "records"),
         *warn_of_inseparable([p.name for p in free], covariance.correlation, stated, "these records"),
         *map(str, judged.warnings),
         *([str(judged.repeatable)] if judged.repeatable.significant else []),

@@ -24,7 +24,7 @@ def record_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...]:
 
 
 def coupling_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...]:
-    """Return that other axes moved too, and how much of what the model leaves follows them; nothing without any.
+    """Warn of other moving axes, with the share of the residual correlated with their motion.
 
     Inertia shared with another axis shows as its acceleration, gravity as its position. What an axis of few harmonics
     explains by chance is much, so it stands beside. A joint's own columns have taken their part already: a share that

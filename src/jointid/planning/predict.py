@@ -201,7 +201,7 @@ def predict_test(
     response, columns = problem.sensitivities(x)
     if response.outcome is not Outcome.FINISHED:
         raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
-    J = problem.filtered(columns)
+    J = problem.filter(columns)
     _require_identifiable(problem, J)
     matrix = _scatter(problem, x, J, noise, runs, seed)
     steps = [step for step in (motor_encoder, load_encoder) if step is not None]
@@ -271,7 +271,7 @@ def predict_roughly(
         response, columns = problem.sensitivities(x)
         if response.outcome is not Outcome.FINISHED:
             raise MethodError("The loop cannot be simulated along this test.")
-        J = problem.filtered(columns)
+        J = problem.filter(columns)
         _require_identifiable(problem, J)
         matrix = np.zeros((x.size, x.size))
         if noise.left is not None:
@@ -280,7 +280,7 @@ def predict_roughly(
         size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
         if noise.log or noise.force:
             (error,) = _errors(problem, x, noise, 1, seed)
-            matrix += stationary(J, J, problem.filtered(error)).matrix
+            matrix += stationary(J, J, problem.filter(error)).matrix
             size += float(np.mean(error**2))
         names = tuple(p.name for p in problem.free_joint)
         yield RoughPrediction(names, matrix[:own, :own], _add_noise(run, test.reference, size))
@@ -374,7 +374,7 @@ def _scatter(
     norms[norms == 0.0] = 1.0
     inverse = np.linalg.pinv((J / norms).T @ (J / norms))
     weights = (J / norms) @ inverse.T / norms  # (rows, free): what an error of the torque does to each parameter
-    moved = np.array([problem.filtered(one) @ weights for one in _errors(problem, x, noise, runs, seed)])
+    moved = np.array([problem.filter(one) @ weights for one in _errors(problem, x, noise, runs, seed)])
     return np.asarray(matrix + moved.T @ moved / len(moved))
 
 

@@ -551,7 +551,7 @@ def _by_simulation(
     kept = run_robot(prepare_robot(loop, driven), numbers, keep=True)
     J = problem.slopes(kept, values)
     assert problem.filtering.decimation is not None
-    weights = problem.weighted(noise / math.sqrt(problem.filtering.decimation)).weights(len(J))
+    weights = problem.with_sigma(noise / math.sqrt(problem.filtering.decimation)).weights(len(J))
     units = parameter_units(loop.robot, parameters)
     names = parameters.names
     return names, tuple(units[name] for name in names), values, _deviations(J * weights[:, np.newaxis])

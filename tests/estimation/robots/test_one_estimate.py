@@ -12,7 +12,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.result.answer import Trust
-from jointid.output.json.reading import read_identified
+from jointid.output.json.reading import read_identified_joint
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Status, Subject
@@ -118,4 +118,4 @@ def test_its_file_is_of_the_same_schema_and_is_no_joint(tmp_path: Path) -> None:
     assert row["axis"] == "joint1" and row["formula"] == "joint1.viscous" and row["nominal"] == pytest.approx(3.0)
     assert len(answer["correlation"]) == len(answer["free"]) == len(found.params)
     with pytest.raises(RecordError, match="is no estimate of schema"):
-        read_identified(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"), None)
+        read_identified_joint(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"), None)

@@ -37,7 +37,7 @@ def ours(joint: Joint, values: Mapping[str, float], delay: float = 0.0) -> np.nd
 def test_sampled_it_is_our_simulation_whatever_the_delay(delay: float) -> None:
     silent = TORQUE.copy()
     silent[:4] = 0.0  # before its first sample ours acts, the state space's does not
-    system = ji.state_space(model(JOINT, VISCOUS)).sampled(T, delay)
+    system = ji.state_space(model(JOINT, VISCOUS)).discretise(T, delay)
     _, found, _ = dlsim(system.scipy(), silent)
     held = ji.Channel(silent, "N", T, Timing.HELD)
     around = {"initial_position": 0.0, "initial_velocity": 0.0, "log_delay": -delay}
@@ -57,7 +57,7 @@ def test_python_control_closes_the_loop_with_our_torque(made: str) -> None:
     control = pytest.importorskip("control")
     told = model(JOINT, VISCOUS)
     if made == "from the object":
-        system = ji.state_space(told).sampled(T).control()
+        system = ji.state_space(told).discretise(T).control()
         assert system.state_labels[:2] == ["motor_position", "motor_velocity"]
         assert system.input_labels == ["torque"]
     else:
@@ -89,7 +89,7 @@ def matrices(text: str, name: str) -> dict[str, np.ndarray]:
 def test_a_matlab_script_has_the_same_numbers_and_only_comments_beside() -> None:
     told = model(JOINT, TABLE_2, "Achse 3 (links)", "a\n!rm -rf\n%{\nsystem('x') ...")
     text = ji.export(told, "matlab", period=2e-3, delay=1e-3).text
-    continuous, sampled = ji.state_space(told), ji.state_space(told).sampled(2e-3, 1e-3)
+    continuous, sampled = ji.state_space(told), ji.state_space(told).discretise(2e-3, 1e-3)
     for name, system in (("Achse_3_links", continuous), ("Achse_3_links_sampled", sampled)):
         found = matrices(text, name)
         assert set(found) == set("ABCD")
@@ -105,7 +105,7 @@ def test_on_the_other_side_of_a_transmission_the_motion_is_the_same() -> None:
     gear = ji.Transmission(load="revolute", ratio=80.0, sign=-1)
     joint = ji.FlexibleJoint("revolute", transmission=gear)
     told = model(joint, VISCOUS)
-    load, motor = (ji.state_space(told, side=side).sampled(T) for side in ("load", "motor"))
+    load, motor = (ji.state_space(told, side=side).discretise(T) for side in ("load", "motor"))
     _, there, _ = dlsim(motor.scipy(), TORQUE)
     _, here, _ = dlsim(load.scipy(), -80.0 * TORQUE)
     assert apart(-80.0 * here[:, 0], there[:, 0]) < 1e-9
@@ -142,16 +142,16 @@ def test_the_delay_is_that_of_the_estimate_unless_another_is_asked_for() -> None
     for settings, delay in asked:
         found = json.loads(ji.export(told, "state-space", **settings).text)["sampled"]
         assert found["delay"] == delay
-        np.testing.assert_array_equal(found["A"], ji.state_space(told).sampled(T, delay).A)
+        np.testing.assert_array_equal(found["A"], ji.state_space(told).discretise(T, delay).A)
 
 
 def test_what_cannot_be_sampled_is_refused() -> None:
     system = ji.state_space(model(JOINT, VISCOUS))
     for period, delay in ((0.0, 0.0), (float("inf"), 0.0), (T, -T), (T, 2.0), (float("nan"), 0.0)):
         with pytest.raises(ji.MethodError, match="positive period"):
-            system.sampled(period, delay)
+            system.discretise(period, delay)
     with pytest.raises(ji.MethodError, match="sampled already"):
-        system.sampled(T).sampled(T)
+        system.discretise(T).discretise(T)
     with pytest.raises(ji.MethodError, match="A period is a positive number"):
         ji.export(model(JOINT, VISCOUS), "state-space", period=-1.0)
     several: dict[str, Any] = answer(JOINT, TABLE_2) | {

@@ -222,7 +222,7 @@ def validate(
         deliver(run(file.identify(file.record(), options.progress), file.record(options.record)), options.json)
         return
     estimate = _require_estimate(estimate)
-    identified = answers.read_identified(estimate, file.joint, file.loop)
+    identified = answers.read_identified_joint(estimate, file.joint, file.loop)
     record = options.load_joint(joint, friction=friction, method=identified.method).record(options.record)
     ready(options.progress)
     deliver(run(identified, record), options.json, (figure, figures.torque), (residuals, figures.residual))
@@ -284,7 +284,7 @@ def export(
     from jointid.config import JointFile
     from jointid.output import json as answers
     from jointid.output.export import export as run
-    from jointid.output.export import find_language, read_estimated
+    from jointid.output.export import find_language, read_joint_model
 
     outputs = Outputs({"--out": out})
     outputs.spare("--estimate", estimate)
@@ -308,7 +308,7 @@ def export(
     estimate = _require_estimate(estimate)
     if language == "joint-file":
         settings |= {"file": file, "folder": out.parent}
-    exported = run(read_estimated(estimate, file.joint, file.name), language, side=side, **settings)
+    exported = run(read_joint_model(estimate, file.joint, file.name), language, side=side, **settings)
     exported.save(out)
     show(exported)
     show(f"Written: {out}")

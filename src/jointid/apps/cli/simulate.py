@@ -157,7 +157,7 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
     if estimate is None:
         values = file.values()
     else:
-        identified = answers.read_identified(estimate, file.joint, file.loop)
+        identified = answers.read_identified_joint(estimate, file.joint, file.loop)
         values = identified.values
         if any(not isinstance(effect, EncoderOffset) for effect in identified.effects):
             options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")

@@ -55,7 +55,7 @@ def _describe_offset(finding: Finding, check: LoopCheck, spread: bool) -> str:
 OFFSET = Fault(
     "offset", "constant force", describe=_describe_offset, measure=Measure.TORQUE,
     free=lambda problem, test: (
-        problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name == "offset"}),
+        problem.replace_parameters({p.name: replace(p, free=True) for p in problem.parameters if p.name == "offset"}),
         test.declared + test.size,
     ),
 )  # fmt: skip
@@ -71,7 +71,7 @@ def _vary_injected_gain(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[F
         return problem.torque(x, lambda e: replace(e, after_limit=by * e.after_limit, logged=by * e.logged))
 
     raw = (scale(1 + _STEP) - scale(1 - _STEP)) / (2 * _STEP)
-    yield FaultSignature(INJECTED_GAIN, problem.filtered(raw), raw=raw)
+    yield FaultSignature(INJECTED_GAIN, problem.filter(raw), raw=raw)
 
 
 INJECTED_GAIN = Fault(
@@ -93,7 +93,7 @@ def _vary_limit(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSign
 
     for level in (share * asked for share in _LEVELS):
         if level < problem.experiment.law.limit:
-            yield FaultSignature(LIMIT, problem.filtered(simulate(level) - unlimited), level)
+            yield FaultSignature(LIMIT, problem.filter(simulate(level) - unlimited), level)
 
 
 def _torque_per_unit(problem: ClosedLoopProblem) -> float:
@@ -225,7 +225,7 @@ def _simulate_ripple(
         raw = np.column_stack([(run.torque - base) / size for run in runs])
     except JointidError:  # the joint may have none beside its other laws
         return None
-    seen = problem.filtered(raw)
+    seen = problem.filter(raw)
     columns = beside(seen)
     parts = np.linalg.lstsq(columns, left, rcond=None)[0]
     amplitude = float(np.linalg.norm(parts))

@@ -62,7 +62,7 @@ def _vary_stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
             raw = (simulate(small * force) - simulate(-small * force)) / (2 * small)
             if problem.experiment.tap is Tap.MEASURED:
                 raw = raw - to_log(problem.experiment, force)  # the force itself is not logged
-            column = problem.filtered(raw)
+            column = problem.filter(raw)
             yield FaultSignature(STRIBECK, column, speed, raw)
             yield FaultSignature(PRESLIDING, -column, speed, -raw)
 

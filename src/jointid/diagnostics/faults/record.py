@@ -145,7 +145,7 @@ def _judge_motion(declared: Hypothesis, best: Fit | None, _: float) -> tuple[flo
     if best is None or best.problem.measured.size != problem.measured.size:
         return None, left
     measured = best.problem.measured
-    other, size = (problem.filtered(one) for one in (measured - best.problem.torque(best.x), measured))
+    other, size = (problem.filter(one) for one in (measured - best.problem.torque(best.x), measured))
     return None, left * best.error * float(np.linalg.norm(size) / np.linalg.norm(other))
 
 

@@ -96,7 +96,7 @@ def _search_second_mode(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -
     for end in in_threads(lambda trial: search(problem, x, trial), trials):
         if end is not None and (share := end.values["swinging_share"]) > _LEAST:
             raw, mode = end.change / share, joint.frequencies(end.values)["second_free_free"]
-            found.append(FaultSignature(SECOND_MODE, problem.filtered(raw), mode, raw))
+            found.append(FaultSignature(SECOND_MODE, problem.filter(raw), mode, raw))
     return found
 
 

@@ -81,7 +81,7 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray, faults: Iterable[F
     trials = [trial for fault in faults for trial in list_trials(problem, x, fault)]
     for trial, raw in zip(trials, in_threads(simulate, trials), strict=True):
         if raw is not None:
-            yield FaultSignature(trial.fault, problem.filtered(raw), trial.shape, raw)
+            yield FaultSignature(trial.fault, problem.filter(raw), trial.shape, raw)
 
 
 def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> FaultFit | None:

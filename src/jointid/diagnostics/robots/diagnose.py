@@ -113,7 +113,7 @@ class JointDiagnosis:
                 "while it moves: let it move throughout."
             )
         if not self.explained:
-            found.append(self._unexplained())
+            found.append(self._describe_unexplained_part())
         elif self.coloured:
             follows = f"; it follows {self.follows[0]}" if self.follows is not None and self._one_thing else ""
             found.append(
@@ -128,7 +128,7 @@ class JointDiagnosis:
         ]
         return tuple(found)
 
-    def _unexplained(self) -> str:
+    def _describe_unexplained_part(self) -> str:
         said = f"{self.name}: the model leaves {100 * self.left:.3g} % of its torque, and that is no noise"
         if self.follows is None or not self._one_thing:
             return (
@@ -389,7 +389,7 @@ def _better_feed_forward(
 ) -> str | None:
     """Return the feed-forward with which the controllers leave clearly less of the torques; None if there is none."""
     declared = [one for one in controllers if one is not None]
-    before = _rms_left(laws)
+    before = _residual_rms(laws)
     if len(declared) < len(robot) or before is None or before < _OF_LAW or not robot.has_masses:
         return None
     best, least = None, _FEWER * before
@@ -399,12 +399,12 @@ def _better_feed_forward(
             injected = add_feed_forward(RobotLoop(robot, tuple(declared)), records, kind)
         except JointidError:
             return None
-        left = _rms_left(_laws(robot, injected, controllers))
+        left = _residual_rms(_laws(robot, injected, controllers))
         if left is not None and left < least:
             best, least = kind, left
     return best
 
 
-def _rms_left(laws: Sequence[LawOnPosition | None]) -> float | None:
+def _residual_rms(laws: Sequence[LawOnPosition | None]) -> float | None:
     found = [one.left for one in laws if one is not None and math.isfinite(one.left)]
     return float(np.sqrt(np.mean(np.square(found)))) if len(found) == len(laws) else None

@@ -96,10 +96,10 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
     seen = motion.whole_rows
 
     def thin(columns: FloatArray) -> FloatArray:
-        return motion.thinned(columns).reshape(len(robot), -1, columns.shape[2])
+        return motion.decimate_columns(columns).reshape(len(robot), -1, columns.shape[2])
 
     everywhere = replace(motion, moving=np.ones_like(motion.moving))
-    path = everywhere.thinned(np.stack([q, v], axis=2)).reshape(len(robot), -1, 2)
+    path = everywhere.decimate_columns(np.stack([q, v], axis=2)).reshape(len(robot), -1, 2)
     nominal = rows.by_equation(rows.W @ part.nominal) if robot.has_masses else None
     measured = rows.by_equation(rows.Y)
     return _torques(
@@ -111,13 +111,13 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
 def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> RobotTorques:
     robot, numbers = part.model, part.numbers()
     problem = problem_of(part.closing, records, robot_parameters(robot), filtering)
-    measured = problem.by_joint(problem.decimated(problem.measured))
+    measured = problem.by_joint(problem.decimate(problem.measured))
     error = problem.error_of(numbers)
     assert error is not None  # it was identified from these records
     predicted = measured - problem.by_joint(error)
 
     def thin(columns: FloatArray, of: RobotLoopProblem | RobotDriveSideProblem = problem) -> FloatArray:
-        rows = of.thinned(list(np.moveaxis(columns, 1, 0)))
+        rows = of.decimate_each(list(np.moveaxis(columns, 1, 0)))
         return rows.reshape(len(robot), -1, columns.shape[2])
 
     if isinstance(problem, RobotLoopProblem):

@@ -331,12 +331,12 @@ class DIDIM(Method):
         x, steps = problem.vector(start.values), self._steps(problem, history)
         if start.nominal_inertia and self.scaled_iterations:
             x = steps.scale_gains(problem, start)[0].x
-        there, counted = problem.values(x), history.counted(problem)
+        there, counted = problem.values(x), history.count_evaluations(problem)
         homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
         started = [problem.vector(there | {"initial_position": home}) for home in homes]
         started.sort(key=lambda one: float(np.linalg.norm(counted.residual(one))))
         if not np.any(counted.linearise(started[0])[1]):
-            steps.evaluate(problem, started[0]).require_simulated()
+            steps.evaluate(problem, started[0]).require_full_simulation()
             raise MethodError(describe_unstable(problem, started[0]))
         return started
 
@@ -353,7 +353,7 @@ class DIDIM(Method):
         if self.free:
             solved = free_more(solved, self.free, self.stopping_tolerance("flexible"), history)
         problem, x = solved.problem, solved.solution.x
-        error, J = history.counted(problem).linearise(x)
+        error, J = history.count_evaluations(problem).linearise(x)
         run = problem.simulate(x)
         history.tally.evaluations += 1
         stop, converged = solved.solution.message, solved.solution.converged
@@ -415,7 +415,9 @@ def _at_rest(record: Record, settings: DIDIM) -> tuple[Parameter, ...]:
 def _hanging(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """Return the problem with the motor, at the first sample, where its load makes it hang."""
     home = beginning_position(problem)
-    return problem.changed({p.name: replace(p, start=home) for p in problem.parameters if p.name == "initial_position"})
+    return problem.replace_parameters(
+        {p.name: replace(p, start=home) for p in problem.parameters if p.name == "initial_position"}
+    )
 
 
 def inverse_model_covariance(problem: ClosedLoopProblem, x: FloatArray, error: FloatArray) -> Covariance:
@@ -428,7 +430,7 @@ def inverse_model_covariance(problem: ClosedLoopProblem, x: FloatArray, error: F
     columns = problem.loop.joint.regressor(run.motor, run.load)
     names = [p.name for p in problem.loop.joint.parameters]
     free = [names.index(p.name) for p in problem.free_joint]
-    W = np.concatenate([problem.filtered(equation[:, free]) for equation in columns])
+    W = np.concatenate([problem.filter(equation[:, free]) for equation in columns])
     variance = float(error @ error) / (len(W) - W.shape[1])  # the paper's r counts the rows of both equations
     norms = np.linalg.norm(W, axis=0)
     inverse = np.linalg.inv((W / norms).T @ (W / norms))

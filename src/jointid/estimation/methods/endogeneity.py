@@ -57,10 +57,10 @@ class Judgement:
     probability: float | None = None
 
 
-def judged(
+def judge_endogeneity(
     record: Record, problem: DriveSideProblem, solution: Solution, instruments: str, progress: Progress
 ) -> Judgement:
-    """Test a least-squares estimate for endogeneity, and prefer the instruments where it fails.
+    """Test a least-squares estimate for endogeneity, and prefer instruments if it fails.
 
     Args:
         record: whose reference and injected signal are the instruments.

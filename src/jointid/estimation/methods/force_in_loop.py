@@ -37,7 +37,7 @@ from jointid.common.text import number
 from jointid.estimation.descent import History
 from jointid.estimation.problems.base import EVEN, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.build_result import find_at_bound
+from jointid.estimation.result.build_result import find_active_bounds
 from jointid.estimation.starts.flexible_joint import crossover
 from jointid.models.joints import RigidJoint
 from jointid.models.linear import frequency_response
@@ -120,14 +120,14 @@ def uncertainty_of_least_error(
     known = widened_for_force(known, problem, x, J, history, taps)
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
-    held = find_at_bound(problem.free, x, residual, J)
+    held = find_active_bounds(problem.free, x, residual, J)
     freely = np.array([name not in held for name in names])
     return widened_to_second(known, instruments(problem, run, J, taps), J, residual, freely)
 
 
 def instruments(problem: ClosedLoopProblem, run: Simulation, J: FloatArray, taps: FloatArray = EVEN) -> FloatArray:
     """Return the regressor on a run, and for what surrounds the joint the derivatives, (rows, free)."""
-    W = filter_rows(taps, problem.filtered(problem.regressor(run)))
+    W = filter_rows(taps, problem.filter(problem.regressor(run)))
     return np.hstack([W, J[:, W.shape[1] :]])
 
 
@@ -183,7 +183,7 @@ def allow_for_force(
         history.tally.evaluations += 2 * _PAIRS
         # At the end of least squares the residual moves nothing: there only what the force adds does.
         shown = run.torque if count == 0 else problem.measured
-        step = projection(J, J) @ filter_rows(taps, problem.filtered(shown - mean))
+        step = projection(J, J) @ filter_rows(taps, problem.filter(shown - mean))
         if not np.all(np.isfinite(step)):
             return None
         if count == 0 and not np.any(np.abs(step) > _MATTERS * std):
@@ -248,7 +248,7 @@ def simulate_with_force(
 
 
 def _with_force(driven: LoopInput, force: FloatArray) -> LoopInput:
-    """Return what drives a loop, with a force on its motor, given by sample of the log."""
+    """Return the loop input with a force added to the motor, one value per sample of the log."""
     extra = np.repeat(force, driven.every)[:: driven.repeat][: driven.after_limit.size]
     extra = np.pad(extra, (0, driven.after_limit.size - extra.size))
     return replace(driven, after_limit=driven.after_limit + extra)
@@ -261,10 +261,10 @@ def _spectrum(
     lags = max(min(round(longest / sample_time), signal.size // 4), 2)
     size = 1 << (2 * signal.size - 1).bit_length()
 
-    def correlated(values: FloatArray) -> FloatArray:
+    def autocorrelate(values: FloatArray) -> FloatArray:
         return np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)[: lags + 1]
 
-    together = correlated(signal * chosen) / np.maximum(correlated(chosen), 1.0)
+    together = autocorrelate(signal * chosen) / np.maximum(autocorrelate(chosen), 1.0)
     together *= 0.5 * (1.0 + np.cos(math.pi * np.arange(lags + 1) / lags))
     power = np.real(np.fft.rfft(np.concatenate([together, together[-2:0:-1]])))
     return np.arange(power.size) / (2 * lags * sample_time), power

@@ -104,8 +104,8 @@ class IDIM(Method):
     )
 
     @classmethod
-    def called(cls, model: str) -> str:
-        """Return its name in sentences on its needs."""
+    def describe(cls, model: str) -> str:
+        """Return the method's name as used within a sentence."""
         return "IDIM of a flexible joint" if model == "flexible" else cls.title
 
     @classmethod
@@ -114,7 +114,7 @@ class IDIM(Method):
         return idim_channels(model)
 
     @classmethod
-    def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
+    def comparison_runs(cls, model: str) -> tuple[tuple[str, Method], ...]:
         """Return a run for each estimator; the weights change nothing of a rigid joint's one equation."""
         weighted = (("IDIM-WLS", cls("weighted")),) if model == "flexible" else ()
         return (("IDIM-LS", cls()), *weighted, ("IDIM-IRLS", cls("robust")), ("IDIM-IV", cls("iv")))
@@ -146,7 +146,7 @@ class IDIM(Method):
             model = motion_of(record, delay, filtering, joint, effects)
             return _Regression.of((*task.parameters, *effect_parameters(effects)), model, filtering, sample_time)
 
-        def solved(effects: tuple[Effect, ...]) -> _Found:
+        def solve_with(effects: tuple[Effect, ...]) -> _Found:
             made = regression(effects)
             if self.estimator != "iv":
                 return _Found(made, ESTIMATORS[self.estimator or "ols"](made.rows), effects)
@@ -156,17 +156,17 @@ class IDIM(Method):
 
         own = self.effects
         stated = any(isinstance(effect, EncoderOffset) for effect in own)
-        if joint.model == "flexible" and self.encoders == "as_logged" and not stated and _zeros_differ(solved):
+        if joint.model == "flexible" and self.encoders == "as_logged" and not stated and _zeros_differ(solve_with):
             own = (*own, EncoderOffset())
         unknown = [e for e in own if isinstance(e, PositionHarmonics) and e.period is None]
         if not unknown:
-            return _answer(task, self, filtering, delay, solved(own))
+            return _answer(task, self, filtering, delay, solve_with(own))
         whole = regression(tuple(effect for effect in own if effect not in unknown))
         started: dict[Effect, PositionHarmonics] = {
             ripple: _search_period(ripple, whole, filtering, sample_time) for ripple in unknown
         }
         effects = tuple(started.get(effect, effect) for effect in own)
-        return _answer(task, self, filtering, delay, _with_periods(effects, list(started.values()), solved))
+        return _answer(task, self, filtering, delay, _with_periods(effects, list(started.values()), solve_with))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,7 +195,7 @@ class _Regression:
         require_free(parameters)
         free = [i for i, p in enumerate(parameters) if p.free]
         kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-        Y, W = model.decimated(filtering, sample_time, kept)
+        Y, W = model.decimate(filtering, sample_time, kept)
         rows = Rows(Y, W[:, free], tuple(parameters[i].name for i in free), len(model.torque))
         return cls(parameters, model, rows, free, kept)
 
@@ -216,11 +216,11 @@ class _Found:
     periods: dict[str, float] = field(default_factory=dict)
 
 
-def _zeros_differ(solved: Callable[[tuple[Effect, ...]], _Found]) -> bool:
+def _zeros_differ(solve_with: Callable[[tuple[Effect, ...]], _Found]) -> bool:
     """Return True if a record shows that its two encoders count from different zeros."""
     offset = EncoderOffset()
     try:
-        found = solved((offset,))
+        found = solve_with((offset,))
     except MethodError:  # nothing tells it from the other forces
         return False
     at = found.regression.rows.names.index(offset.parameters[0].name)
@@ -228,14 +228,16 @@ def _zeros_differ(solved: Callable[[tuple[Effect, ...]], _Found]) -> bool:
 
 
 def _with_periods(
-    effects: tuple[Effect, ...], ripples: Sequence[PositionHarmonics], solved: Callable[[tuple[Effect, ...]], _Found]
+    effects: tuple[Effect, ...],
+    ripples: Sequence[PositionHarmonics],
+    solve_with: Callable[[tuple[Effect, ...]], _Found],
 ) -> _Found:
     """Return the solution with the periods of the ripples, which are among the effects, estimated like the others."""
-    found, periods = solved(effects), dict[str, float]()
+    found, periods = solve_with(effects), dict[str, float]()
     for _ in range(_LINEARISATIONS):
         values = dict(zip(found.regression.rows.names, found.solution.fit.values, strict=True))
         tangents = [PeriodColumn(r, np.array([values[p.name] for p in r.parameters])) for r in ripples]
-        found = solved((*effects, *tangents))
+        found = solve_with((*effects, *tangents))
         names, solution = found.regression.rows.names, found.solution
         change = dict(zip(names, solution.fit.values, strict=True))
         std = dict(zip(names, solution.covariance.std, strict=True))
@@ -385,7 +387,7 @@ def _search_period(
     def remaining(frequency: float) -> float:
         tried = replace(effect, period=1 / frequency)
         columns = effect_columns([tried], model.motor, model.load, sample_time, rows.equations)
-        seen = model.thinned(through_window(columns, filtering), filtering, sample_time)
+        seen = model.decimate_columns(through_window(columns, filtering), filtering, sample_time)
         seen -= basis @ (basis.T @ seen)
         error = left - seen @ np.linalg.lstsq(seen, left, rcond=None)[0]
         return float(error @ error)

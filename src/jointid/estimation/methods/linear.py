@@ -118,9 +118,9 @@ def describe_stop(estimator: str, solution: Solution) -> str:
 
 
 def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
-    """Return the covariance over rows, and of the load's equation over bands of frequency, where that is larger.
+    """Return the robust covariance over rows, widened by that over frequency bands for the equation of the load.
 
-    That equation has no torque, and so hardly any noise: what it leaves is what the model lacks, and repeats.
+    That equation contains no torque and little noise, so its residual is mostly model error, which repeats.
     """
     if rows.driven > 1:  # the motors of a robot
         return robust_covariance(Z, J, error, equations=rows.equations)
@@ -139,7 +139,7 @@ def ordinary(rows: Rows) -> Solution:
     return Solution(fit, covariance, np.ones(rows.Y.size), 1)
 
 
-def weighted(rows: Rows) -> Solution:
+def weighted_least_squares(rows: Rows) -> Solution:
     """Return least squares with each equation divided by the size of its error, repeated until that is settled.
 
     Raises:
@@ -164,7 +164,11 @@ def robust(rows: Rows) -> Solution:
     return _reweight(rows, huber.fit, _bisquare_share, _bisquare_slope, _mad, huber.steps)
 
 
-ESTIMATORS: Mapping[str, Callable[[Rows], Solution]] = {"ols": ordinary, "weighted": weighted, "robust": robust}
+ESTIMATORS: Mapping[str, Callable[[Rows], Solution]] = {
+    "ols": ordinary,
+    "weighted": weighted_least_squares,
+    "robust": robust,
+}
 """The estimators without instruments, by name."""
 
 
@@ -203,7 +207,9 @@ def simulated_instruments(
     filtering: Filtering,
     effects: Sequence[Effect],
 ) -> Instruments:
-    """Return what simulates the loop and gives the columns on its motion; it begins where the measured one does.
+    """Return a function from parameters to the regressor on the simulated motion.
+
+    The simulation starts at the measured position and velocity.
 
     Raises:
         RecordError: the record lacks a channel the controller reads.
@@ -228,7 +234,7 @@ def simulated_instruments(
         whole = tuple(np.pad(position[:size], (0, max(size - position.size, 0)), "edge") for position in positions)
         moved = inverse_model(loop.joint, torque, whole, filtering, effects=effects)
         moved = replace(moved, moving=model.moving)  # of the same rows
-        return moved.thinned(moved.columns, filtering, sample_time)
+        return moved.decimate_columns(moved.columns, filtering, sample_time)
 
     return columns
 
@@ -245,7 +251,7 @@ def by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free:
     Raises:
         MethodError: a simulation fails, or the instruments do not determine the parameters.
     """
-    solution, chosen = ordinary(rows) if rows.driven == 1 else weighted(rows), list(free)
+    solution, chosen = ordinary(rows) if rows.driven == 1 else weighted_least_squares(rows), list(free)
     trace = [_line(0, rows, solution, None, None)]
     Z = rows.W
     for number in range(1, _SIMULATIONS + 1):

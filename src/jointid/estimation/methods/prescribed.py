@@ -29,7 +29,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.methods.endogeneity import judged
+from jointid.estimation.methods.endogeneity import judge_endogeneity
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.problems.base import LOG_DELAY, log_delay
 from jointid.estimation.problems.closed_loop import initial_of
@@ -125,7 +125,7 @@ class DriveSideFit(Method):
         starts, simulations = grid_starts(problem, self)
         solver = Multistart(LevenbergMarquardt(self.tolerance))
         solution = solve(problem, solver, np.array(starts), _report_steps(task.progress))
-        verdict = judged(record, problem, solution, self.instruments, task.progress)
+        verdict = judge_endogeneity(record, problem, solution, self.instruments, task.progress)
         resting = 1 - float(np.mean(problem.weights))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
         how = "least squares" if verdict.x is None else "instrumental variables"
@@ -189,11 +189,11 @@ def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, 
     error, J = trial.linearise(x)
     W = [-column for column in J.T]
     if flexible:
-        W.append(trial.filtered(problem.measured) - error + J[:, 0])  # the prediction, less the motor's inertia
+        W.append(trial.filter(problem.measured) - error + J[:, 0])  # the prediction, less the motor's inertia
     if any(p.name == LOG_DELAY.name and p.free for p in problem.parameters):
-        W.append(-problem.filtered(np.gradient(problem.measured, problem.sample_time)))
+        W.append(-problem.filter(np.gradient(problem.measured, problem.sample_time)))
     columns = np.column_stack(W)
-    Y = problem.filtered(problem.measured)
+    Y = problem.filter(problem.measured)
     norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     chi = np.linalg.lstsq(columns / norms, Y, rcond=1e-10)[0] / norms
     found = dict(zip((p.name for p in trial.free), map(float, chi), strict=False))
@@ -249,7 +249,7 @@ class OpenLoopFit(Method):
     tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
 
     def identify(self, task: Task) -> FitResult:
-        """Identify a joint from the torque that drives it in open loop, and the motor position that follows.
+        """Identify a joint in open loop from the torque and the motor position.
 
         The filter's borders should outlast the transient of a load that was not in steady motion at the first sample.
 

@@ -110,8 +110,8 @@ class Method(Protocol):
         check_settings(self)
 
     @classmethod
-    def called(cls, model: str) -> str:
-        """Return its name in sentences on its needs."""
+    def describe(cls, model: str) -> str:
+        """Return the method's name as used within a sentence."""
         return cls.title.replace("-", " ")
 
     @classmethod
@@ -122,7 +122,7 @@ class Method(Protocol):
         return ("torque", *(("reference",) if controller is None else controller.channels))
 
     @classmethod
-    def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
+    def comparison_runs(cls, model: str) -> tuple[tuple[str, Method], ...]:
         """Return label and settings of each of its runs in a comparison of methods; the first is the usual one."""
         return ((cls.title, cls()),) if cls.needs_controller else ()
 

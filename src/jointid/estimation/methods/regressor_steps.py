@@ -78,7 +78,7 @@ class State:
         """The instruments of DIDIM, (rows, free): W, and for what surrounds the joint its derivatives."""
         return np.hstack([self.W, self.J[:, self.W.shape[1] :]])
 
-    def require_simulated(self) -> None:
+    def require_full_simulation(self) -> None:
         """Raise a `MethodError` if the loop could not be simulated to the end."""
         if not self.evaluable:
             run = self.simulation
@@ -98,11 +98,11 @@ class _End:
     stop: str
 
     def explains(self, rest: float) -> bool:
-        """Test whether a moving motor leaves significantly less than the norm that is left at rest."""
+        """Test whether motion of the motor reduces the residual norm significantly below `rest`."""
         return rest**2 - self.state.norm**2 > _MOVING * rest**2 / self.state.residual.size
 
-    def solved(self, history: History) -> Solved:
-        """Return the same as the end of a descent."""
+    def to_solution(self, history: History) -> Solved:
+        """Convert to the end of a descent."""
         at = self.state
         solution = Solution(at.x, at.residual, at.jacobian, self.status, self.stop, (), history.tally.evaluations)
         return Solved(at.problem, solution, at.simulation)
@@ -146,7 +146,7 @@ class RegressorSteps:
         foreseen = free and self.form == "residual"
         solver = GaussNewton(self.tolerance, self.step_tolerance, most, foreseen=foreseen, worst=_WORSE, size=self.size)
         if not free:
-            return self._solve(state, self._regressor_step, solver).solved(self.history)
+            return self._solve(state, self._regressor_step, solver).to_solution(self.history)
         near = replace(solver, tolerance=max(solver.tolerance, _NEAR), step_tolerance=max(solver.step_tolerance, _NEAR))
         started = len(self.history.trace)
         end = self._solve(state, self._regressor_step, near)
@@ -157,7 +157,7 @@ class RegressorSteps:
             if end.status.converged and near != solver and not sure:
                 end = self._solve(end.state, self._regressor_step, left)
             end = moving if moving is not None and moving.explains(end.state.norm) else end
-        return end.solved(self.history)
+        return end.to_solution(self.history)
 
     def scale_gains(self, problem: ClosedLoopProblem, start: Start) -> tuple[State, int]:
         """Return the state after the iterations on scaled gains, and how many these were."""
@@ -172,7 +172,7 @@ class RegressorSteps:
         self.history.begin()
         self._note(state, None)
         for count in range(1, scaled + 1):
-            state.require_simulated()
+            state.require_full_simulation()
             x = self._inverse_model(state)
             after = self.evaluate(problem, x, scale(x) if count < scaled else 1.0)
             self._note(after, state)
@@ -185,7 +185,7 @@ class RegressorSteps:
         experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scale(gain_scale)
         simulation, J = simulate_with_sensitivities(problem.loop, experiment, values, names, initial_of(values))
         self.history.tally.evaluations += 1
-        error, W_seen, J_seen = problem.seen(simulation, problem.regressor(simulation), J)
+        error, W_seen, J_seen = problem.filter_error(simulation, problem.regressor(simulation), J)
         scales = problem.scales(x, W_seen, self.size)
         return State(problem, x, simulation, error, W_seen, J_seen, scales, gain_scale)
 
@@ -211,7 +211,7 @@ class RegressorSteps:
             MethodError: the loop cannot be simulated.
         """
         end = solver.iterate(lambda x: self.evaluate(state.problem, x), state, step, self._note)
-        end.at.require_simulated()
+        end.at.require_full_simulation()
         if end.status is Status.EXACT:
             return _End(end.at, end.status, REPRODUCED)
         if end.status.converged:
@@ -261,7 +261,7 @@ class RegressorSteps:
     def _inverse_model(self, state: State) -> FloatArray:
         """Form (11): solve ``tau = W chi`` for the joint; what surrounds it stays."""
         problem = state.problem
-        kept = problem.filtered(problem.measured - problem.fixed_torque(state.simulation))
+        kept = problem.filter(problem.measured - problem.fixed_torque(state.simulation))
         chi = linear_solution(state.W, kept, tuple(p.name for p in problem.free_joint))
         return np.concatenate([chi, state.x[chi.size :]])
 

@@ -111,7 +111,7 @@ class StiffnessSearch:
         assert rigid.settings.filtering.cutoff is not None
         edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
         for lower in () if self.cutoff else _LOWER_AGAIN:
-            left = self.history.counted(solved.problem).residual(solved.x)
+            left = self.history.count_evaluations(solved.problem).residual(solved.x)
             if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
                 break
             # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
@@ -187,7 +187,7 @@ class StiffnessSearch:
         return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
 
     def _on_band(self, mode: float) -> ClosedLoopProblem:
-        """Return the problem on the cut-off that is asked for, or on one for a mode at that frequency."""
+        """Return the problem with the given cut-off, or else with one suited to a mode frequency."""
         return self.problem if self.task.filtering.cutoff else on_band(self.problem, self.task.filtering, mode)
 
 
@@ -207,7 +207,7 @@ def search_by_simplex(
     start = None
     if frequency is not None:
         start = problem.vector(start_with_mode(problem, rigid.values, frequency, 0.5))
-        if np.linalg.norm(history.counted(problem).residual(start)) > problem.size:
+        if np.linalg.norm(history.count_evaluations(problem).residual(start)) > problem.size:
             history.progress("the halved inertia (13) makes an unstable loop here; starting from another load share")
             start = None
     if start is None:
@@ -230,7 +230,7 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> F
     didim: Any = method_of("didim")  # whose module imports this one
     rough: Method = didim("residual", tolerance=1e-3, step_tolerance=1e-2, iterations=6)  # a start needs no more
 
-    def identified(edge: float) -> FitResult:
+    def identify_rigid(edge: float) -> FitResult:
         progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
         return rough.identify(
             Task(record, rigid.joint, rigid, rigid.joint.parameters, Filtering(cutoff=edge), progress)
@@ -241,16 +241,16 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> F
     found = None
     for lower in () if cutoff else _LOWER:  # a mode below the cut-off may make the joint look like none at all
         try:
-            found = identified(edge)
+            found = identify_rigid(edge)
             break
         except MethodError as error:
             progress(f"not below {edge:.3g} Hz: {error}")
             edge /= lower
-    found = found or identified(edge)
+    found = found or identify_rigid(edge)
     law = rigid.controller.law(sample_time)
     slow = max(_RIGID_BELOW * crossover(law, found.values["inertia"]), least)
     if cutoff is None and slow < 0.7 * edge:
-        return replace(identified(slow), earlier=found.simulations)
+        return replace(identify_rigid(slow), earlier=found.simulations)
     return found
 
 
@@ -314,7 +314,7 @@ def _from_beside(found: Solved, history: History) -> Solution:
     aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
     aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
     # The way back is no part of the way there, and is not noted.
-    return solve(history.counted(problem), roughly(problem), problem.vector(values | aside))
+    return solve(history.count_evaluations(problem), roughly(problem), problem.vector(values | aside))
 
 
 def _or_moving(
@@ -328,4 +328,4 @@ def _or_moving(
         return resting
     values = resting.values | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
     state = {p.name: replace(p, start=values[p.name], free=free) for p in INITIAL_STATE}
-    return or_moving(resting, resting.problem.changed(state), values, solver, history)
+    return or_moving(resting, resting.problem.replace_parameters(state), values, solver, history)

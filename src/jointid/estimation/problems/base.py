@@ -156,7 +156,7 @@ class RecordProblem:
         def sample_time(self) -> float:
             """Of the measured signal, seconds."""
 
-        def filtered(self, columns: FloatArray) -> FloatArray:
+        def filter(self, columns: FloatArray) -> FloatArray:
             """Return signals, (samples,) or (samples, columns), through the problem's own filter, decimated."""
 
     @property
@@ -178,7 +178,7 @@ class RecordProblem:
     @property
     def size(self) -> float:
         """Norm of the filtered signal: what a residual is measured against."""
-        return float(np.linalg.norm(self.filtered(self.measured)))
+        return float(np.linalg.norm(self.filter(self.measured)))
 
     def filtered_error(self, error: FloatArray) -> float:
         """Return the norm of a filtered error, (rows,), over that of the filtered signal, a ratio."""
@@ -193,17 +193,17 @@ class RecordProblem:
         """Return the free parameters of `values`, in order; one that is not there starts as declared."""
         return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
 
-    def changed(self, changes: Mapping[str, Parameter]) -> Self:
+    def replace_parameters(self, changes: Mapping[str, Parameter]) -> Self:
         """Return the problem with the parameters of these names replaced; others are not added."""
         return replace(self, parameters=tuple(changes.get(p.name, p) for p in self.parameters))
 
     def keeping(self, values: Mapping[str, float]) -> Self:
         """Return the problem with parameters fixed at these values, by name; others are not added."""
-        return self.changed({p.name: p.fix(values[p.name]) for p in self.parameters if p.name in values})
+        return self.replace_parameters({p.name: p.fix(values[p.name]) for p in self.parameters if p.name in values})
 
     def all_free(self) -> Self:
         """Return the problem with every parameter free, so that every derivative is there."""
-        return self.changed({p.name: replace(p, free=True) for p in self.parameters})
+        return self.replace_parameters({p.name: replace(p, free=True) for p in self.parameters})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

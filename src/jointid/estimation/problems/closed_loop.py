@@ -90,7 +90,7 @@ class ClosedLoopProblem(RecordProblem):
         kept = tuple(p for p in self.parameters if p.name not in names)
         return replace(self, parameters=(*kept, *new))
 
-    def filtered(self, columns: FloatArray) -> FloatArray:
+    def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
         return decimate_all([columns], self.filtering, self.sample_time)[0]
 
@@ -130,7 +130,7 @@ class ClosedLoopProblem(RecordProblem):
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
         response, columns = self.sensitivities(x)
-        error, slopes = self.seen(response, columns)
+        error, slopes = self.filter_error(response, columns)
         return error, -slopes
 
     def sensitivities(self, x: FloatArray) -> tuple[Response, FloatArray]:
@@ -167,9 +167,9 @@ class ClosedLoopProblem(RecordProblem):
 
     def error(self, run: Response) -> FloatArray:
         """Return the filtered torque error of a run; of one that failed, something large and finite."""
-        return self.seen(run)[0]
+        return self.filter_error(run)[0]
 
-    def seen(self, run: Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
+    def filter_error(self, run: Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
         """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
         error = self.measured - run.torque
         if run.outcome is not Outcome.FINISHED:
@@ -185,7 +185,7 @@ class ClosedLoopProblem(RecordProblem):
         return np.arange((samples - 1) % keep, samples, keep)
 
     def cells(self, simulation: Simulation) -> Cells:
-        """Return where and how the motor was, in a simulation, when each row of the residual was taken."""
+        """Return the cell of position and velocity of the simulated motor for each row of the residual."""
         return cells(simulation.motor_position[self.kept], simulation.motor_velocity[self.kept])
 
     def regressor(self, simulation: Simulation) -> FloatArray:
@@ -267,7 +267,9 @@ def initial_of(values: Mapping[str, float]) -> Initial:
 
 
 def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0) -> float:
-    """Return where a motor that moves uniformly has the controller put out the first logged torque; else its reference.
+    """Compute the motor position at which the controller outputs the first logged torque.
+
+    With integral action, or without position feedback, this is the first reference.
 
     A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
     that begins beside it may not find it: friction holds the motor where it begins.

@@ -69,16 +69,16 @@ class InverseModel:
         """Share of the record in which the motor rests."""
         return 0.0 if self.moving is None else 1.0 - float(np.mean(self.moving[0]))
 
-    def decimated(
+    def decimate(
         self, filtering: Filtering, sample_time: float, values: FloatArray, *, compiled: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Return torque less that of `values` (rows,), and columns (rows, parameters), filtered; equations stacked."""
         torque = self.torque - self.columns @ values
         both = np.concatenate([torque[..., np.newaxis], self.columns], axis=2)
-        seen = self.thinned(both, filtering, sample_time, compiled=compiled)
+        seen = self.decimate_columns(both, filtering, sample_time, compiled=compiled)
         return seen[:, 0], seen[:, 1:]
 
-    def thinned(
+    def decimate_columns(
         self, columns: FloatArray, filtering: Filtering, sample_time: float, *, compiled: bool = False
     ) -> FloatArray:
         """Return columns, (equations, samples, parameters), filtered and decimated; equations stacked.

@@ -128,12 +128,12 @@ class Place:
 
     @classmethod
     def of(cls, error: FloatArray, J: FloatArray, measured: FloatArray) -> Place:
-        """Return what one window says; see `Sums.of`."""
+        """Return the sums of one window; see `Sums.of`."""
         total = float(error.sum())
         return cls(Sums.of(error, J, measured), total, total * total, 1, float(error.size) ** 2)
 
     def __add__(self, other: Place) -> Place:
-        """Return what other windows say, too."""
+        """Add the sums of other windows."""
         return Place(
             self.sums + other.sums, self.total + other.total, self.squares + other.squares, self.visits + other.visits,
             self.pairs + other.pairs,
@@ -182,8 +182,8 @@ class Pass:
             raise MethodError(NO_MOTION)
         return total([w.sums for w in self.windows])
 
-    def moved(self, step: FloatArray) -> Pass:
-        """Return it as it is after a small step of the parameters."""
+    def shift(self, step: FloatArray) -> Pass:
+        """Return the pass after a small step of the parameters, to first order."""
         windows = tuple(replace(w, sums=w.sums.shift(step)) for w in self.windows)
         places = {at: replace(place, sums=place.sums.shift(step)) for at, place in self.places.items()}
         return Pass(windows, places, self.still, self.ended)
@@ -279,8 +279,8 @@ class LogProblem:
                 f"The window that begins at {begin:.0f} s cannot be simulated, because {response.outcome.value}; check "
                 "the controller and the start, or begin from another window."
             )
-        error, J = problem.error(response)[counted], -problem.filtered(columns)[counted]
-        measured = problem.filtered(problem.measured)[counted]
+        error, J = problem.error(response)[counted], -problem.filter(columns)[counted]
+        measured = problem.filter(problem.measured)[counted]
         label = self.places.label(*(signal[at[counted]] for signal in motion(problem)))
         rows = {int(one): label == one for one in np.unique(label)}
         there = {one: Place.of(error[these], J[these], measured[these]) for one, these in rows.items()}
@@ -327,7 +327,7 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
     experiment = prepare(like.loop, record)
     problem = replace(like, measured=record.torque.values[: experiment.samples], experiment=experiment)
     inputs, period = experiment.inputs, experiment.law.period
-    torque = float(problem.filtered(problem.measured)[0])  # a single sample has all of the noise
+    torque = float(problem.filter(problem.measured)[0])  # a single sample has all of the noise
     velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
     torque += disturbed * float(np.std(problem.measured))
     velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period

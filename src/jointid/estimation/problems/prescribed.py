@@ -67,7 +67,7 @@ class PrescribedProblem(RecordProblem):
 
     if TYPE_CHECKING:
 
-        def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
+        def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
             """Return the prediction of `measured`, (samples,), derivatives, (samples, names), and their validity."""
 
     @property
@@ -76,9 +76,9 @@ class PrescribedProblem(RecordProblem):
         before, after = self.filtering.borders
         return slice(before, self.measured.size - after)
 
-    def predicted(self, x: FloatArray) -> FloatArray:
+    def predict(self, x: FloatArray) -> FloatArray:
         """Return the prediction of `measured`, (samples,)."""
-        return self.simulated(x, ())[0]
+        return self.simulate(x, ())[0]
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered, decimated error, (rows,); of a candidate that fails, something large."""
@@ -89,11 +89,11 @@ class PrescribedProblem(RecordProblem):
         return self._compare(x, tuple(p.name for p in self.free))
 
     def _compare(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-        prediction, slopes, finished = self.simulated(x, names)
+        prediction, slopes, finished = self.simulate(x, names)
         error = self.measured - prediction
         if not finished:
             error = np.full_like(self.measured, FAILED * float(np.sqrt(np.mean(self.measured**2))))
-        seen = self.filtered(np.column_stack([error, -slopes]))
+        seen = self.filter(np.column_stack([error, -slopes]))
         return seen[:, 0], seen[:, 1:]
 
 
@@ -115,12 +115,12 @@ class DriveSideProblem(PrescribedProblem):
     leads: bool
     sample_time: float
 
-    def filtered(self, columns: FloatArray) -> FloatArray:
+    def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
         weights = self.weights if columns.ndim == 1 else self.weights[:, np.newaxis]
         return self.filtering.decimate((weights * columns)[self.inside], self.sample_time)
 
-    def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
+    def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
         """Return the predicted torque, (samples,), its derivatives, and their validity."""
         values = self.values(x)
         inner = tuple(n for n in names if n not in (LOG_DELAY.name, CURRENT_LAG.name))
@@ -249,11 +249,11 @@ class OpenLoopProblem(PrescribedProblem):
         """Of torque and position, seconds."""
         return self.torque.sample_time
 
-    def filtered(self, columns: FloatArray) -> FloatArray:
+    def filter(self, columns: FloatArray) -> FloatArray:
         """Return positions without drift through the problem's own filter, decimated."""
         return self.filtering.decimate(columns[self.inside], self.sample_time)
 
-    def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
+    def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
         """Return the predicted position, (samples,), its derivatives, and their validity."""
         run = simulate_open_loop(self.joint, self.torque, self.values(x), names)
         if not run.finished or np.ptp(run.position) > _AWAY * self.travel:

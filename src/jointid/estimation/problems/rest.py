@@ -1,4 +1,4 @@
-"""Where a mass rests or turns round: friction takes what it must there, and ``Fc sign(v)`` does not hold."""
+"""Samples at rest or at a reversal, at which sticking friction does not follow ``Fc sign(v)``."""
 
 from __future__ import annotations
 

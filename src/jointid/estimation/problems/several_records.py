@@ -173,11 +173,11 @@ class RecordsProblem(RecordProblem):
         """Of every parameter, by name."""
         return {p.name: self.layout.unit(p) for p in self.parameters}
 
-    def filtered(self, columns: FloatArray) -> FloatArray:
+    def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals of all records, (samples,) or (samples, columns), each through its own filter."""
         borders = np.cumsum([problem.measured.size for problem in self.criterion.problems])[:-1]
         parts = zip(self.criterion.problems, np.split(columns, borders), strict=True)
-        return np.concatenate([problem.filtered(part) for problem, part in parts])
+        return np.concatenate([problem.filter(part) for problem, part in parts])
 
     def of_record(self, number: int) -> tuple[Parameter, ...]:
         """Return the free parameters that a record has, numbered from 0: shared ones, and ``name@number`` its own."""
@@ -205,7 +205,7 @@ def several(
     if len(names) != 1 or len({problem.loop.joint.kind for problem in problems}) != 1:
         raise MethodError("Records that are fitted together have one model of joint, of one kind; give them the same.")
     for number, (problem, mine, more) in enumerate(zip(problems, own, added, strict=True), 1):
-        _require_known(problem, mine, more, number)
+        _check_parameter_names(problem, mine, more, number)
     _require_scale(problems, own, added)
     apart = _apart(problems, own)
     labels = [
@@ -235,7 +235,9 @@ def several(
     )
 
 
-def _require_known(problem: ClosedLoopProblem, own: Sequence[str], added: Mapping[str, float], number: int) -> None:
+def _check_parameter_names(
+    problem: ClosedLoopProblem, own: Sequence[str], added: Mapping[str, float], number: int
+) -> None:
     known = [p.name for p in problem.parameters]
     for name in (*own, *added):
         if name not in known:

@@ -143,7 +143,7 @@ class Agreement:
         return f"the {records} records agree within their intervals ({tested})"
 
 
-def agreement(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
+def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
     """Test whether records agree in their common parameters.
 
     Args:
@@ -156,12 +156,12 @@ def agreement(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
     statistic, degrees = _jointly(records, shared)
     p_value = _beyond(statistic, degrees)
     level = _LEVEL if p_value <= _LEVEL else _LEVEL / len(shared)
-    found = tuple(_one(name, units[name], records, level) for name in shared)
+    found = tuple(_compare_parameter(name, units[name], records, level) for name in shared)
     return Agreement(found, statistic, degrees, p_value)
 
 
-def _one(name: str, unit: str, records: Sequence[Alone], level: float) -> Scatter:
-    """Return how one parameter differs; it does where chance does as much with less than the level."""
+def _compare_parameter(name: str, unit: str, records: Sequence[Alone], level: float) -> Scatter:
+    """Test one parameter for equality over the records, at a significance level."""
     pairs = [r.chosen([name]) for r in records if name in r.values]
     values = np.array([value[0] for value, _ in pairs])
     weights = 1.0 / np.array([variance[0, 0] for _, variance in pairs])
@@ -289,7 +289,7 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
         error = total([w.sums for w in part]).relative_error
         segments.append(Segment(part[0].begin, part[-1].end, len(part), values, std, error))
         alone.append(Alone(values, covariance))
-    judged = agreement(alone, {name: units[name] for name in names})
+    judged = compare_records(alone, {name: units[name] for name in names})
     trends = tuple(_trend(scatter.name, segments) for scatter in judged.parameters)
     return DriftTest(tuple(segments), judged, trends)
 

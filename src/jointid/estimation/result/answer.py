@@ -87,7 +87,7 @@ def answer_of(estimate: EstimateParts) -> Answer:
     else:
         asked = next(iter([*free, *(row for row in rows if row.free), *rows]))
     if asked.value is None:
-        return Answer(_not_determined(estimate, asked), _refused(estimate))
+        return Answer(_undetermined_message(estimate, asked), _refusal_message(estimate))
     return Answer(_value(estimate, asked), _trust(estimate, asked))
 
 
@@ -122,7 +122,7 @@ def _show_value(row: EstimatedParameter) -> str:
     return f"{value} {row.unit}"
 
 
-def _not_determined(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
+def _undetermined_message(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     """Return the bound of a refused value, for a stiffness the softest admissible one."""
     words = f"{_in_words(asked.name)} not determined by this record"
     stated = told_bounds(estimate)
@@ -164,7 +164,7 @@ def _mode(estimate: EstimateParts) -> float | None:
     return FlexibleJoint.frequencies(values)["free_free"]
 
 
-def _refused(estimate: EstimateParts) -> Message:
+def _refusal_message(estimate: EstimateParts) -> Message:
     """Return the reliable combinations beside a refused value."""
     loop, known = loop_verdict(estimate), estimate.checks.known
     if loop is not None and loop.status is Status.FAILED:

@@ -239,7 +239,7 @@ def build_closed_loop_result(
     assert record.torque is not None
     assert problem.filtering.cutoff is not None
     values, (stop, converged) = problem.values(x), end
-    error, whole = problem.seen(run, problem.measured[:, np.newaxis])
+    error, whole = problem.filter_error(run, problem.measured[:, np.newaxis])
     step = problem.sample_time * (problem.filtering.decimation or 1)
     report = residual_report(
         error, whole[:, 0], step, problem.filtering.cutoff, record.torque.unit,
@@ -250,7 +250,7 @@ def build_closed_loop_result(
         problem, run.torque, error, stop, converged=converged, simulations=simulations,
         trace=tuple(trace), residuals=report, initial=initial_of(values),
     )  # fmt: skip
-    held = find_at_bound(problem.free, x, error, J)
+    held = find_active_bounds(problem.free, x, error, J)
     covariance, basis = known.covariance, f"from the output sensitivities, {known.basis}"
     if paper is not None:
         covariance, basis = paper, _PAPER_BASIS
@@ -353,7 +353,7 @@ def build_prescribed_result(
     """
     lost = find_lost(problem.free, x, covariance.std)
     fit = build_fit(
-        problem, problem.predicted(x), problem.residual(x), solution.message, converged=solution.converged,
+        problem, problem.predict(x), problem.residual(x), solution.message, converged=solution.converged,
         simulations=earlier + solution.evaluations, trace=_trace(problem, solution), initial=initial,
         compared="position" if isinstance(problem, OpenLoopProblem) else "torque",
     )  # fmt: skip
@@ -361,7 +361,7 @@ def build_prescribed_result(
     # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
     idle = tuple(name for name, column in zip(names, solution.jacobian.T, strict=True) if not column.any())
     simulated = len(idle) < len(names)
-    held = find_at_bound(problem.free, x, solution.residual, solution.jacobian)
+    held = find_active_bounds(problem.free, x, solution.residual, solution.jacobian)
     warnings = (
         *before,
         *warn_of_lost(lost),
@@ -414,7 +414,7 @@ def find_lost(free: Sequence[Parameter], x: FloatArray, std: FloatArray) -> tupl
     return tuple(p.name for p, value, spread in found if p.quantity in _PHYSICAL and value <= 2 * spread)
 
 
-def find_at_bound(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> tuple[str, ...]:
+def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> tuple[str, ...]:
     """Return the names of the free parameters that a bound holds.
 
     A descent ends a little inside of a bound. So near is a millionth of the value, or, since a bound may be 0, of the

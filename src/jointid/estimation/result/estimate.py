@@ -158,9 +158,9 @@ class Estimate(EstimateParts, Documented):
         Args:
             details: whether to add the verdicts that passed, all reasons, tests, effort and settings.
         """
-        from jointid.estimation.result.summary import estimate_document
+        from jointid.estimation.result.summary import describe_estimate
 
-        return estimate_document(self, details=details)
+        return describe_estimate(self, details=details)
 
     def to_dataframe(self) -> DataFrame:
         """Return the parameters as a pandas data frame: a row each, with value, standard error, interval and unit.

@@ -165,7 +165,7 @@ def _refer(p: EstimatedParameter, here: EstimatedParameter, side: OtherSide) -> 
     """Return a parameter with the values that another one, the same but for the direction, has on this side."""
     factor = side.factor(p.name, p.unit)
 
-    def scaled(value: float | None) -> float | None:
+    def scale(value: float | None) -> float | None:
         return None if value is None else factor * value + 0.0  # of 0 there is no negative
 
     return replace(
@@ -173,10 +173,10 @@ def _refer(p: EstimatedParameter, here: EstimatedParameter, side: OtherSide) -> 
         name=p.name,
         symbol=p.symbol,
         unit=side.unit(p.unit),
-        value=scaled(here.value),
+        value=scale(here.value),
         stderr=None if here.stderr is None else abs(factor) * here.stderr,
         lack_of_fit=abs(factor) * here.lack_of_fit,
-        lower_bound=scaled(here.lower_bound),
+        lower_bound=scale(here.lower_bound),
     )
 
 

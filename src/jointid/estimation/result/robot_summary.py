@@ -46,8 +46,8 @@ def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Blo
     )
 
 
-def robot_document(estimate: EstimateParts, verdicts: tuple[Block, ...], *, details: bool = False) -> Document:
-    """Return the estimate of a robot as a document; see `estimate_document`."""
+def describe_robot_estimate(estimate: EstimateParts, verdicts: tuple[Block, ...], *, details: bool = False) -> Document:
+    """Return the estimate of a robot as a document; see `describe_estimate`."""
     part, answer = estimate.require_robot(), answer_of(estimate)
     tone = _TONES.get(Trust(answer.trust.code), "open")
     return Document(

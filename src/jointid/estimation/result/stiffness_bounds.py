@@ -91,7 +91,7 @@ class SpringProblem:
         own = {p.name: p for p in self.problem.parameters}
         return (*found, *(own[name] for name in self.names))
 
-    def described(self, x: FloatArray) -> dict[str, float]:
+    def values_by_name(self, x: FloatArray) -> dict[str, float]:
         """Return inertia, ratio, share, mode and the others by name."""
         held = {"share": self.share, "mode": self.mode}
         known = {name: value for name, value in held.items() if value is not None}
@@ -108,7 +108,7 @@ class SpringProblem:
             # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
             return error, np.zeros((error.size, len(self.free)))
         by = {p.name: J[:, i] for i, p in enumerate(self.problem.free)}
-        slopes = spring_slopes(self.described(x))
+        slopes = spring_slopes(self.values_by_name(x))
         columns = [
             sum(slopes[p.name][name] * by[name] for name in _SPRING) if p.name in slopes else by[p.name]
             for p in self.free
@@ -117,7 +117,7 @@ class SpringProblem:
 
     def _values(self, x: FloatArray) -> dict[str, float]:
         fixed = {p.name: p.start or 0.0 for p in self.problem.parameters}
-        described = self.described(x)
+        described = self.values_by_name(x)
         return fixed | {name: described[name] for name in self.names} | spring(described)
 
 
@@ -194,10 +194,10 @@ class ModeProfile:
         self.simulations += end.evaluations
         cost = float(end.residual @ end.residual)
         if not end.jacobian.any():
-            return Fit(held.described(end.x), cost, cost)
+            return Fit(held.values_by_name(end.x), cost, cost)
         step = damped_step(end.residual, end.jacobian, bounds.shift_to(end.x), _ROUNDING, bounds.upper - bounds.lower)
         promised = end.residual + end.jacobian @ step
-        return Fit(held.described(end.x), cost, min(cost, float(promised @ promised)))
+        return Fit(held.values_by_name(end.x), cost, min(cost, float(promised @ promised)))
 
 
 def profile_modes(
@@ -274,13 +274,13 @@ def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float
 
 
 def _threshold(made: ModeProfile) -> float:
-    """Return how much worse than the best a joint may be: chi-square, times what autocorrelation makes of it.
+    """Return the chi-square threshold on the cost, scaled for the autocorrelation of the residual.
 
     The ratio of the compliance's robust deviation to that of a white residual is taken where the spring is stiff, and
     its friction on the motor's side: there the load's does nothing else. Where that joint explains nothing, as when its
     loop is unstable, there is no such ratio, and nothing is excluded.
     """
-    if made.stiff.cost > np.sum(made.problem.filtered(made.problem.measured) ** 2):
+    if made.stiff.cost > np.sum(made.problem.filter(made.problem.measured) ** 2):
         return math.inf
     names = tuple(name for name in made.names if not name.startswith("load_"))
     x = np.array([made.stiff.at[name] for name in ("inertia", "ratio", *names)])

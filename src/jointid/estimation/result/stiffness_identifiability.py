@@ -218,13 +218,13 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
     assert cutoff is not None
     free = problem.all_free()
 
-    def bent(at: tuple[float, float]) -> FloatArray:
+    def residual_at(at: tuple[float, float]) -> FloatArray:
         values = friction_on_motor(problem.parameters, rigid)
         values |= split_by_mode(rigid["inertia"], at[0], at[1] * cutoff)
         return free.residual(np.array([values[p.name] for p in free.parameters]))
 
-    tried = in_threads(bent, list(itertools.product(_TEST_SHARES, _TEST_MODES)))
-    size = 10 * float(np.linalg.norm(problem.filtered(problem.measured)))
+    tried = in_threads(residual_at, list(itertools.product(_TEST_SHARES, _TEST_MODES)))
+    size = 10 * float(np.linalg.norm(problem.filter(problem.measured)))
     return [(one - error)[:, np.newaxis] for one in tried if np.linalg.norm(one) < size]  # the others are unstable
 
 

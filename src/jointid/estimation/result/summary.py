@@ -19,7 +19,7 @@ from jointid.estimation.result.answer import (
     told_bounds,
 )
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, known_on_other_side
-from jointid.estimation.result.robot_summary import robot_document
+from jointid.estimation.result.robot_summary import describe_robot_estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
@@ -28,7 +28,7 @@ _SHOWN = 2.0  # standard errors that a trend has at least to be printed as one
 _LOST = 2000.0  # %: a deviation so much larger than its value says nothing in percent
 
 
-def estimate_document(estimate: EstimateParts, *, details: bool = False) -> Document:
+def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Document:
     """Return an estimate as a document.
 
     Args:
@@ -37,7 +37,7 @@ def estimate_document(estimate: EstimateParts, *, details: bool = False) -> Docu
             that did not pass, a line each.
     """
     if estimate.robot is not None:
-        return robot_document(estimate, tuple(_verdicts(estimate, details=details)), details=details)
+        return describe_robot_estimate(estimate, tuple(_verdicts(estimate, details=details)), details=details)
     fit, checks = estimate.fit, estimate.checks
     facts = [*_results(estimate, details=details)]
     if details:
@@ -61,7 +61,7 @@ def estimate_document(estimate: EstimateParts, *, details: bool = False) -> Docu
 
 
 def _counted_checks(estimate: EstimateParts) -> str:
-    """Return the number of checks that passed, and whether the others affect the answer."""
+    """Count the passed checks, and name the others if they do not affect the answer."""
     verdicts = estimate.checks.verdicts
     others = [verdict for verdict in verdicts if verdict.status is not Status.PASSED]
     if not others:
@@ -203,7 +203,7 @@ def _shared_table(estimate: EstimateParts) -> Table:
     assert estimate.checks.agreement is not None
     alone = [{p.name: p for p in record.alone} for record in estimate.data.records]
     tests = {p.name: p for p in estimate.checks.agreement.parameters}
-    there: list[tuple[str, ...]] = [(shown(p), p.unit) for p in estimate.other_side]
+    there: list[tuple[str, ...]] = [(format_value(p), p.unit) for p in estimate.other_side]
     rows = []
     for p, beside in zip(estimate.params.rows, there or [()] * len(estimate.params.rows), strict=True):
         test = tests.get(p.name)
@@ -264,8 +264,8 @@ def _segments(estimate: EstimateParts, drift: DriftTest) -> Table:
 # The tables
 
 
-def shown(p: EstimatedParameter) -> str:
-    """Return a value as tables print it; of a refused one what is known instead."""
+def format_value(p: EstimatedParameter) -> str:
+    """Format a value for tables; a refused one by its lower bound, if there is one."""
     if p.at_bound is not None:
         return number(p.at_bound)
     if p.value is None:
@@ -278,7 +278,7 @@ def parameter_row(p: EstimatedParameter) -> tuple[str, ...]:
     words = p.name.replace("_", " ")
     if p.value is None or p.deviation is None or not p.free or p.at_bound is not None:
         fixed = p.value is not None and not p.free and p.at_bound is None
-        return p.symbol, words, shown(p), "fixed" if fixed else "-", "-", p.unit
+        return p.symbol, words, format_value(p), "fixed" if fixed else "-", "-", p.unit
     percent = 200 * p.deviation / abs(p.value) if p.value else math.inf
     relative = number(percent, 2) if percent < _LOST else "-"
     return p.symbol, words, number(p.value), number(2 * p.deviation, 2), relative, p.unit
@@ -329,7 +329,7 @@ def parameters_table(
     if estimate.other is not None:
         words.append(len(header) + 1)
         header, there = (*header, f"{estimate.other.side} side", "unit"), estimate.other_side
-        rows = [(*row, shown(there[i]), there[i].unit) for row, i in zip(rows, shown_rows, strict=True)]
+        rows = [(*row, format_value(there[i]), there[i].unit) for row, i in zip(rows, shown_rows, strict=True)]
     return Table(header, tuple(rows), caption, words=tuple(words))
 
 

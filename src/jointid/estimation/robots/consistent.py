@@ -107,7 +107,7 @@ def consistent_robot(estimate: EstimateParts, prior: Robot | None = None, spread
 
 
 def _declared_as(robot: Robot, prior: Robot) -> Robot:
-    """Return a prior whose joints have friction and springs as the robot that was identified: its own are not read."""
+    """Return the prior with the friction and springs of the identified robot."""
     if len(prior) != len(robot):
         raise MethodError(
             f"The prior has {len(prior)} joints and the robot that was identified {len(robot)}; expected the same tree."

@@ -30,7 +30,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Bounds, Parameter
-from jointid.estimation.robots.numbers import RobotParameters, keep_known, robot_parameters
+from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.estimation.starts.rigid_robot import rigid_robot_start
@@ -118,7 +118,7 @@ def identify_rigid_robot(
         offsets: whether each motor has a constant torque that is identified, too.
         iterations: at most.
         settled: the largest change of a parameter that ends them, standard deviations.
-        known: values and bounds to keep, by name; see `keep_known`.
+        known: values and bounds to keep, by name; see `apply_constraints`.
         progress: is told each iteration.
 
     Raises:
@@ -128,7 +128,7 @@ def identify_rigid_robot(
     loop.robot.require_lines("DIDIM of a robot takes")
     robot = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
     loop = replace(loop, robot=robot)
-    parameters = keep_known(robot_parameters(robot, offsets=offsets), known or {})
+    parameters = apply_constraints(robot_parameters(robot, offsets=offsets), known or {})
     logs = each_log(records)
     parts = [robot_problem(loop, log, parameters, filtering) for log in logs]
     x, run = rigid_robot_start(parts[0], loop, logs[0])
@@ -158,7 +158,7 @@ def fixed_point(
     for number in range(iterations):
         error, W = problem.error(run), problem.regressor(run)
         step, std, left = problem.step(W, error)
-        problem = problem.reweighted(left, x.size, floor)
+        problem = problem.reweight(left, x.size, floor)
         step, std, left = problem.step(W, error)
         share = problem.norms(error) / size
         progress(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint")
@@ -185,7 +185,7 @@ def conclude(
     Of least squares the instruments are the slopes.
     """
     error = problem.error(run)
-    problem = problem.reweighted(error, x.size)
+    problem = problem.reweight(error, x.size)
     weights = problem.weights(error.size)
     covariance = robust(
         Z * weights[:, np.newaxis], J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size

@@ -36,7 +36,7 @@ from jointid.estimation.robots.flexible import (
     require_springs,
     search_springs,
 )
-from jointid.estimation.robots.numbers import RobotParameters, keep_known, robot_parameters
+from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems, require_torques
 from jointid.estimation.robots.regression import Records, RobotMotion, each_log, motion_of_robot
 from jointid.estimation.starts.robot_springs import StartOfSprings
@@ -100,9 +100,9 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         del keep
         return run_drive_side(self.prescribed, numbers)
 
-    def predicted(self, run: RobotDriveSideRun) -> FloatArray:
+    def predict(self, run: RobotDriveSideRun) -> FloatArray:
         """Return the torque of a run as the log shows it, (samples, n)."""
-        return self.seen(run, run.torque)
+        return self.show_in_log(run, run.torque)
 
     def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
         """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated.
@@ -118,7 +118,10 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         weights = self.weights(error.size)
         for _ in range(_BEGINNINGS if places else 0):
             moved = differentiate_drive_side(run, places)
-            J = self.thinned([self.seen(run, moved[:, j]) for j in range(moved.shape[1])]) * weights[:, np.newaxis]
+            J = (
+                self.decimate_each([self.show_in_log(run, moved[:, j]) for j in range(moved.shape[1])])
+                * weights[:, np.newaxis]
+            )
             norms = column_norms(J)
             step = np.linalg.lstsq(J / norms, error * weights, rcond=None)[0] / norms
             for share in (1.0, 0.3, 0.1):
@@ -137,29 +140,29 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
 
         def of(some: tuple[NumberPlace, ...]) -> FloatArray:
             moved = differentiate_drive_side(run, some)
-            return self.thinned([self.seen(run, moved[:, j]) for j in range(moved.shape[1])])
+            return self.decimate_each([self.show_in_log(run, moved[:, j]) for j in range(moved.shape[1])])
 
         columns = self.in_blocks(of) + self.regressor(run)
         if _DELAY in self.parameters.places:
-            late = self.decimated(self.seen(run, run.torque, 1) / self.sample_time)
+            late = self.decimate(self.show_in_log(run, run.torque, 1) / self.sample_time)
             columns[:, self.parameters.places.index(_DELAY)] = late
-        return self.by_searched(columns, x)
+        return self.by_search_variables(columns, x)
 
     def regressor(self, run: RobotDriveSideRun) -> FloatArray:
         """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
         parts = columns_of(self.tree, run.numbers, self.parameters.places, run.motion, run.numbers.rotors)
-        return self.decimated_columns([(own, self.seen(run, columns)) for own, columns in parts])
+        return self.decimate_columns([(own, self.show_in_log(run, columns)) for own, columns in parts])
 
-    def thinned(self, each: Sequence[FloatArray]) -> FloatArray:
+    def decimate_each(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other, 0 at rest."""
-        rows = [self.thinned_joint(j, one.reshape(len(one), -1)) for j, one in enumerate(each)]
+        rows = [self.decimate_joint(j, one.reshape(len(one), -1)) for j, one in enumerate(each)]
         return np.concatenate([row[:, 0] if one.ndim == 1 else row for row, one in zip(rows, each, strict=True)])
 
-    def thinned_joint(self, joint: int, columns: FloatArray) -> FloatArray:
+    def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of one joint, (samples, columns), filtered, (rows, columns), 0 at rest."""
-        return self.motion.decimated(joint, columns)
+        return self.motion.decimate_joint(joint, columns)
 
-    def seen(self, run: RobotDriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
+    def show_in_log(self, run: RobotDriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
         """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them.
 
         The window takes a signal for constant within a part. What this takes from a curved one is put back.
@@ -263,7 +266,7 @@ def identify_flexible_drive_side(
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each search.
         delay: s, by which the log shows torques later than positions; None to identify it.
-        known: values and bounds to keep, by name; see `keep_known`.
+        known: values and bounds to keep, by name; see `apply_constraints`.
         progress: is told the steps.
 
     Raises:
@@ -273,12 +276,12 @@ def identify_flexible_drive_side(
     require_springs(robot, frequencies)
     robot.require_lines("The drive side of a robot takes")
     stiff = replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
-    parameters = keep_known(robot_parameters(robot, offsets=offsets, logarithmic=True), known or {})
+    parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True), known or {})
     logs = each_log(records)
     parts = [drive_side_problem(robot, log, parameters, filtering, delay) for log in logs]
     problem = add_problems(parts)
     require_frequencies(frequencies, problem.sample_time)
-    of_stiff = keep_known(robot_parameters(stiff, offsets=offsets), known or {})
+    of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets), known or {})
     slow_parts = [drive_side_problem(stiff, log, of_stiff, SLOW) for log in logs]
     # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down to
     # what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
@@ -325,7 +328,7 @@ class SearchOfSprings:
             )
         highest = min(_HIGHEST, cutoff)
         row = [_LOWEST * _APART**i for i in range(math.floor(math.log(highest / _LOWEST) / math.log(_APART)) + 1)]
-        ways = [self._one_by_one(start, row), self._together(start, row)]
+        ways = [self._place_in_rounds(start, row), self._together(start, row)]
         costs = in_threads(lambda way: self._whole(start, way), ways)
         placed = self._sweep(start, row, ways[int(np.argmin(costs))])
         for joint, hertz in placed.items():
@@ -335,7 +338,7 @@ class SearchOfSprings:
             name: placed[j] * float(shares[j]) if j in placed else start.stiff for j, name in enumerate(start.names)
         }
 
-    def _one_by_one(self, start: StartOfSprings, row: Sequence[float]) -> dict[int, float]:
+    def _place_in_rounds(self, start: StartOfSprings, row: Sequence[float]) -> dict[int, float]:
         """Return the frequencies of joints that are placed in rounds, until no other one gains."""
         left = [int(j) for j in np.flatnonzero(self.problem.parameters.base.flexible)]
         placed = dict[int, float]()
@@ -404,14 +407,14 @@ class SearchOfSprings:
         asked = range(rotors.size) if joints is None else joints
         if run.outcome is not RobotOutcome.FINISHED:
             return np.ones(len(asked))
-        return np.array([self._left(run, joint) for joint in asked])
+        return np.array([self._residual_share(run, joint) for joint in asked])
 
-    def _left(self, run: RobotDriveSideRun, joint: int) -> float:
+    def _residual_share(self, run: RobotDriveSideRun, joint: int) -> float:
         """Return the squared residual share of a joint's torque, fitted by rotor, friction and load."""
         motor, measured = int(run.numbers.rotors[joint]), self._measured[joint]
         own = [motion[:, motor] for motion in (run.motion.acceleration, run.motion.velocity, run.motion.direction)]
         columns = np.column_stack([*own, np.ones(len(run.torque)), run.torque[:, joint]])
-        W = self.problem.thinned_joint(joint, self.problem.seen(run, columns))
+        W = self.problem.decimate_joint(joint, self.problem.show_in_log(run, columns))
         norms = column_norms(W)
         left = measured - W / norms @ np.linalg.lstsq(W / norms, measured, rcond=None)[0]
         return float(max(left @ left / (measured @ measured), _LEAST))

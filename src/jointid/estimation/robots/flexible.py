@@ -35,7 +35,7 @@ from jointid.common.messages import Progress, no_choice
 from jointid.common.parameters import Parameter
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot
-from jointid.estimation.robots.numbers import keep_known, robot_parameters
+from jointid.estimation.robots.numbers import apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs, frequency_row
@@ -104,7 +104,7 @@ def identify_flexible_robot(
             search is to begin; None looks for it between 5 and 38 Hz.
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each search; there are three to eleven.
-        known: values and bounds to keep, by name; see `keep_known`.
+        known: values and bounds to keep, by name; see `apply_constraints`.
         progress: is told the steps.
 
     Raises:
@@ -114,7 +114,7 @@ def identify_flexible_robot(
     """
     robot = loop.robot
     require_springs(robot, frequencies)
-    parameters = keep_known(robot_parameters(robot, offsets=offsets, logarithmic=True), known or {})
+    parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True), known or {})
     problem = add_problems([robot_problem(loop, log, parameters, filtering) for log in each_log(records)])
     if frequencies is None:
         frequency_row(problem.sample_time)
@@ -176,7 +176,7 @@ def search_springs(
         MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
     """
     error = problem.error(rigid.run)
-    problem = problem.reweighted(error, rigid.values.size)
+    problem = problem.reweight(error, rigid.values.size)
     start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
     hertz = look(start)
     problem = bound_springs(problem, start)
@@ -194,7 +194,7 @@ def search_springs(
         # No better than without springs: a robot that has none, or whose modes are high, is found from stiff ones.
         end = descents.from_start(rough, start, start.all_at(start.stiff))
 
-    def judged(fit: RobotFit) -> tuple[SpringVerdict, ...]:
+    def judge_springs(fit: RobotFit) -> tuple[SpringVerdict, ...]:
         return tuple(
             _judge(fit, problem, joint.name, "N/m" if link.kind == "prismatic" else "N m/rad")
             for joint, link in zip(robot.joints, robot.links, strict=True)
@@ -204,13 +204,13 @@ def search_springs(
     if not end.may_show or (stiff and end.norm > without):
         seen = end.of(problem).fit(descents.made)
         if seen is not None:
-            springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in judged(seen))
+            springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in judge_springs(seen))
             return FlexibleRobotFit(seen, springs, rigid, descents.made, "no joint shows a spring")
-    end = descents.from_end(end.reweighted(), end, _CLOSE).of(problem)
+    end = descents.from_end(end.reweight(), end, _CLOSE).of(problem)
     for _ in range(_TURNS):
-        weighed = end.reweighted()
+        weighed = end.reweight()
         end = descents.from_end(weighed, end, (_FINE, _LAST / end.solution.residual.size))
-        change = np.log(end.reweighted().sigma / weighed.sigma)
+        change = np.log(end.reweight().sigma / weighed.sigma)
         if not end.solution.converged or np.all(np.abs(change) < _SETTLED):
             break
     fit = end.fit(descents.made)
@@ -225,7 +225,7 @@ def search_springs(
             "A robot of rigid joints explains the torque of every joint better than the one that the search of springs "
             "ended at; leave the springs out of the robot file, or excite their modes by a multisine."
         )
-    return FlexibleRobotFit(fit, judged(fit), rigid, descents.made, end.solution.message)
+    return FlexibleRobotFit(fit, judge_springs(fit), rigid, descents.made, end.solution.message)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,17 +248,17 @@ class _End:
     def of(self, problem: RobotProblem[Any]) -> _End:
         """Return the end as one of a problem that is simulated finer."""
         finer = problem.roughly() is not problem
-        return replace(self, problem=problem.weighted(self.problem.sigma), finer=finer)
+        return replace(self, problem=problem.with_sigma(self.problem.sigma), finer=finer)
 
     def linearise(self) -> tuple[FloatArray, FloatArray]:
         """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
         weights = self.problem.weights(self.solution.residual.size)
         return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
 
-    def reweighted(self) -> RobotProblem[Any]:
+    def reweight(self) -> RobotProblem[Any]:
         """Return the problem with the sizes of the errors that are left."""
         error, slopes = self.linearise()
-        return self.problem.reweighted(error, slopes.shape[1])
+        return self.problem.reweight(error, slopes.shape[1])
 
     @property
     def norm(self) -> float:
@@ -307,11 +307,11 @@ class _Descents:
     def begin(
         self, problem: RobotProblem[Any], start: StartOfSprings, hertz: Mapping[str, float], without: float
     ) -> _End:
-        """Descend from these frequencies, Hz, and from others where that leads nowhere; return the best end.
+        """Descend from these frequencies, Hz, and from others if that fails; return the best end.
 
-        That is where it creeps, or where much of a joint's torque is left; not where it is more than the robot of rigid
-        joints left, `without`, which may have no springs. A robot split into wrong rotors may look best on wrong
-        frequencies. Of 200 random robots four did, and all came down from one frequency of all springs.
+        A descent fails if it creeps or leaves much of a joint's torque unexplained. Others are not tried if it leaves
+        more than the rigid robot, `without`, which may have no springs. A robot split into wrong rotors may look best
+        on wrong frequencies. Of 200 random robots four did, and all came down from one frequency of all springs.
         """
         best = self.from_start(problem, start, start.values(hertz))
         if best.leads_on or best.norm > without:
@@ -331,7 +331,7 @@ class _Descents:
         self, problem: RobotProblem[Any], start: StartOfSprings, values: FloatArray, evaluations: int = _FIRST
     ) -> _End:
         """Descend roughly from values of all parameters."""
-        x = problem.parameters.searched(values)
+        x = problem.parameters.to_search_variables(values)
         return self._descend(Counted(problem), x, start.reach(values), _ROUGH, min(evaluations, self.evaluations))
 
     def from_end(self, problem: RobotProblem[Any], end: _End, aim: tuple[float, float]) -> _End:

@@ -46,7 +46,7 @@ from jointid.estimation.robots.regression import (
     join_rows,
     motion_of_robot,
     relative_errors,
-    require_reached,
+    require_slow_samples,
 )
 from jointid.models.robots.base_parameters import BaseParameters, base_parameters
 from jointid.models.robots.friction_terms import Friction, friction_terms, joint_with_friction, offset_indices
@@ -94,10 +94,10 @@ def solve_rows(settings: IDIM, rows: Rows, instruments: Instruments | None = Non
     else:
         name = "ols" if rows.equations == 1 and settings.estimator != "robust" else settings.estimator or "weighted"
         solution = ESTIMATORS[name](left)
-    return with_fixed(solution, kept, free) if settings.fixed else solution
+    return with_fixed_values(solution, kept, free) if settings.fixed else solution
 
 
-def with_fixed(solution: Solution, kept: FloatArray, free: Sequence[int]) -> Solution:
+def with_fixed_values(solution: Solution, kept: FloatArray, free: Sequence[int]) -> Solution:
     """Return a solution of the free parameters as one of all, the others at what they are kept at, without deviation.
 
     Args:
@@ -132,7 +132,7 @@ class InverseModelRobot(IdentifiedRobot):
         of_others = np.vstack([np.zeros((size, friction.size)), np.eye(friction.size)])
         least = np.array([-np.inf if term.number is Friction.OFFSET else 0.0 for term in terms])
 
-        def made(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
+        def build_robot(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
             joints = []
             for k, joint in enumerate(prior.joints):
                 own = {term.number: float(x) for term, x in zip(terms, others, strict=True) if term.joint == k}
@@ -140,7 +140,7 @@ class InverseModelRobot(IdentifiedRobot):
                 joints.append(replace(joint_with_friction(joint, own), rotor_inertia=float(rotors[k]), spring=None))
             return replace(prior.with_inertials(inertials), joints=tuple(joints))
 
-        return Sums(self.values, self.covariance, of_standard, of_others, friction, least, made)
+        return Sums(self.values, self.covariance, of_standard, of_others, friction, least, build_robot)
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot; None of one with springs, which IDIM does not know."""
@@ -181,7 +181,7 @@ def identify_robot(
     rows = replace(
         each[0], Y=join_rows([one.Y for one in each], len(robot)), W=join_rows([one.W for one in each], len(robot))
     )
-    require_reached(robot, rows, settings.fixed)
+    require_slow_samples(robot, rows, settings.fixed)
     by_loop = None
     if settings.estimator == "iv" and not isinstance(model, Robot):
         by_loop = _instruments(model, logs, base, motions)
@@ -269,7 +269,7 @@ _NAMES = {
 
 
 def _by_symbol(robot: Robot, known: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """Return what is known of parameters by their symbols.
+    """Return known parameters keyed by symbol instead of name.
 
     Raises:
         MethodError: one is of a link's friction, which IDIM adds to the motor's.

@@ -91,8 +91,8 @@ class RobotParameters:
         """Return the parameters from what is searched, (parameters,)."""
         return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, x, 0.0)), x)
 
-    def searched(self, values: FloatArray) -> FloatArray:
-        """Return the search variables of parameters, (parameters,)."""
+    def to_search_variables(self, values: FloatArray) -> FloatArray:
+        """Convert parameters, (parameters,), to search variables."""
         return np.where(self.logarithmic, np.log(np.where(self.logarithmic, values, 1.0)), values)
 
     def numbers(self, values: FloatArray) -> RobotNumbers:
@@ -126,12 +126,12 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     )
 
 
-def keep_known(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
-    """Return the parameters without those of fixed values, and with the bounds of the others.
+def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
+    """Remove the fixed parameters and tighten the bounds of the others.
 
     Args:
         parameters: of a robot.
-        known: by name; of those that are not free the start is the value. Names that are not there are left out.
+        known: by name; the value of a fixed parameter is its start. Unknown names are ignored.
     """
     bounded, kept = list[Parameter](), list[int]()
     base = parameters.base
@@ -199,7 +199,7 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPla
 
 
 def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:
-    """Return True of a number without which a flexible joint is none: its rotor's inertia, its stiffness."""
+    """Return True for a rotor's inertia and for a stiffness, which must be positive."""
     rotor = place.of is NumberOf.MASS and place.column == 0 and place.row >= numbers.rotors.size
     return rotor or (place.of is NumberOf.SPRING and place.column == 0)
 

@@ -33,7 +33,7 @@ from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import KNOWN
 from jointid.estimation.robots.idim import InverseModelRobot, identify_robot, solve_rows
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.regression import base_rows, motion_of_robot, require_reached
+from jointid.estimation.robots.regression import base_rows, motion_of_robot, require_slow_samples
 from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_indices
@@ -213,7 +213,7 @@ def identify_payload(
         one, other = (identify_robot(robot, records, free, filtering=filtering) for records in (empty, loaded))
         return Payload(together, payload_difference(one, other))
     offsets = not isinstance(method, DIDIM | DriveSideFit) or method.offsets
-    require_told(payload_columns(robot_parameters(robot, offsets=offsets)))
+    require_full_payload(payload_columns(robot_parameters(robot, offsets=offsets)))
 
     def identify(records: Sequence[Record], which: str) -> EstimateParts:
         return fit_robot(
@@ -283,9 +283,9 @@ def both_records(
     base, n = base_parameters(robot), len(robot)
     without, carrying = (motion_of_robot(robot, records, filtering) for records in (empty, loaded))
     first, second = base_rows(robot, base, without), base_rows(robot, base, carrying)
-    require_reached(robot, first, fixed)
+    require_slow_samples(robot, first, fixed)
     columns = inverse_columns(robot, carrying.q, carrying.v, carrying.a)[:, :, 10 * (n - 1) : 10 * n]
-    extra = carrying.thinned(columns)
+    extra = carrying.decimate_columns(columns)
     instants = min(len(first.Y), len(second.Y)) // n
 
     def cut(rows: FloatArray) -> FloatArray:
@@ -373,7 +373,7 @@ def payload_columns(parameters: RobotParameters) -> FloatArray:
     return columns
 
 
-def require_told(columns: FloatArray) -> None:
+def require_full_payload(columns: FloatArray) -> None:
     """Raise if a payload's ten numbers do not change the parameters of a robot in ten ways.
 
     Args:
@@ -395,7 +395,7 @@ def require_told(columns: FloatArray) -> None:
 
 def _explain_change(robot: Robot, columns: FloatArray, change: FloatArray, matrix: FloatArray) -> PayloadParameters:
     """Fit a payload to a change of parameters with its covariance."""
-    require_told(columns)
+    require_full_payload(columns)
     std = np.sqrt(np.diag(matrix))
     std = np.where(std > 0, std, 1.0)
     values, vectors = np.linalg.eigh(matrix / np.outer(std, std))

@@ -54,7 +54,7 @@ class RobotRuns:
 
     @property
     def outcome(self) -> RobotOutcome:
-        """Outcome of the first run that did not finish, or that of all."""
+        """Outcome of the first unfinished run; FINISHED without any."""
         failed = (run.outcome for run in self.each if run.outcome is not RobotOutcome.FINISHED)
         return next(failed, RobotOutcome.FINISHED)
 
@@ -106,12 +106,12 @@ class RobotProblem(ABC, Generic[Run]):
         """Simulate a robot, and keep what its derivatives need."""
 
     @abstractmethod
-    def predicted(self, run: Run) -> FloatArray:
+    def predict(self, run: Run) -> FloatArray:
         """Return the torque of a run as the log shows it, (samples, n)."""
 
     def error(self, run: Run) -> FloatArray:
         """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""
-        return self.decimated(self.measured - self.predicted(run))
+        return self.decimate(self.measured - self.predict(run))
 
     @abstractmethod
     def slopes(self, run: Run, x: FloatArray) -> FloatArray:
@@ -130,16 +130,16 @@ class RobotProblem(ABC, Generic[Run]):
         """Return the problem with longer integration steps, for the start of a search."""
         return self
 
-    def weighted(self, sigma: FloatArray) -> Self:
-        """Return the problem with other sizes of the joints' errors."""
+    def with_sigma(self, sigma: FloatArray) -> Self:
+        """Return the problem with other standard deviations of the joints' errors."""
         return replace(self, sigma=sigma)
 
-    def reweighted(self, left: FloatArray, count: int, floor: float | None = None) -> Self:
-        """Return the problem with the sizes of the errors that so many parameters left, (rows,)."""
+    def reweight(self, left: FloatArray, count: int, floor: float | None = None) -> Self:
+        """Return the problem weighted by the residual, (rows,), of a fit of `count` parameters."""
         rows = self.by_joint(left)
         degrees = max(rows.size - count, 1) / rows.size
         least = (self.floor if floor is None else floor) / math.sqrt(rows.shape[1])
-        return self.weighted(np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
+        return self.with_sigma(np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
 
     def run(self, x: FloatArray, *, keep: bool = True) -> Run:
         """Simulate a candidate."""
@@ -150,28 +150,28 @@ class RobotProblem(ABC, Generic[Run]):
         run = self.simulate(numbers, keep=False)
         return self.error(run) if run.outcome is RobotOutcome.FINISHED else None
 
-    def thinned(self, each: Sequence[FloatArray]) -> FloatArray:
+    def decimate_each(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
         return np.concatenate(decimate_all(each, self.filtering, self.sample_time))
 
-    def decimated(self, signals: FloatArray) -> FloatArray:
+    def decimate(self, signals: FloatArray) -> FloatArray:
         """Return signals, (samples, n), filtered, one joint after the other, (rows,), not weighted."""
-        return self.thinned(list(signals.T))
+        return self.decimate_each(list(signals.T))
 
-    def decimated_columns(self, parts: Sequence[tuple[IntArray, FloatArray]]) -> FloatArray:
+    def decimate_columns(self, parts: Sequence[tuple[IntArray, FloatArray]]) -> FloatArray:
         """Return the columns of each joint, as `columns_of` gives them, filtered, (rows, parameters), not weighted."""
         count = len(self.parameters.places)
 
-        def filtered(j: int) -> FloatArray:
+        def filter_joint(j: int) -> FloatArray:
             own, columns = parts[j]
-            seen = self.thinned_joint(j, columns)
+            seen = self.decimate_joint(j, columns)
             rows = np.zeros((len(seen), count))
             rows[:, own] = seen
             return rows
 
-        return np.concatenate(in_threads(filtered, range(len(parts))))
+        return np.concatenate(in_threads(filter_joint, range(len(parts))))
 
-    def thinned_joint(self, joint: int, columns: FloatArray) -> FloatArray:
+    def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of one joint, (samples, columns), filtered, (rows, columns)."""
         del joint
         return decimate_all([columns], self.filtering, self.sample_time)[0]
@@ -187,7 +187,7 @@ class RobotProblem(ABC, Generic[Run]):
     @property
     def filtered_torque(self) -> FloatArray:
         """Measured torques, filtered, (rows,)."""
-        return self.decimated(self.measured)
+        return self.decimate(self.measured)
 
     @property
     def sizes(self) -> FloatArray:
@@ -207,7 +207,7 @@ class RobotProblem(ABC, Generic[Run]):
         """Return the weighted residual, (rows,); large where the candidate cannot be simulated."""
         run = self.run(x, keep=False)
         if run.outcome is not RobotOutcome.FINISHED:
-            return self._failed()
+            return self._failure_residual()
         error = self.error(run)
         return np.asarray(error * self.weights(error.size))
 
@@ -215,7 +215,7 @@ class RobotProblem(ABC, Generic[Run]):
         """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
         run = self.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
-            error = self._failed()
+            error = self._failure_residual()
             return error, np.zeros((error.size, x.size))
         error = self.error(run)
         weights = self.weights(error.size)
@@ -248,7 +248,7 @@ class RobotProblem(ABC, Generic[Run]):
         std = np.linalg.norm(np.linalg.inv(R), axis=1) / norms
         return step, std, error - W @ step
 
-    def _failed(self) -> FloatArray:
+    def _failure_residual(self) -> FloatArray:
         seen = self.filtered_torque
         return _FAILED * seen * self.weights(seen.size)
 
@@ -258,8 +258,8 @@ class RobotProblem(ABC, Generic[Run]):
         share = max(math.ceil(len(places) / threads()), _FEWEST)
         return np.column_stack(in_threads(of, [places[i : i + share] for i in range(0, len(places), share)]))
 
-    def by_searched(self, columns: FloatArray, x: FloatArray) -> FloatArray:
-        """Return derivatives by the parameters, (rows, free), as those by what is searched."""
+    def by_search_variables(self, columns: FloatArray, x: FloatArray) -> FloatArray:
+        """Convert derivatives by the parameters, (rows, free), to those by the search variables."""
         return np.asarray(columns * np.where(self.parameters.logarithmic, self.parameters.values(x), 1.0))
 
 
@@ -298,13 +298,15 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
         """Return the problem simulated in steps twice as long."""
         return replace(self, stride=COARSE)
 
-    def predicted(self, run: RobotRun) -> FloatArray:
+    def predict(self, run: RobotRun) -> FloatArray:
         """Return the torque of a run, (samples, n)."""
         return run.torque
 
     def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
-        return self.by_searched(self.in_blocks(lambda some: self.thinned(differentiate_torques(run, some))), x)
+        return self.by_search_variables(
+            self.in_blocks(lambda some: self.decimate_each(differentiate_torques(run, some))), x
+        )
 
     def regressor(self, run: RobotRun) -> FloatArray:
         """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
@@ -316,7 +318,7 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
             found = columns_of(self.tree, run.numbers, self.parameters.places, motion, rotors[together])
             parts |= dict(zip(together, found, strict=True))
             left = [j for j in left if j not in together]
-        return self.decimated_columns([parts[j] for j in range(rotors.size)])
+        return self.decimate_columns([parts[j] for j in range(rotors.size)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -354,28 +356,28 @@ class SumOfRobotProblems(RobotProblem[RobotRuns]):
         """Simulate a robot along all logs."""
         return RobotRuns(tuple(part.simulate(numbers, keep=keep) for part in self.parts))
 
-    def predicted(self, run: RobotRuns) -> FloatArray:
+    def predict(self, run: RobotRuns) -> FloatArray:
         """Return the torques of the runs as the logs show them, one after the other, (samples, n)."""
-        return np.vstack([part.predicted(one) for part, one in zip(self.parts, run.each, strict=True)])
+        return np.vstack([part.predict(one) for part, one in zip(self.parts, run.each, strict=True)])
 
     def error(self, run: RobotRuns) -> FloatArray:
         """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
-        return self._joined(part.error(one) for part, one in zip(self.parts, run.each, strict=True))
+        return self._join(part.error(one) for part, one in zip(self.parts, run.each, strict=True))
 
     def slopes(self, run: RobotRuns, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
-        return self._joined(part.slopes(one, x) for part, one in zip(self.parts, run.each, strict=True))
+        return self._join(part.slopes(one, x) for part, one in zip(self.parts, run.each, strict=True))
 
     def regressor(self, run: RobotRuns) -> FloatArray:
         """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
-        return self._joined(part.regressor(one) for part, one in zip(self.parts, run.each, strict=True))
+        return self._join(part.regressor(one) for part, one in zip(self.parts, run.each, strict=True))
 
     @property
     def filtered_torque(self) -> FloatArray:
         """Measured torques, filtered, (rows,)."""
-        return self._joined(part.filtered_torque for part in self.parts)
+        return self._join(part.filtered_torque for part in self.parts)
 
-    def _joined(self, each: Iterable[FloatArray]) -> FloatArray:
+    def _join(self, each: Iterable[FloatArray]) -> FloatArray:
         return join_rows(list(each), self.sigma.size)
 
 

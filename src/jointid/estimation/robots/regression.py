@@ -91,14 +91,16 @@ class RobotMotion:
     sample_time: float
     filtering: Filtering
 
-    def thinned(self, columns: FloatArray) -> FloatArray:
+    def decimate_columns(self, columns: FloatArray) -> FloatArray:
         """Return columns, (samples, n, columns), decimated: (n instants, columns), joint after joint, 0 at rest."""
         seen = through_window(columns.transpose(1, 0, 2), self.filtering)
-        return np.concatenate([self.decimated(j, equation) for j, equation in enumerate(seen)])
+        return np.concatenate([self.decimate_joint(j, equation) for j, equation in enumerate(seen)])
 
     def thinned_torque(self) -> FloatArray:
         """Return the torques decimated, (n instants,), joint after joint, 0 at rest."""
-        return np.concatenate([self.decimated(j, each[:, np.newaxis]) for j, each in enumerate(self.torque.T)])[:, 0]
+        return np.concatenate([self.decimate_joint(j, each[:, np.newaxis]) for j, each in enumerate(self.torque.T)])[
+            :, 0
+        ]
 
     @property
     def inside(self) -> slice:
@@ -112,9 +114,9 @@ class RobotMotion:
 
         A row beside one that is left out has some of that in it, and less noise.
         """
-        return self.thinned(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > _WHOLE
+        return self.decimate_columns(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > _WHOLE
 
-    def decimated(self, joint: int, columns: FloatArray) -> FloatArray:
+    def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of a joint's equation, (samples, columns), decimated, (rows, columns), 0 at rest."""
         moving = self.moving[self.inside, joint]
         rows, whole = decimate_all(
@@ -210,12 +212,12 @@ def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion, columns: 
         motion: of it.
         columns: of `base_columns`, where they are known.
     """
-    W = motion.thinned(base_columns(robot, base, motion) if columns is None else columns)
+    W = motion.decimate_columns(base_columns(robot, base, motion) if columns is None else columns)
     names = (*base.symbols, *(term.symbol for term in friction_terms(robot)))
     return Rows(motion.thinned_torque(), W, names, len(robot), len(robot))
 
 
-def require_reached(robot: Robot, rows: Rows, fixed: Collection[str] = ()) -> None:
+def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) -> None:
     """Raise a `MethodError` if a friction is to rise at speeds that no sample of the record has.
 
     Args:

@@ -88,12 +88,12 @@ class SimulatedRobot(IdentifiedRobot):
         )
         least = np.array([0.0 if place.is_positive else -np.inf for place in own])
 
-        def made(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
+        def build_robot(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
             there = with_values(replace(numbers, inertials=inertials), own, others)
             there.masses[there.rotors, 0] = rotors
             return robot_with(prior, there)
 
-        return Sums(self.fit.values, self.fit.covariance, of_standard, both[:, apart], about, least, made)
+        return Sums(self.fit.values, self.fit.covariance, of_standard, both[:, apart], about, least, build_robot)
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot."""
@@ -117,7 +117,7 @@ def identify_simulated_robot(
             torque and motor position behind the gear, references are not read.
         settings: of the method.
         filtering: of positions, torques and derivatives.
-        known: values and bounds to keep, by name; see `keep_known`.
+        known: values and bounds to keep, by name; see `apply_constraints`.
         progress: is told the steps.
 
     Raises:
@@ -177,7 +177,7 @@ def identify_simulated_robot(
         part,
         _rows(part, parameters),
         fit.relative_error,
-        (problem.measured, problem.predicted(fit.run)),
+        (problem.measured, problem.predict(fit.run)),
         (method[0], f"{method[1]}, {kind}"),
         problem.filtering,
         problem.filtered_torque.size,

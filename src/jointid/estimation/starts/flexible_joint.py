@@ -186,10 +186,10 @@ def _judge(
     """Simulate starts, free-free frequency and values, in threads, and return them with their costs."""
     most = 10 * problem.size
 
-    def judged(start: tuple[float, dict[str, float]]) -> Candidate:
+    def judge(start: tuple[float, dict[str, float]]) -> Candidate:
         cost = float(np.linalg.norm(problem.residual(problem.vector(start[1]))))
         work.add()
         return Candidate(cost if cost < most else math.inf, *start)
 
     history.tally.evaluations += len(starts)
-    return in_threads(judged, starts)
+    return in_threads(judge, starts)

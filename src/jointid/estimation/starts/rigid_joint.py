@@ -67,11 +67,11 @@ def rigid_starts(problem: ClosedLoopProblem, asked: str, progress: Progress) -> 
 
 
 def inversion_start(problem: ClosedLoopProblem) -> Start:
-    """Return what IDIM finds on the reconstructed position: nearly what it finds on a measured one."""
+    """Return a start by IDIM on the reconstructed position."""
     position = reconstructed_position(problem)
     acting, known = torque_behind_limit(problem), invertible_samples(problem)
     found = _regress(problem, acting, position, known, problem.experiment.law.delay)
-    return Start(_keep_fixed(problem, found | first_state(problem, position)), None)
+    return Start(_apply_fixed_values(problem, found | first_state(problem, position)), None)
 
 
 def regular_start(problem: ClosedLoopProblem, given: Mapping[str, float] | None = None) -> Start:
@@ -90,7 +90,7 @@ def regular_start(problem: ClosedLoopProblem, given: Mapping[str, float] | None 
     nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
     regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
-    return Start(_keep_fixed(problem, {**regular, **(given or {})}), nominal)
+    return Start(_apply_fixed_values(problem, {**regular, **(given or {})}), nominal)
 
 
 def given_start(problem: ClosedLoopProblem) -> Start:
@@ -124,7 +124,10 @@ def _regress(
     known: NDArray[np.bool_],
     delay: float = 0.0,
 ) -> dict[str, float]:
-    """Return what IDIM finds where the position is known; elsewhere it is bridged, and both sides weigh nothing."""
+    """Estimate the parameters by IDIM on the samples of known position.
+
+    Elsewhere the position is interpolated, and torque and columns are set to zero.
+    """
     joint = problem.joint
     assert isinstance(joint, RigidJoint)
     sample_time, instants = problem.experiment.sample_time, np.arange(torque.size)
@@ -138,12 +141,12 @@ def _regress(
         model = InverseModel(model.torque * known, columns, model.inside, model.motor)
     parameters, free = problem.parameters[: len(joint.parameters)], problem.free_joint
     kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-    Y, W = model.decimated(filtering, sample_time, kept, compiled=True)
+    Y, W = model.decimate(filtering, sample_time, kept, compiled=True)
     names = tuple(p.name for p in free)
     found = linear_solution(W[:, [p.free for p in parameters]], Y, names)
     return dict(zip(names, map(float, found), strict=True))
 
 
-def _keep_fixed(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values with every fixed parameter at what it is fixed to."""
+def _apply_fixed_values(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:
+    """Set every fixed parameter to its fixed value."""
     return {**values, **{p.name: p.start or 0.0 for p in problem.parameters if not p.free}}

@@ -93,11 +93,11 @@ def _regress(problem: RobotLoopProblem, torques: FloatArray, positions: FloatArr
         [window_torque(channel, each.law.delay) for channel, each in zip(held, each_loop, strict=True)]
     )
     borders = slice(*(50, len(seen) - 50) if len(seen) > 500 else (0, len(seen)))
-    Y = problem.decimated(seen[borders])
-    W = problem.decimated_columns([(own, apply_window(values)[borders]) for own, values in columns])
+    Y = problem.decimate(seen[borders])
+    W = problem.decimate_columns([(own, apply_window(values)[borders]) for own, values in columns])
     floor = EXACT * float(np.linalg.norm(Y))
     x = np.zeros(len(parameters.places))
     for _ in range(_REWEIGHTINGS):
         x, _, left = problem.step(W, Y)
-        problem = problem.reweighted(left, x.size, floor)
+        problem = problem.reweight(left, x.size, floor)
     return Bounds.of(problem.free).clip(x)

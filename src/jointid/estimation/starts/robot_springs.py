@@ -89,7 +89,7 @@ class StartOfSprings:
             values, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
             costs = np.full(about.size, np.inf)
             start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about), costs)
-            run = problem.run(problem.parameters.searched(start.all_at(start.stiff)), keep=False)
+            run = problem.run(problem.parameters.to_search_variables(start.all_at(start.stiff)), keep=False)
             if run.outcome is not RobotOutcome.FINISHED:
                 return start, False
             error = problem.error(run)
@@ -141,7 +141,7 @@ class StartOfSprings:
         row = frequency_row(self.problem.sample_time)
 
         def costs(values: FloatArray) -> FloatArray:
-            return self.problem.norms(self.problem.residual(self.problem.parameters.searched(values)))
+            return self.problem.norms(self.problem.residual(self.problem.parameters.to_search_variables(values)))
 
         flexible = np.flatnonzero(self.problem.parameters.base.flexible)
         own = np.array(in_threads(costs, [self.all_at(f) for f in row]))[:, flexible]

@@ -106,8 +106,8 @@ def export(
     - "modelica": all equations, true sticking, no library needed.
 
     Args:
-        estimate: what `identify` returned, or what `read_estimated` read. Of a robot bodies near the nominal ones that
-            fit it are written; a `Robot` is written as it is.
+        estimate: from `identify` or `read_joint_model`. Of a robot, bodies near the nominal ones that fit it are
+            written; a `Robot` is written as it is.
         language: its name, or the ending of its files.
         side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF and MJCF,
             whose joints are those of a robot's links, and else the side that was identified.
@@ -151,7 +151,7 @@ def export(
 
 
 def state_space(estimate: Estimate | JointModel, *, side: Side | None = None) -> StateSpace:
-    """Return the linear part of a joint: from torque to positions and velocities; `sampled` makes it discrete.
+    """Return the linear part of a joint: from torque to positions and velocities; `StateSpace.discretise` samples it.
 
     Args:
         estimate: see `export`.
@@ -163,7 +163,7 @@ def state_space(estimate: Estimate | JointModel, *, side: Side | None = None) ->
     return linear_part(_model(estimate, None).on(side))
 
 
-def read_estimated(path: str | os.PathLike[str], joint: Joint, name: str | None = None) -> JointModel:
+def read_joint_model(path: str | os.PathLike[str], joint: Joint, name: str | None = None) -> JointModel:
     """Read a joint model from the JSON of an estimate, for `export`.
 
     Args:

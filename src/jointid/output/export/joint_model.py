@@ -28,7 +28,7 @@ from jointid.models.position_forces import Gravity
 from jointid.models.springs import LinearSpring, Piece, Spring
 from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA, Json
-from jointid.output.json.reading import number_or_none
+from jointid.output.json.reading import optional_number
 
 SCHEMAS = (ESTIMATE_SCHEMA, TOGETHER_SCHEMA, LONG_SCHEMA)
 """Of the answers that say what a joint is."""
@@ -319,7 +319,7 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         raise ValueError
     found = answer["parameters"]
     records = answer["records"] if answer["schema"] == TOGETHER_SCHEMA else [answer["record"]]
-    rates = {number_or_none(record["sample_time"]) for record in records}
+    rates = {optional_number(record["sample_time"]) for record in records}
     return JointModel(
         name,
         joint,
@@ -329,7 +329,7 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         joint.gravity,
         None if joint.ripple is None or joint.ripple.period is None else 2 * math.pi / joint.ripple.period,
         rates.pop() if len(rates) == 1 else None,
-        number_or_none(answer.get("delay", 0.0)) or 0.0,
+        optional_number(answer.get("delay", 0.0)) or 0.0,
         Origin(
             answer["schema"],
             str(answer.get("method", "")),
@@ -344,7 +344,7 @@ def _parameter(found: Mapping[str, Any], name: str, symbol: str, unit: str) -> E
     """Return a parameter of an answer; its symbol and its unit are the joint's own."""
     if found["unit"] != unit:
         raise ValueError
-    value, std, bound = (number_or_none(found[key]) for key in ("value", "std", "lower_bound"))
+    value, std, bound = (optional_number(found[key]) for key in ("value", "std", "lower_bound"))
     free, identifiable = bool(found["free"]), bool(found["identifiable"])
     return EstimatedParameter(name, symbol, unit, value, std, free, identifiable, bound)
 

@@ -15,7 +15,7 @@ from jointid.estimation.robots.consistent import consistent_robot
 from jointid.models.robots.inertial import is_consistent, mass_properties
 from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.output.export.joint_model import number
-from jointid.output.export.robots import require_timestep, write_document
+from jointid.output.export.robots import format_xml, require_timestep
 
 _DOWN = np.array([0.0, 0.0, -9.81])  # gravity of URDF, which has no word for it
 _FAR, _STRONG = "1000.0", "1000000000.0"  # limits that URDF asks for and nothing here knows
@@ -77,7 +77,7 @@ def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
         if link.kind == "prismatic":
             ET.SubElement(found, "limit", lower=f"-{_FAR}", upper=_FAR, effort=_STRONG, velocity=_STRONG)
         ET.SubElement(found, "dynamics", damping=number(joint.viscous), friction=number(joint.coulomb))
-    return write_document(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
+    return format_xml(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
 
 
 def robot_mjcf(robot: Robot, *, timestep: float | None = None) -> tuple[str, tuple[str, ...]]:
@@ -104,7 +104,7 @@ def robot_mjcf(robot: Robot, *, timestep: float | None = None) -> tuple[str, tup
         }
         kind = "hinge" if link.kind == "revolute" else "slide"
         ET.SubElement(body, "joint", {"name": joint.name, "type": kind, "axis": _numbers(link.axis), **drive})
-    return write_document(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
+    return format_xml(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
 
 
 def _lost(robot: Robot) -> list[str]:

@@ -105,7 +105,7 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
         ET.SubElement(joint, "limit", far | {"effort": number(_STRONG), "velocity": number(_STRONG)})
         how = "The limits are wider than any machine: URDF asks for them and nothing here knows them; write your own."
     ET.SubElement(joint, "dynamics", damping=number(mass.viscous), friction=number(mass.coulomb))
-    return write_document(root, [*remarks(model, lost), how]), tuple(lost)
+    return format_xml(root, [*remarks(model, lost), how]), tuple(lost)
 
 
 def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tuple[str, ...]]:
@@ -155,7 +155,7 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
     for name in model.masses:
         ET.SubElement(sensors, "jointpos", name=f"{name}_position", joint=name)
         ET.SubElement(sensors, "jointvel", name=f"{name}_velocity", joint=name)
-    return write_document(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
+    return format_xml(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
 
 
 def require_timestep(timestep: float | None) -> None:
@@ -303,7 +303,7 @@ def _numbers(*values: float) -> str:
     return " ".join(number(value) for value in values)
 
 
-def write_document(root: ET.Element, lines: list[str]) -> str:
+def format_xml(root: ET.Element, lines: list[str]) -> str:
     """Return XML text, with lines as comments at the head of its root: no two hyphens in a row, and none at an end."""
     for place, line in enumerate(lines):
         comment = re.sub(r"-(?=-)", "- ", one_line(line)).removesuffix("-").rstrip()

@@ -49,7 +49,7 @@ _RESERVED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StateSpace:
-    """``x' = A x + B u, y = C x + D u``, or from one sample to the next where there is a period.
+    """Linear system ``x' = A x + B u, y = C x + D u``; a difference equation if it has a period.
 
     Attributes:
         A, B, C, D: (states, states), (states, 1), (outputs, states), (outputs, 1).
@@ -70,8 +70,8 @@ class StateSpace:
     period: float | None = None
     delay: float = 0.0
 
-    def sampled(self, period: float, delay: float = 0.0) -> StateSpace:
-        """Return it for a torque that is held from each sample to the next: exact at the samples (`models.linear`).
+    def discretise(self, period: float, delay: float = 0.0) -> StateSpace:
+        """Discretise with a zero-order hold on the torque, exact at the samples (`models.linear`).
 
         Each torque that is still on its way is a state, ``torque_1`` the newest.
 
@@ -80,7 +80,7 @@ class StateSpace:
             delay: seconds from a sample of the torque to its effect.
 
         Raises:
-            MethodError: it is sampled already, or one of the two is impossible.
+            MethodError: the system is discrete already, or the period or the delay is out of range.
         """
         if self.period is not None or not 0 < period < math.inf or not 0 <= delay <= _MOST * period:
             raise MethodError(
@@ -221,7 +221,7 @@ def _both(model: JointModel, period: float | None, delay: float | None) -> tuple
     continuous, period = linear_part(model), period or model.sample_time
     if period is None:
         raise MethodError("The records have sample times of their own; give the period to sample with.")
-    return continuous, continuous.sampled(period, model.delay if delay is None else delay)
+    return continuous, continuous.discretise(period, model.delay if delay is None else delay)
 
 
 def _not_linear(model: JointModel) -> tuple[str, ...]:

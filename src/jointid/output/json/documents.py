@@ -19,7 +19,17 @@ from jointid.config import controller_text
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
-from jointid.output.json.estimates import PARAMETER, Json, Shape, always, document, estimate_shape, keys, named, take
+from jointid.output.json.estimates import (
+    PARAMETER,
+    Json,
+    Shape,
+    always,
+    by_name,
+    document_shape,
+    estimate_shape,
+    keys,
+    take,
+)
 
 REPORT_SCHEMA = "jointid.report/1"
 REPORT_ELEMENT = "jointid-answer"
@@ -82,47 +92,49 @@ SHAPES: Mapping[str, Shape] = {
     "Agreement": {
         **keys("differs chi_square=statistic degrees_of_freedom=degrees p_value"),
         "sentence": str,
-        "parameters": named("parameters"),
+        "parameters": by_name("parameters"),
     },
     "Scatter": keys("records chi_square=statistic p_value differs std_between=between unit"),
     "Segment": keys("begin end windows values std filtered_error_percent=100*filtered_error"),
     # Diagnostics
-    "Validation": document(
+    "Validation": document_shape(
         "jointid.validation/1",
         "test method transmission record resampled identified_from channels relative_error_percent=100*relative_error "
         "filtered_error_percent=100*filtered_error attainable_error_percent=100*attainable_error answer "
         "tracking_error_percent=100*tracking_error samples_left_out=borders autocorrelation white_band "
         "outside_band_percent=100*outside_band initial simulations warnings",
     ),
-    "MethodComparison": document("jointid.comparison/1", "record model methods disagreements"),
-    "SpringComparison": document(
+    "MethodComparison": document_shape("jointid.comparison/1", "record model methods disagreements"),
+    "SpringComparison": document_shape(
         "jointid.springs/1", "record transmission declared shown=shown.name answer springs=laws"
     ),
-    "FrictionComparison": document(
+    "FrictionComparison": document_shape(
         "jointid.frictions/1", "record transmission declared shown=shown.name answer frictions=laws"
     ),
     "JudgedLaw": keys(
         "name parameters values std fitted_error_percent=100*fitted kept_error_percent=100*kept worse worse_std=error "
         "predicts_as_well refusal"
     ),
-    "Design": document(
+    "Design": document_shape(
         "jointid.design/1",
         "record goal sentence description transmission tests reached limits passed present_passes from_present floor "
         "modes interrupted",
     ),
     "PredictedTest": keys("name values std units covariance.correlation"),
-    "Examination": document(
+    "Examination": document_shape(
         "jointid.examination/1", "record healthy sentence logged transmission questions=answers parameters changes"
     ),
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
-    "LoopCheck": document("jointid.loop/1", "as_declared level sentences reasons findings undecided suspects=tests"),
+    "LoopCheck": document_shape(
+        "jointid.loop/1", "as_declared level sentences reasons findings undecided suspects=tests"
+    ),
     "Finding": {
         **keys("suspect=test value changes"),
         "rivals": lambda finding: [test.label for test in finding.rivals],
     },
     "Fault": str,
     "FaultTest": keys("name alike declared more_than_declared=size std statistic p_value shape"),
-    "Advice": document(
+    "Advice": document_shape(
         "jointid.advice/1",
         "record noise transmission sensors tests sentences",
         parameters=lambda advice: {
@@ -131,7 +143,7 @@ SHAPES: Mapping[str, Shape] = {
         },
     ),
     "Prediction": {**keys("name described=description"), "std": lambda prediction: dict(prediction.std) or None},
-    "StiffnessTestDesign": document(
+    "StiffnessTestDesign": document_shape(
         "jointid.revealing/1",
         "record transmission",
         pulses=keys("height width told=pulses"),
@@ -142,7 +154,7 @@ SHAPES: Mapping[str, Shape] = {
         **keys("load_share=share excluded_below_hz=softest told_below_hz=mode"),
         "relative_std": lambda mode: mode.deviation if math.isfinite(mode.deviation) else None,
     },
-    "EstimateComparison": document(
+    "EstimateComparison": document_shape(
         "jointid.drift/1",
         "a=before b=after same_record level sentences",
         quantities=lambda comparison: {
@@ -153,7 +165,7 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "ReportedEstimate": keys("file=label record torque_sha256=fingerprint"),
     # Controller and tuning
-    "LearnedController": document(
+    "LearnedController": document_shape(
         "jointid.learned_loop/1",
         "record resampled numbers correlation in_drive equivalent=equivalent_laws alternatives "
         "regression_percent=100*regression_share",
@@ -170,7 +182,7 @@ SHAPES: Mapping[str, Shape] = {
         "structure": lambda alternative: str(alternative.structure),
         "law": _law,
     },
-    "Tuned": document(
+    "Tuned": document_shape(
         "jointid.tuning/1",
         "record model transmission interval present proposed gains notch feedforward detectable notes",
         asked=keys(
@@ -199,12 +211,12 @@ SHAPES: Mapping[str, Shape] = {
     "ProposedNotch": keys("notch.frequency notch.bandwidth notch.depth period numerator denominator"),
     "MinimumDetectableChange": keys("false_alarm power changes"),
     # Robots
-    "RobotValidation": document(
+    "RobotValidation": document_shape(
         "jointid.robot_validation/1",
         "robot=robot.name joints=robot.names better_than_nominal=better bodies_better_than_nominal=bodies_better "
         "left=joint_errors nominal_left=nominal_errors bodies_left=body_errors",
     ),
-    "RobotDiagnosis": document(
+    "RobotDiagnosis": document_shape(
         "jointid.robot_diagnosis/1",
         "robot=robot.name method answer explained as_declared feed_forward sentences joints",
     ),
@@ -212,10 +224,10 @@ SHAPES: Mapping[str, Shape] = {
         **keys("name left explained white=whiteness.white travel speed moving law_holds law"),
         "follows": lambda joint: None if joint.follows is None else joint.follows[0],
         "follows_share": lambda joint: None if joint.follows is None else joint.follows[1].explained,
-        "parameters": named("parameters"),
+        "parameters": by_name("parameters"),
     },
     "ParameterOfJoint": keys("value std unit nominal formula known at_least"),
-    "RobotDesign": document(
+    "RobotDesign": document_shape(
         "jointid.robot_design/1",
         "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits=allowed reached "
         "passed modes tried",
@@ -228,10 +240,10 @@ SHAPES: Mapping[str, Shape] = {
         "peak_torque": lambda simulation: abs(simulation.torque).max(axis=0),
         "peak_speed": lambda simulation: abs(simulation.motor_velocity).max(axis=0),
     },
-    "Payload": document("jointid.payload/1", "link parameters=rows ways_agree=agrees body_possible=possible"),
-    "DriveGains": document("jointid.drive_gains/1", "gains=rows"),
+    "Payload": document_shape("jointid.payload/1", "link parameters=rows ways_agree=agrees body_possible=possible"),
+    "DriveGains": document_shape("jointid.drive_gains/1", "gains=rows"),
     # Files and reports
-    "Inspection": document("jointid.inspection/1", "file format bytes=size channels scalars not_read=passed"),
+    "Inspection": document_shape("jointid.inspection/1", "file format bytes=size channels scalars not_read=passed"),
     "InspectedChannel": keys(
         "name outline.rows unit outline.minimum outline.maximum outline.missing time sample_time jitter"
     ),

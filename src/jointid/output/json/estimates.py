@@ -48,27 +48,27 @@ def keys(text: str) -> dict[str, Shape]:
     shape: dict[str, Shape] = {}
     for word in text.split():
         key, _, path = word.rpartition("=")
-        shape[key or path.rpartition(".")[2]] = percent(path[4:]) if path.startswith("100*") else path
+        shape[key or path.rpartition(".")[2]] = as_percentage(path[4:]) if path.startswith("100*") else path
     return shape
 
 
-def document(schema: str, text: str, **others: Shape) -> dict[str, Shape]:
-    """Return the shape of a document, of `keys` and others."""
+def document_shape(schema: str, text: str, **others: Shape) -> dict[str, Shape]:
+    """Return the shape of a JSON document with a schema, the attributes of `keys` and others."""
     return {"schema": always(schema), **keys(text), **others}
 
 
-def percent(path: str) -> Callable[[Any], float | None]:
-    """Return a function to a share in percent."""
+def as_percentage(path: str) -> Callable[[Any], float | None]:
+    """Return a function that reads a share and converts it to percent."""
 
-    def found(value: Any) -> float | None:
+    def read_share(value: Any) -> float | None:
         share = take(value, path)
         return None if share is None else 100 * share
 
-    return found
+    return read_share
 
 
-def named(path: str) -> Callable[[Any], Json]:
-    """Return a function to several parts, by their names."""
+def by_name(path: str) -> Callable[[Any], Json]:
+    """Return a function that reads a sequence and keys its items by their names."""
     return lambda value: {part.name: part for part in take(value, path)}
 
 
@@ -170,11 +170,11 @@ _ALWAYS: dict[str, Shape] = {
         "intervals=params.basis"
     ),
     "spring": lambda estimate: estimate.settings.joint.spring_name,
-    "parameters": named("params.rows"),
+    "parameters": by_name("params.rows"),
     "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
 }
 
-_OF_ONE_RECORD: Shape = document(
+_OF_ONE_RECORD: Shape = document_shape(
     ESTIMATE_SCHEMA,
     "settings.method settings.variant data.channels free=params.names relative_error_percent=100*fit.relative_error "
     "filtered_error_percent=100*fit.filtered_error fit.compared samples_left_out=fit.borders fit.rows "
@@ -191,7 +191,7 @@ _OF_ONE_RECORD: Shape = document(
     effects=_effects,
 )
 
-_OF_SEVERAL_RECORDS: Shape = document(
+_OF_SEVERAL_RECORDS: Shape = document_shape(
     TOGETHER_SCHEMA,
     "data.torque_unit checks.agreement free=params.names params.correlation settings.weighting",
     **_ALWAYS,
@@ -202,7 +202,7 @@ _OF_SEVERAL_RECORDS: Shape = document(
     ],
 )
 
-_OF_A_LOG: Shape = document(
+_OF_A_LOG: Shape = document_shape(
     LONG_SCHEMA,
     "data.channels combinations=checks.known params.correlation checks.repeatable window=data.windows.length "
     "data.windows.settling windows=data.windows.count windows_without_motion=data.windows.still data.windows.duration "
@@ -223,7 +223,7 @@ def _parameters_of_robot(estimate: Estimate) -> Json:
     return {row.name: take(row, own) | {"nominal": float(n), "formula": formula} for row, n, formula in rows}
 
 
-_OF_A_ROBOT: Shape = document(
+_OF_A_ROBOT: Shape = document_shape(
     ESTIMATE_SCHEMA,
     "answer settings.method settings.variant data.channels free=params.names "
     "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error fit.compared "
@@ -246,6 +246,6 @@ _RECORD: Shape = {
         "filtered_error_percent=100*filtered_error filtered_error_alone_percent=100*alone_error"
     ),
     "parameters": always(None),  # which the shape of several records replaces
-    "alone": named("alone"),
+    "alone": by_name("alone"),
     "repeatable": keys("repeatable.rms repeatable.share repeatable.p_value"),
 }

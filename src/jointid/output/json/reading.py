@@ -29,7 +29,7 @@ _REMEDY = "give the file that identify --json wrote"
 _REMEDY_OF_REPORT = "give what identify --json or report --html wrote"
 
 
-def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
+def read_identified_joint(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
     """Return the identified joint of an estimate in a JSON file; the loop is used where its method simulates one.
 
     Raises:
@@ -247,11 +247,11 @@ def _of_both_sides(weights: Mapping[str, float]) -> bool:
 
 def _quantity(name: str, symbol: str, p: Mapping[str, Any], **further: bool) -> ReportedQuantity:
     """Return a parameter or combination of a document; `symbol` is the key of its symbol."""
-    value, std = number_or_none(p["value"]), number_or_none(p["std"])
+    value, std = optional_number(p["value"]), optional_number(p["std"])
     return ReportedQuantity(name, str(p[symbol]), str(p["unit"]), value, std, **further)
 
 
-def number_or_none(value: object) -> float | None:
+def optional_number(value: object) -> float | None:
     """Return a number of a document, None for null.
 
     Raises:

@@ -183,7 +183,7 @@ class Report:
         """Return the JSON that the page carries along."""
         return dumps(plain(self._contents() | self.repetition.document))
 
-    def _document(self, *, interactive: bool) -> Document:
+    def _compose(self, *, interactive: bool) -> Document:
         blocks = tuple(map(typeset_block, self._blocks(interactive)))
         return Document(self.title, blocks, self.answer() if interactive else "")
 
@@ -193,11 +193,11 @@ class Report:
         Raises:
             ExtraError: bokeh or jinja2 is not installed.
         """
-        return page(self._document(interactive=True))
+        return page(self._compose(interactive=True))
 
     def markdown(self) -> str:
         """Return the same as Markdown; its figures are SVG files beside it, which `save` writes."""
-        return self._document(interactive=False).markdown()
+        return self._compose(interactive=False).markdown()
 
     def save(self, path: str | Path) -> Path:
         """Write the page.
@@ -220,7 +220,7 @@ class Report:
         Raises:
             RecordError: the folder or a file cannot be written.
         """
-        document = self._document(interactive=False)
+        document = self._compose(interactive=False)
         return write_folder(folder, {"report.md": document.markdown().encode()} | document.pictures)
 
     def save_figures(self, folder: str | Path) -> tuple[Path, ...]:
