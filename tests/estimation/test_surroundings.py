@@ -42,6 +42,13 @@ def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
     assert "delay" in str(estimate)
 
 
+def test_a_filter_that_is_a_list_of_numbers_may_stand_in_a_loop_whose_delay_is_identified() -> None:
+    law = Cascade(position_gain=100.0, velocity_gain=5000.0, velocity_filter=[0.5, 0.5])
+    loop = ClosedLoop(RigidJoint("prismatic"), law)
+    estimate = identify(rigid_record(loop), loop, DIDIM(free=("delay",)))
+    assert estimate["delay"].value == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     where = setting("L19", brief=True)
     made = problem(where, Fault(line_7), None)

@@ -54,6 +54,8 @@ def fit(
             )
         return fit_robot(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
     if isinstance(record, Sequence):
+        if not all(isinstance(one, Record) for one in record):
+            raise MethodError("Several records of a joint are a list of records; received something else in it.")
         record = cast("Sequence[Record]", record)
         if windows is not None:
             raise MethodError("Several records are identified whole; give one record or log, or leave out windows.")

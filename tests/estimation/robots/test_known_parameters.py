@@ -8,6 +8,8 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.result.answer import Trust
+from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots.test_several_logs import LOGS, LOOP, TWIN
 
 TRUTH = TWIN.robot.joints[0].viscous
@@ -43,3 +45,20 @@ def test_what_is_not_kept_is_refused() -> None:
     unknown = {"joint1.rotor_inertia": Parameter("inertia", "ZZ", Quantity.INERTIA, free=False, start=1.0)}
     with pytest.raises(MethodError, match=r"joint1\.rotor_inertia has a value or bounds to keep.*joint1\.viscous"):
         ji.identify(LOGS[0], LOOP, parameters=unknown)
+
+
+def test_a_bound_that_holds_is_said() -> None:
+    """The verdict fails and names it; it is not counted as known; the rest of the robot may be relied on."""
+    for model, name in ((LOOP, "joint1.viscous"), (TWIN.robot, "Fv1")):
+        found = ji.identify(LOGS[0], model, parameters=viscous(free=True, upper=0.9 * TRUTH), checks=False)
+        assert found.params[name].at_bound == pytest.approx(0.9 * TRUTH)
+        (verdict,) = (one for one in found.checks.verdicts if one.subject is Subject.BOUNDS)
+        assert verdict.status is Status.FAILED and name in verdict.said
+        assert found.answer.trust.code is Trust.NOT_CHECKED
+        assert "at its bound" in found.summary()
+
+
+def test_a_value_that_didim_keeps_is_that_of_the_consistent_robot() -> None:
+    kept = ji.identify(LOGS[0], LOOP, parameters=viscous(free=False, value=0.9 * TRUTH), checks=False)
+    bodies = ji.robots.consistent_robot(kept).robot
+    assert bodies.joints[0].viscous == pytest.approx(0.9 * TRUTH)

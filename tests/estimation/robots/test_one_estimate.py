@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -88,12 +89,33 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
         lambda found: ji.advise(found, logged()[1][0]),
         lambda found: found.report(logged()[1][0]),
         lambda found: found.plot.response(),
+        lambda found: found.plot.spectrum(),
+        lambda found: found.plot.residual(two().records(6.0)),
         lambda found: found.identified,
     ],
 )
 def test_what_is_for_a_joint_alone_refuses_a_robot_in_a_sentence(use: Callable[[ji.Estimate], object]) -> None:
     with pytest.raises(MethodError, match=r"of a robot|of each joint"):
         use(estimate())
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        ji.validate,
+        ji.diagnose,
+        lambda found, logs: found.report(logs),
+        lambda found, logs: ji.identify((*logs[0], logs[1]), found.robot.closing),
+        lambda found, logs: ji.identify((logs[0], *logs[1]), found.robot.closing),
+        lambda found, logs: ji.identify(logs, ji.twin().loop),
+        lambda found, logs: ji.diagnose(found, logs[0], controllers=found.robot.closing.controllers[:1]),
+        lambda found, logs: ji.identify_payload(ji.twin().loop, *logs),  # type: ignore[arg-type]
+        lambda found, logs: ji.identify_payload(found.robot.model, *logs, ji.IDIM(encoders="same_zero")),
+    ],
+)
+def test_records_and_lists_that_do_not_fit_are_refused_in_a_sentence(use: Callable[[ji.Estimate, Any], object]) -> None:
+    with pytest.raises(MethodError, match=r"one log|list|as many controllers|received ClosedLoop|is for a flexible"):
+        use(estimate(), (logged()[1], logged()[1]))
 
 
 def test_what_is_for_a_robot_refuses_a_joint_in_a_sentence() -> None:

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.document import Block, Document, Documented, Heading, Listing, Paragraph, Table
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.text import join, number
 from jointid.diagnostics.model_free import LawOnPosition, compare_law
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told, parameters_by_joint
@@ -323,6 +323,11 @@ def diagnose_robot(
     robot = part.model
     if not controllers and isinstance(part.closing, RobotLoop):
         controllers = part.closing.controllers
+    if controllers and len(controllers) != len(robot):
+        raise MethodError(
+            f"A robot of {len(robot)} joints has as many controllers; received {len(controllers)}: give None for one "
+            "that is not known."
+        )
     laws = _laws(robot, records, controllers)
     joints = []
     for k, name in enumerate(robot.names):

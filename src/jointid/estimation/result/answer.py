@@ -240,7 +240,8 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
     """Return whether to rely on the estimate of a robot."""
     verdicts = estimate.checks.verdicts
     of_springs = [v for v in verdicts if v.subject is Subject.STIFFNESS]
-    against = [v.reasons[0] for v in verdicts if v.status is Status.FAILED and v.subject in _OF_ROBOT]
+    failed = [v.reasons[0] for v in verdicts if v.status is Status.FAILED and v.subject in _OF_ROBOT]
+    against = [one for one in failed if one.code is not Reason.AT_BOUND]  # that speaks against one parameter
     if against:
         return _not_yet(against)
     values: dict[str, Any] = {"reasons": [], "parameters": []}

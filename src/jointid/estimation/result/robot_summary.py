@@ -32,7 +32,11 @@ def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Blo
     listed = [
         (row, nominal)
         for row, nominal in zip(estimate.params.rows, part.nominal, strict=True)
-        if details or not row.free or row.value is None or (row.stderr or 0.0) < _SHOWN * abs(row.value)
+        if details
+        or not row.free
+        or row.value is None
+        or row.at_bound is not None
+        or (row.stderr or 0.0) < _SHOWN * abs(row.value)
     ]
     listed = [(row, nominal) for row, nominal in listed if row.value is not None or row.lower_bound is not None]
     hidden = len(part.names) - len(listed)
@@ -67,8 +71,8 @@ def _cells(row: EstimatedParameter) -> tuple[str, str, str, str]:
     if row.value is None:
         assert row.lower_bound is not None
         return row.name, f"at least {number(row.lower_bound, 3)}", row.unit, ""
-    if row.stderr is None:
-        return row.name, interval(row.value, 0.0), row.unit, "fixed"
+    if row.stderr is None or row.at_bound is not None:
+        return row.name, interval(row.value, 0.0), row.unit, "fixed" if row.at_bound is None else "at its bound"
     share = row.stderr / max(abs(row.value), 1e-300)
     return row.name, interval(row.value, 2 * row.stderr), row.unit, f"{100 * share:.2g}"
 

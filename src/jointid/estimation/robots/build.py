@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -38,6 +38,7 @@ def build_robot_result(
     simulations: int,
     *,
     negative: Sequence[str] = (),
+    at_bounds: Mapping[str, float] | None = None,
     warnings: tuple[str, ...] = (),
 ) -> FitResult:
     """Return the fit of a robot.
@@ -54,6 +55,7 @@ def build_robot_result(
         end: why the search ended, and whether that is a good end.
         simulations: that were run.
         negative: joints whose friction comes out negative.
+        at_bounds: values of the parameters that a bound holds, by name.
         warnings: of the method.
     """
     model, (measured, predicted), (stop, converged) = part.model, torques, end
@@ -61,7 +63,7 @@ def build_robot_result(
     left = dict(zip(model.names, map(float, errors), strict=True))
     first = records[0].torque
     assert first is not None
-    bounds: Verdict = friction_verdict(negative) if negative else bounds_verdict(())
+    bounds: Verdict = friction_verdict(negative) if negative else bounds_verdict(tuple(at_bounds or ()))
     channels = dict.fromkeys(name for record in records for name in record.channels)
     return FitResult(
         params=Params(
@@ -101,4 +103,5 @@ def build_robot_result(
         settings=Settings(*method, system=model, loop=None, filtering=filtering),
         robot=part,
         records=tuple(records),
+        at_bounds=at_bounds,
     )

@@ -189,7 +189,9 @@ def identify_robot(
     kept = {symbol: one.start for symbol, one in limits.items() if not one.free and one.start is not None}
     settings = replace(settings, fixed={**settings.fixed, **kept})
     solution = solve_rows(settings, rows, by_loop)
+    held = dict[str, float]()
     while beyond := _beyond(rows.names, solution.fit.values, limits):
+        held |= {name: value for name, value in beyond.items() if name not in held}
         settings = replace(settings, fixed={**settings.fixed, **beyond})
         solution = solve_rows(settings, rows, by_loop)
     nominal, values = _nominal(robot, base, rows), solution.fit.values
@@ -238,6 +240,7 @@ def identify_robot(
         (describe_stop(estimator, solution), solution.converged),
         max(len(solution.trace) - 1, 0),
         negative=wrong,
+        at_bounds=held,
         warnings=(
             f"The robot file has springs at {join(soft)}, and to IDIM every joint is rigid: that holds below a fifth "
             "of the modes; lower filtering.cutoff to it, or identify by didim or drive_side.",

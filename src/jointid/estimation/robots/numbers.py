@@ -53,6 +53,7 @@ class RobotParameters:
         base: the robot's numbers with 0 wherever one is grouped with others.
         dropped: the places of what was grouped, or acts on nothing.
         grouping: (parameters, dropped) what each of the dropped adds to each parameter.
+        kept: the places of what has a fixed value, which `base` has.
     """
 
     parameters: tuple[Parameter, ...]
@@ -61,6 +62,7 @@ class RobotParameters:
     base: RobotNumbers
     dropped: tuple[NumberPlace, ...]
     grouping: FloatArray
+    kept: tuple[NumberPlace, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -133,18 +135,19 @@ def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter
         parameters: of a robot.
         known: by name; the value of a fixed parameter is its start. Unknown names are ignored.
     """
-    bounded, kept = list[Parameter](), list[int]()
+    bounded, kept, fixed = list[Parameter](), list[int](), list[NumberPlace]()
     base = parameters.base
     for i, (one, place) in enumerate(zip(parameters.parameters, parameters.places, strict=True)):
         stated = known.get(one.name, one)
         if not stated.free and stated.start is not None:
             base = with_values(base, (place,), np.array([stated.start]))
+            fixed.append(place)
             continue
         kept.append(i)
         bounded.append(replace(one, lower=max(one.lower, stated.lower), upper=min(one.upper, stated.upper)))
     return replace(
         parameters, parameters=tuple(bounded), places=tuple(parameters.places[i] for i in kept),
-        logarithmic=parameters.logarithmic[kept], base=base, grouping=parameters.grouping[kept],
+        logarithmic=parameters.logarithmic[kept], base=base, grouping=parameters.grouping[kept], kept=tuple(fixed),
     )  # fmt: skip
 
 

@@ -205,6 +205,13 @@ def identify_payload(
             not fit the model or does not settle, or the estimator is "iv".
         RecordError: as of `jointid.identify`.
     """
+    if not isinstance(model, Robot | RobotLoop | RobotDriveSide):
+        raise MethodError(
+            "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; received "
+            f"{type(model).__name__}: of a joint compare two estimates, or give SeveralRecords."
+        )
+    if method is not None:
+        method.require_settings_of("robot")
     robot = model if isinstance(model, Robot) else model.robot
     if isinstance(method, IDIM) or (method is None and isinstance(model, Robot)):
         together = payload_of_both_records(robot, empty, loaded, method, filtering)

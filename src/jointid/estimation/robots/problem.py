@@ -15,7 +15,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.numbers import RobotParameters
-from jointid.estimation.robots.regression import join_rows
+from jointid.estimation.robots.regression import join_rows, require_one_log
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
@@ -400,6 +400,7 @@ def robot_problem(
         RecordError: a record lacks a channel that is needed.
         MethodError: see `prepare_robot`; or the filtering is impossible.
     """
+    require_one_log(records)
     for record in records:
         record.require(("torque",), "DIDIM of a robot")
     experiment = prepare_robot(loop, records)

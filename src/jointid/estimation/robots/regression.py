@@ -52,12 +52,29 @@ def each_log(records: Records) -> tuple[Sequence[Record], ...]:
 
     Raises:
         RecordError: there are none.
+        MethodError: they are records of one log and of several.
     """
     if not records:
         raise RecordError("A robot is identified from the records of its joints; received none.")
     if isinstance(records[0], Record):
+        require_one_log(records)
         return (cast("Sequence[Record]", records),)
+    if not all(isinstance(log, Sequence) for log in records):
+        raise MethodError("Of several logs the records of the joints are lists; received a single record among them.")
     return tuple(cast("Sequence[Sequence[Record]]", records))
+
+
+def require_one_log(records: Sequence[object]) -> None:
+    """Require records of one log.
+
+    Raises:
+        MethodError: there are records of several logs, or something else.
+    """
+    if not all(isinstance(record, Record) for record in records):
+        raise MethodError(
+            "The records of the joints of one log are needed here, and these are no records, or of several logs: give "
+            "those of one log."
+        )
 
 
 def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
@@ -146,6 +163,7 @@ def motion_of_robot(
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
     """
+    require_one_log(records)
     if len(records) != len(robot):
         raise RecordError(f"A robot of {len(robot)} joints needs as many records; received {len(records)}.")
     channels, positions = [], []

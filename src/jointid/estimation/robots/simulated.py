@@ -15,7 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import TORQUE_UNIT, Parameter, unit_of
+from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, unit_of
 from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
@@ -38,6 +38,7 @@ from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, robot_with, with_values
 from jointid.simulation.robots import RobotLoop
 
+_NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
     "no joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
     "excite the modes. How friction and inertia are split between motors and links is not to be used"
@@ -72,6 +73,8 @@ class SimulatedRobot(IdentifiedRobot):
             )
         n, parameters, numbers = len(prior), self.fit.parameters, RobotNumbers.of(prior)
         numbers = replace(numbers, beside=parameters.base.beside, log=parameters.base.log)
+        fixed = np.array([place.read(parameters.base) for place in parameters.kept])
+        numbers = with_values(numbers, parameters.kept, fixed)
         places = (*parameters.places, *parameters.dropped)
         both = np.hstack([np.eye(len(parameters.places)), parameters.grouping])
         of_standard, apart = np.zeros((len(both), 11 * n)), list[int]()
@@ -183,8 +186,17 @@ def identify_simulated_robot(
         problem.filtered_torque.size,
         (stop, fit.converged),
         fit.iterations,
+        at_bounds=_held_by_bounds(fit),
         warnings=(_WITHOUT,) if springs and not any(one.shown for one in springs) else (),
     )
+
+
+def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
+    """Return the bounds of the parameters that they hold, by name; of springs there are verdicts."""
+    free, near = fit.parameters.parameters, _NEAR * np.maximum(np.abs(fit.values), fit.covariance.std)
+    held = Bounds.of(free).find_active(fit.values, near) & ~fit.parameters.logarithmic
+    pairs = zip(free, fit.values, held, strict=True)
+    return {p.name: min(p.lower, p.upper, key=lambda b: abs(x - b)) for p, x, at in pairs if at}
 
 
 def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedParameter, ...]:

@@ -294,6 +294,8 @@ class DiagramController(ServoController):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "torque_filters", tuple(self.torque_filters))
+        if isinstance(self.velocity_filter, Sequence):  # loops are hashed, and a list is not
+            object.__setattr__(self, "velocity_filter", tuple(self.velocity_filter))
         check_settings(self)
 
     def _velocity(self, diagram: Diagram, position: BlockSignal) -> BlockSignal:

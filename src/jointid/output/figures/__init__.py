@@ -78,6 +78,7 @@ class Plots:
         Args:
             record: of the identification, or another one of the joint; an estimate keeps no motion.
         """
+        self.estimate.require_joint()
         return residual(validate(self.estimate, record))
 
     def spectrum(self) -> Figure:
@@ -88,6 +89,7 @@ class Plots:
         """
         from jointid.diagnostics.report_data import estimate_spectra
 
+        self.estimate.require_joint()
         fit = self.estimate.fit
         inside = slice(fit.borders[0], fit.measured.size - fit.borders[1])
         found = estimate_spectra(fit.measured[inside], fit.predicted[inside], self.estimate.data.sample_time)
