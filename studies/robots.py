@@ -297,8 +297,8 @@ def judge(seed: int, flexible: bool, estimator: str = "", drive_side: bool = Fal
 def _left(made: Drives, fit: RobotFit) -> float:
     """Return the largest filtered error of a joint, times that of the noise alone."""
     # The filtering is that of the fit: a rigid robot's, or a flexible one's.
-    closing = made.loop if isinstance(fit.run, RobotRun) else RobotDriveSide(made.loop.robot)
-    problem, noise = problem_of(closing, made.records, fit.parameters), made.noise
+    setup = made.loop if isinstance(fit.run, RobotRun) else RobotDriveSide(made.loop.robot)
+    problem, noise = problem_of(setup, made.records, fit.parameters), made.noise
     if isinstance(problem, RobotDriveSideProblem):
         noise = np.column_stack([window_torque(Channel(column, "N m", problem.sample_time)) for column in noise.T])
     noise = problem.by_joint(problem.decimate(noise[: len(problem.measured)]))

@@ -481,7 +481,7 @@ class RobotFile:
         """
         self.robot.require_lines("An identification of a robot takes")
         return identify(
-            records, self.closing, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
+            records, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
             progress=progress,
         )  # fmt: skip
 
@@ -498,7 +498,7 @@ class RobotFile:
         return self.identify([self.record(path) for path in paths], progress)
 
     @property
-    def closing(self) -> Robot | RobotLoop | RobotDriveSide:
+    def setup(self) -> Robot | RobotLoop | RobotDriveSide:
         """The robot as its method takes it: alone, under its controllers, or along its motors' motion."""
         if isinstance(self.method, DriveSideFit):
             return RobotDriveSide(self.robot)

@@ -1,4 +1,4 @@
-"""Identification from one record: the method is chosen, parameters beyond their bounds held, the record warned of."""
+"""Identification from one record: choice of the method, bounds of parameters, warnings of the record."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def identify_record(
 ) -> FitResult:
     """Return the fit of a joint to one record; see `jointid.identify`.
 
-    A parameter that comes out beyond its bounds is kept at the bound, with a warning, and the others identified anew.
+    A parameter outside its bounds is fixed at the bound, with a warning, and the others are identified again.
     """
     loop = model if isinstance(model, ClosedLoop) else None
     joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
@@ -78,7 +78,7 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
 
 
 def _find_beyond(record: Record, fit: FitResult, wanted: tuple[Parameter, ...]) -> Parameter | None:
-    """Return the free parameter that is farthest beyond its bounds, in its own deviations.
+    """Return the free parameter that violates its bounds most, in standard deviations.
 
     Raises:
         MethodError: an inertia is not positive, for which no bound is a remedy.

@@ -6,7 +6,7 @@ residual white and of level 1: records of different noise, length or cut-off cou
 what is seen at frequencies where a record's noise is small. A disturbance in the loop of the paper's twin leaves the
 difference of two load inertias, or the gain of a drive, two thirds of the deviation it has under equal weights.
 
-What repeats with the motion is not noise, and to weigh it away is to believe the model where it is wrong: the EMPS axis
+What repeats with the motion is not noise, and weighting it down trusts the model where it is wrong: the EMPS axis
 would have 245 N s/m of viscous friction for 210. Where the residual of any record repeats, rows are weighted by their
 record's level alone.
 

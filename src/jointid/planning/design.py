@@ -185,7 +185,7 @@ def _read_robot(
     asked: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Prior knowledge of a robot for the design of its test: nominal numbers, controllers and a first record."""
-    known = model.require_robot().closing if isinstance(model, Estimate) else model
+    known = model.require_robot().setup if isinstance(model, Estimate) else model
     robot = known if isinstance(known, Robot) else known.robot
     found: dict[str, Any] = {"sample_time": _SAMPLE_TIME, "duration": _DURATION, "limits": [AxisLimits()] * len(robot)}
     if isinstance(model, Estimate):

@@ -163,7 +163,7 @@ def test_an_estimate_is_held_beside_the_nominal_model() -> None:
     assert "better than the nominal model" in held_out.summary().splitlines()[2]
     assert held_out.bodies_better and held_out.body_errors is not None
     assert np.all(held_out.body_errors[:3] < held_out.nominal_errors[:3])
-    part = replace(estimate.require_robot(), closing=nominal.with_inertials(0.0 * nominal.inertials))
+    part = replace(estimate.require_robot(), setup=nominal.with_inertials(0.0 * nominal.inertials))
     bare = replace(estimate, robot=part)
     alone = validate(bare, records_of(ARM, 9))
     assert alone.body_errors is None and "no masses to compare it with" in " ".join(alone.summary().split())

@@ -105,10 +105,10 @@ def test_what_is_for_a_joint_alone_refuses_a_robot_in_a_sentence(use: Callable[[
         ji.validate,
         ji.diagnose,
         lambda found, logs: found.report(logs),
-        lambda found, logs: ji.identify((*logs[0], logs[1]), found.robot.closing),
-        lambda found, logs: ji.identify((logs[0], *logs[1]), found.robot.closing),
+        lambda found, logs: ji.identify((*logs[0], logs[1]), found.robot.setup),
+        lambda found, logs: ji.identify((logs[0], *logs[1]), found.robot.setup),
         lambda found, logs: ji.identify(logs, ji.twin().loop),
-        lambda found, logs: ji.diagnose(found, logs[0], controllers=found.robot.closing.controllers[:1]),
+        lambda found, logs: ji.diagnose(found, logs[0], controllers=found.robot.setup.controllers[:1]),
         lambda found, logs: ji.identify_payload(ji.twin().loop, *logs),  # type: ignore[arg-type]
         lambda found, logs: ji.identify_payload(found.robot.model, *logs, ji.IDIM(encoders="same_zero")),
     ],

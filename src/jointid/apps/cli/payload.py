@@ -54,7 +54,7 @@ def payload(
     if mass is None:
         empty, loaded = file.record(without), file.record(with_)
         found = identify_payload(
-            file.closing, empty, loaded, file.method, filtering=file.filtering, progress=options.progress
+            file.setup, empty, loaded, file.method, filtering=file.filtering, progress=options.progress
         )
         deliver(found, json)
         return

@@ -3,7 +3,7 @@
 Three questions, and a remedy with each answer that is no. Which parameters does the record tell? Is what the model
 leaves of a joint's torque noise, or does it follow the motion, and then what of it? And where the motor's position was
 logged: does the declared controller make the logged torque of it? The last needs no model of the robot, so a fault of
-the controller is told from one of the model.
+the controller is distinguished from one of the model.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class JointDiagnosis:
         name: of the joint.
         left: share of its filtered torque that the estimate leaves.
         whiteness: of what is left; None where the record is too short.
-        follows: what that follows most, and the share of it that does; None where nothing beyond chance.
+        follows: what that follows most, and the share of it that does; None where nothing exceeds chance.
         travel, speed: of its motor, rad or m, and per s; as measured, or simulated where it was not.
         moving: share of the rows in which it moves.
         parameters: of it.
@@ -276,7 +276,7 @@ class RobotDiagnosis(Documented):
         """Return the answer, a table of the joints, and what to do.
 
         Args:
-            details: whether the parameters that are not told are listed in full.
+            details: whether undetermined parameters are listed in full.
         """
         header: tuple[str, ...] = ("joint", "left, %", "white", "told", "roughly", "not told")
         if any(one.law for one in self.joints):
@@ -316,13 +316,13 @@ def diagnose_robot(
 ) -> RobotDiagnosis:
     """Diagnose the estimate of a robot by any method; see `jointid.diagnose`.
 
-    The share of a residual that follows a shape is told from chance by shifts in time (`residual_tests.coupling`); one
-    that is told as following one shape may follow others that look alike on this motion.
+    The share of a residual that follows a shape is compared with chance by shifts in time (`residual_tests.coupling`).
+    A residual that follows one shape may follow others that look alike on this motion.
     """
     part, torques, parameters = estimate.require_robot(), torques_of(estimate, records), parameters_by_joint(estimate)
     robot = part.model
-    if not controllers and isinstance(part.closing, RobotLoop):
-        controllers = part.closing.controllers
+    if not controllers and isinstance(part.setup, RobotLoop):
+        controllers = part.setup.controllers
     if controllers and len(controllers) != len(robot):
         raise MethodError(
             f"A robot of {len(robot)} joints has as many controllers; received {len(controllers)}: give None for one "

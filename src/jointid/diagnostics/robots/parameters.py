@@ -1,7 +1,8 @@
 """Parameters of a robot's estimate by joint, with formulas and significance.
 
-A parameter is told by a record where its deviation is below a tenth of it, roughly where it is below itself, and else
-not told from 0. A stiffness that is refused has its bound; what was fixed was not asked of the record.
+A record determines a parameter if its deviation is below a tenth of it, roughly if it is below the value itself. Else
+the parameter is not distinguished from 0. A refused stiffness has its bound. A fixed parameter is not estimated from
+the record.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class ParameterOfJoint:
         name: as the estimate calls it.
         value, std: None where it is refused.
         unit: SI, behind the gear.
-        nominal: of the model and file that was begun with.
+        nominal: of the initial model and file.
         formula: the sum of standard parameters that it stands for; its own name where it stands for itself.
         known: whether the record tells it.
         at_least: bound of a stiffness that is refused.

@@ -110,7 +110,7 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
 
 def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> RobotTorques:
     robot, numbers = part.model, part.numbers()
-    problem = problem_of(part.closing, records, robot_parameters(robot), filtering)
+    problem = problem_of(part.setup, records, robot_parameters(robot), filtering)
     measured = problem.by_joint(problem.decimate(problem.measured))
     error = problem.error_of(numbers)
     assert error is not None  # it was identified from these records

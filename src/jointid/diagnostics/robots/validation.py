@@ -115,18 +115,18 @@ def validate_robot(estimate: Estimate, records: Sequence[Record]) -> RobotValida
             bodies = relative_errors(rows, part.base.with_friction(consistent_robot(estimate).robot))
         return RobotValidation(robot, mine, nominal, bodies)
     assert isinstance(part, SimulatedRobot)
-    closing, found = part.closing, part.numbers()
+    setup, found = part.setup, part.numbers()
     mine, nominal = (
-        simulated_errors(closing, records, filtering, numbers) for numbers in (found, nominal_numbers(robot, found))
+        simulated_errors(setup, records, filtering, numbers) for numbers in (found, nominal_numbers(robot, found))
     )
     _require_another_record(mine, own)
     if not np.all(np.isfinite(mine)):
-        what = "references" if isinstance(closing, RobotLoop) else "motor positions"
+        what = "references" if isinstance(setup, RobotLoop) else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
     bodies = None
     if can_be_near(robot) and all(spring.shown for spring in part.springs):
         near = replace(RobotNumbers.of(consistent_robot(estimate).robot), log=found.log)
-        bodies = simulated_errors(closing, records, filtering, near)
+        bodies = simulated_errors(setup, records, filtering, near)
     return RobotValidation(robot, mine, nominal, bodies, settled=estimate.fit.converged)
 
 

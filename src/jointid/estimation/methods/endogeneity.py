@@ -33,7 +33,7 @@ from jointid.uncertainty.covariance import Covariance, bandwidth, bartlett_sum, 
 _MEMORY = 40  # rows of the filtered torque that a response goes back
 _ACCEPTED = 0.01  # a contrast that noise alone would reach less often is none of noise
 _BLIND = 0.05  # of a parameter: a bias that a test should be able to see
-_ANY = 10.0  # of a parameter: a bias beyond this is of any size
+_ANY = 10.0  # of a parameter: a larger bias is of any size
 _PHYSICAL = ("inertia", "motor_inertia", "stiffness", "load_inertia")
 
 
@@ -67,7 +67,7 @@ def judge_endogeneity(
         problem: that was solved.
         solution: its least-squares solution.
         instruments: "tested", "always" or "never".
-        progress: is told the probability.
+        progress: receives the probability.
 
     Raises:
         MethodError: instruments are demanded, but the record has none.

@@ -6,7 +6,7 @@ such a force Coulomb friction acts less near standstill, and more like a viscous
 without the force therefore finds too little Coulomb and too much viscous friction, the more so the more the axis rests:
 on random servos, under forces of 1 to 6 % of the torque of their ramps, by 2 to 87 %.
 
-**The force** is told from noise on the log by its spectrum. The residual r of the samples in which the motor moves is
+**The force** is distinguished from noise on the log by its spectrum. The residual r of the moving samples is
 what noise n and force d leave in the torque, with T the loop's complementary sensitivity::
 
     S_r(f) = |T(f)|^2 S_d(f) + S_n,      S_d(f) = sum over k of c_k / (1 + (f / f_k)^2),   c_k >= 0
@@ -15,9 +15,9 @@ so a flat residual is noise, and one that falls where the loop no longer answers
 
 **What it moves** is simulated: on the average over pairs of opposite forces of that spectrum, whose linear answers
 cancel, the torque is another only by what the force does through the friction. Gauss-Newton steps lead from the end of
-least squares to where this mean torque has the least error, the force told anew at each. How far that is is added to
-the deviations, as one of its own size: 2 sigma hold both. Where friction never holds the motor, as on the EMPS axis and
-on the paper's twin, nothing moves, whatever the force.
+least squares to where this mean torque has the least error, the force estimated again at each. That
+distance is added to the deviations, as one of its own size: 2 sigma hold both. Where friction never holds the
+motor, as on the EMPS axis and on the paper's twin, nothing moves, whatever the force.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _PAIRS = 4  # of opposite forces that are simulated
 _ROUNDS = 8  # at most
 _MEMORY = 10.0  # periods of the loop's crossover, over which the residual is correlated with itself
 _CORNERS = (0.015, 0.05, 0.15, 0.5, 1.5, 5.0)  # of the crossover, f_k; and a flat one
-_SLOWEST, _FASTEST = 0.05, 0.4  # of the crossover, of the sampling frequency: between them the spectrum is looked at
+_SLOWEST, _FASTEST = 0.05, 0.4  # of the crossover, of the sampling frequency: the range of the spectrum that is used
 _FEWEST = 8  # frequencies: as many as the spectrum has parts
 _MOVING = 0.02  # of the largest speed
 _ENOUGH = 0.1  # of the rows have to move

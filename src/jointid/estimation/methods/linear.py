@@ -13,7 +13,7 @@ The simulated motion is driven by the reference and the known signal alone, so n
 not reach it; positions go through the same filters as the measured ones, and their columns are the instruments Z of
 ``Z' (Y - W x) = 0``. The next estimate is simulated in turn until nothing changes: two to five simulations.
 
-Instruments need not be perfect, only free of the record's noise. So values beyond their bounds are simulated at the
+Instruments need not be perfect, only free of the record's noise. So values outside their bounds are simulated at the
 bound, and effects that the loop does not have (ripple, drift) are put on the simulated motion as columns.
 """
 
@@ -156,7 +156,7 @@ def weighted_least_squares(rows: Rows) -> Solution:
 def robust(rows: Rows) -> Solution:
     """Return iteratively reweighted least squares with Tukey's bisquare, on the scale of the median absolute deviation.
 
-    Rows whose error is beyond 4.685 sizes weigh nothing. The bisquare has several solutions, so it is begun at the only
+    Rows with an error above 4.685 scales have no weight. The bisquare has several solutions, so it starts at the only
     one of Huber's function. (Huber 1964; Beaton and Tukey 1974; Holland and Welsch 1977 for the constants.)
     """
     first = least_squares(rows.W, rows.Y, rows.names)

@@ -153,7 +153,7 @@ def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list
         grid = [cutoff * _LOWEST ** (1 - i / (_GUESSES - 1)) for i in range(_GUESSES)]
     tried = in_threads(lambda frequency: _linear(problem, frequency), grid)
     costs = np.array([cost for cost, _ in tried])
-    # A valley of the criterion is refined once; the ends of the row are no worse than what lies beyond them.
+    # A valley of the criterion is refined once; the ends of the row are no worse than values outside it.
     around = np.concatenate([[np.inf], costs, [np.inf]])
     valleys = [i for i in range(costs.size) if costs[i] < np.inf and around[i] >= costs[i] <= around[i + 2]]
     if not valleys:

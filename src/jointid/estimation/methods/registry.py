@@ -78,7 +78,7 @@ class Task:
         loop: the joint under its controller; None where that is not known, which a method that needs it never sees.
         parameters: of the joint; free ones are estimated. One's own start replaces that of the method.
         filtering: how the signals are filtered.
-        progress: is told the iterations.
+        progress: receives the iterations.
     """
 
     record: Record

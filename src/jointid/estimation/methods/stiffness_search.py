@@ -6,7 +6,7 @@
 3. Rough descents from the best few, at frequencies apart, until two end together.
 4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
    first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
-5. A descent to the full tolerance. Where no second start led to the end, it is first begun again beside itself.
+5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
 6. The same with the motor moving at the first sample.
 7. All of it again from a rigid joint below a lower frequency, where the end explains little of the torque.
 
@@ -56,7 +56,7 @@ _LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot
 _LOWER_AGAIN = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 _REFINED = 6  # starts that are refined at most, until two of them end together
-_BESIDE = 3  # times an end that no second start led to is begun again beside itself
+_BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
 # bottom, and what several ends are good for is to show that no other valley is deeper.
 _TOGETHER, _AS_GOOD = 1e-2, 3e-3

@@ -59,14 +59,14 @@ INITIAL = tuple(p.name for p in (*INITIAL_STATE, INITIAL_TORQUE))
 """Names of what belongs to a record's first sample, and to no other record."""
 
 EVEN = np.ones(1)
-"""Taps of rows that weigh alike."""
+"""Taps of rows of equal weight."""
 
 _MOST_LATE = 20.0  # samples that the log may be late, or early
 _INITIAL = {p.name: p for p in INITIAL_STATE}
 _PARTS = ("integral_gain", "time_constant")  # numbers that are a part of the law: at 0 it is not there
 _POSITIVE = ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency")
 _BUFFERED = ("reference_delay", "velocity_feedforward_delay", "torque_feedforward_delay")
-_ROOM = 1e-3  # below what a law cannot have: a derivative by differences looks beyond the number
+_ROOM = 1e-3  # below what a law cannot have: a derivative by differences also evaluates outside the value
 _SMALL = 1e-6  # relative: how near a search comes to what a law cannot have
 
 

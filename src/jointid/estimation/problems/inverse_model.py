@@ -83,7 +83,7 @@ class InverseModel:
     ) -> FloatArray:
         """Return columns, (equations, samples, parameters), filtered and decimated; equations stacked.
 
-        Samples at rest weigh nothing on both sides of an equation, and rows that hold little else are left out.
+        Samples at rest have no weight on both sides of an equation, and rows that hold little else are left out.
         """
         inside = columns[:, self.inside]
         if compiled:

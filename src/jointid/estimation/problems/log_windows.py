@@ -65,7 +65,7 @@ class Windowing:
             loop takes to forget its initial state.
 
     Raises:
-        MethodError: a length that is not positive and finite, or a settling time beyond half of it.
+        MethodError: a length that is not positive and finite, or a settling time above half of it.
     """
 
     length: float = 60.0
@@ -203,7 +203,7 @@ class LogProblem:
         length: samples that count in a window.
         settling: samples at either end of a window that are simulated and not counted.
         places: that repeat.
-        progress: is told where a pass is.
+        progress: receives the progress of a pass.
         tally: of windows that were simulated, each with its derivatives.
     """
 

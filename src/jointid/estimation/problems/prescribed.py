@@ -3,7 +3,7 @@
 The drive side: the motor's motion comes from the record, filtered; the torque it takes is predicted
 (`simulation.prescribed`) and seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away,
 where these are free. Both act on the prediction. On the measurement they would let a fit shrink both sides to nothing.
-While the motor rests, its friction takes what it must and the torque says nothing; these samples weigh nothing, on
+While the motor rests, its friction takes what it must and the torque says nothing; these samples have no weight, on
 both sides alike and before the filter, which would smear them.
 
 The open loop: nothing holds the motor, so every small force that the model lacks drifts away as the double integral of

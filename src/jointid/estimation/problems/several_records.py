@@ -189,7 +189,7 @@ def several(
     own: Sequence[Sequence[str]] | None = None,
     added: Sequence[Mapping[str, float]] | None = None,
 ) -> SumProblem[ClosedLoopProblem]:
-    """Return the criterion of several records; their residuals weigh alike, see `SumProblem.weighing`.
+    """Return the criterion of several records; their residuals have equal weight, see `SumProblem.weighing`.
 
     Args:
         problems: one for each record, of one model of joint.

@@ -154,7 +154,7 @@ def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agree
     if not shared:
         return Agreement((), 0.0, 0, None)
     statistic, degrees = _jointly(records, shared)
-    p_value = _beyond(statistic, degrees)
+    p_value = _tail_probability(statistic, degrees)
     level = _LEVEL if p_value <= _LEVEL else _LEVEL / len(shared)
     found = tuple(_compare_parameter(name, units[name], records, level) for name in shared)
     return Agreement(found, statistic, degrees, p_value)
@@ -170,7 +170,7 @@ def _compare_parameter(name: str, unit: str, records: Sequence[Alone], level: fl
     degrees = values.size - 1
     apart = 2.0 * float(np.sum(np.triu(np.outer(weights, weights), 1))) / total  # sum w - sum w^2 / sum w, exactly
     between = math.sqrt(max(statistic - degrees, 0.0) / apart)
-    p_value = _beyond(statistic, degrees)
+    p_value = _tail_probability(statistic, degrees)
     return Scatter(name, unit, values.size, statistic, p_value, between, p_value <= level, squares / total**2)
 
 
@@ -195,7 +195,7 @@ def _jointly(records: Sequence[Alone], names: Sequence[str]) -> tuple[float, int
     return float(left @ left), b.size - len(names)
 
 
-def _beyond(statistic: float, degrees: int) -> float:
+def _tail_probability(statistic: float, degrees: int) -> float:
     """Return how often a chi-square of so many degrees of freedom is larger."""
     from scipy.special import chdtrc
 
@@ -282,7 +282,7 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
     scatter = _pool(fits, [len(part) for part in parts])
     segments, alone = [], []
     for part, fit in zip(parts, fits, strict=True):
-        own = np.flatnonzero(fit.told)
+        own = np.flatnonzero(fit.determined)
         covariance = covariance_of((fit.back @ scatter @ fit.back.T)[np.ix_(own, own)], 0)
         values = {names[i]: float(fit.values[i]) for i in own}
         std = dict(zip(values, map(float, covariance.std), strict=True))
@@ -304,10 +304,10 @@ def _pool(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
     free, count = fits[0].values.size, sum(windows)
     degrees = count - len(fits)
     # By a covariance that is itself an estimate, a chi-square comes out so much too large (Hotelling).
-    scatter = sum(np.where(np.outer(fit.told, fit.told), fit.scatter, 0.0) for fit in fits) / count
+    scatter = sum(np.where(np.outer(fit.determined, fit.determined), fit.scatter, 0.0) for fit in fits) / count
     scatter *= degrees / (degrees - free - 1)
-    stated = sum(fit.told * number for fit, number in zip(fits, windows, strict=True))
-    share = np.sqrt(count / np.maximum(stated, 1))  # what is not told does not scatter
+    stated = sum(fit.determined * number for fit, number in zip(fits, windows, strict=True))
+    share = np.sqrt(count / np.maximum(stated, 1))  # an undetermined parameter does not scatter
     return np.asarray(np.outer(share, share) * scatter)
 
 
@@ -319,13 +319,13 @@ class _Fit:
         values: (free,) where its windows agree.
         back: (free, free) the inverse root of its J'J, symmetric where every column of J has the length 1.
         scatter: (free, free) of its windows' scores, sum of the products, in units of what a window tells.
-        told: (free,) whether it tells a parameter.
+        determined: (free,) whether the fit determines a parameter.
     """
 
     values: FloatArray
     back: FloatArray
     scatter: FloatArray
-    told: NDArray[np.bool_]
+    determined: NDArray[np.bool_]
 
     @classmethod
     def of(cls, windows: Sequence[Window], x: FloatArray) -> _Fit:

@@ -82,7 +82,7 @@ def answer_of(estimate: EstimateParts) -> Answer:
         if row.name == name and (row.free or row.value is None or row.at_bound is not None)
     ]
     own = [row for rows_of in of_records[:1] for row in rows_of if row.name == "inertia" and row.free]
-    if own and not free:  # each record has an inertia of its own: the first one's is told
+    if own and not free:  # each record has its own inertia: the first one's is reported
         asked = replace(own[0], name="inertia@1")
     else:
         asked = next(iter([*free, *(row for row in rows if row.free), *rows]))
@@ -184,7 +184,7 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     against = _reasons_against(estimate, asked)
     if against:
         return _not_yet(against)
-    moved = [row for row in estimate.params.rows if row.name in moved_by_loop(estimate, beyond=2.0)]
+    moved = [row for row in estimate.params.rows if row.name in moved_by_loop(estimate, threshold=2.0)]
     if moved:
         symbols, fault = join([row.symbol for row in moved]), loop_verdict(estimate)
         assert fault is not None
@@ -295,7 +295,7 @@ def _reasons_against(estimate: EstimateParts, asked: EstimatedParameter) -> list
     mechanics = [one for one in loop.reasons if one.code in _OF_MECHANICS and asked.name in _OF_SPRING]
     gross = not any("changes" in reason.values for reason in loop.reasons)
     unexplained = any(one.code is Against.TORQUE_UNEXPLAINED for one in found)
-    if gross or unexplained or asked.name in moved_by_loop(estimate, beyond=2.0):
+    if gross or unexplained or asked.name in moved_by_loop(estimate, threshold=2.0):
         return [loop.reasons[0], *found]
     return [*mechanics, *found]
 
@@ -339,19 +339,19 @@ def loop_verdict(estimate: EstimateParts) -> Verdict | None:
     return next((v for v in estimate.checks.verdicts if v.subject is Subject.LOOP), None)
 
 
-def moved_by_loop(estimate: EstimateParts, beyond: float = 0.0) -> Mapping[str, float]:
+def moved_by_loop(estimate: EstimateParts, threshold: float = 0.0) -> Mapping[str, float]:
     """Return by how much the parameters change when the faults of loop and log that were found are corrected.
 
     Where none was found, it is by how much another law would change them that the record does not exclude.
 
     Args:
         estimate: with the verdict of its loop check, or no parameter is moved.
-        beyond: standard errors that a parameter must be moved by.
+        threshold: standard errors by which a parameter must change at least.
     """
     loop = loop_verdict(estimate)
     rows = {row.name: row.stderr or 0.0 for row in estimate.params.rows}
     total = sum_changes(() if loop is None else loop.reasons)
-    return {name: by for name, by in total.items() if abs(by) > beyond * rows.get(name, 0.0)}
+    return {name: by for name, by in total.items() if abs(by) > threshold * rows.get(name, 0.0)}
 
 
 def sum_changes(reasons: Sequence[Message]) -> dict[str, float]:

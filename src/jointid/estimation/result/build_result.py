@@ -234,7 +234,7 @@ def build_closed_loop_result(
         trace: every iteration.
         simulations: that were run.
         spring: what the record shows of the spring of a flexible joint.
-        paper: the paper's covariance of the joint's parameters, which are then told with its standard errors.
+        paper: the paper's covariance of the joint's parameters, which are then reported with its standard errors.
     """
     assert record.torque is not None
     assert problem.filtering.cutoff is not None

@@ -73,7 +73,7 @@ class IdentifiedRobot(ABC):
     """The robot-only content of an estimate.
 
     Attributes:
-        closing: the nominal robot, that the identification began with: alone, under its controllers, or along the
+        setup: the nominal robot at the start of the identification: alone, under its controllers, or along the
             motion of its motors.
         names: (parameters,) in the order of all arrays.
         values: (parameters,) in SI units; that of a refused parameter is not to be used.
@@ -85,7 +85,7 @@ class IdentifiedRobot(ABC):
         springs: a verdict for each flexible joint.
     """
 
-    closing: Robot | RobotLoop | RobotDriveSide
+    setup: Robot | RobotLoop | RobotDriveSide
     names: tuple[str, ...]
     values: FloatArray
     covariance: Covariance
@@ -97,12 +97,12 @@ class IdentifiedRobot(ABC):
     @property
     def model(self) -> Robot:
         """The nominal robot."""
-        return self.closing if isinstance(self.closing, Robot) else self.closing.robot
+        return self.setup if isinstance(self.setup, Robot) else self.setup.robot
 
     @property
     def has_controllers(self) -> bool:
         """True if the robot was identified under its controllers."""
-        return hasattr(self.closing, "controllers")
+        return hasattr(self.setup, "controllers")
 
     @abstractmethod
     def sums(self, prior: Robot) -> Sums:

@@ -10,10 +10,10 @@ a resonance it grows until that one is seen as a dip in the profile; from there,
 mode is let go and found.
 
 A fit takes two or three simulations, for what it may change is nearly linear in the torque. A mode is excluded only
-where what its last linearisation promises (`Fit.least`), too, is beyond the noise. It is less than what is reached, so
+where what its last linearisation promises (`Fit.least`), too, exceeds the noise. It is less than what is reached, so
 that a fit that ended early makes a bound softer, never stiffer.
 
-A mode damped by more than a sixth is not told from a rigid joint by any record: bounds are for modes damped by less.
+No record distinguishes a mode damped by more than a sixth from a rigid joint: bounds are for modes damped by less.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 MOST_DAMPED = 0.15
 """Damping ratio up to which bounds hold."""
 
-_BAND = 0.15  # of the sampling frequency, in which a bound is looked for: modes above the fitted band show there
+_BAND = 0.15  # of the sampling frequency, in which a bound is searched: modes above the fitted band show there
 _SOFTEST, _STIFFEST = 0.5, 6.0  # modes that are tried, times the crossover of the loop and the fitted band
 _STEPS = 10  # between them
 _HALVINGS = 3  # of the last step

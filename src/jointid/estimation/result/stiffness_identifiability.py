@@ -6,8 +6,8 @@ A search always ends somewhere, and its end has a stiffness. That number is repo
   cannot be negative (`uncertainty.model_tests`);
 - what it explains is more than the error that repeats with the motion and remains: a model that lacks more than the
   spring gives may as well have made the spring up;
-- motor and load move, inertias and stiffness are told from 0, and the mode is one that swings and that a log of this
-  rate can follow;
+- motor and load move, inertias and stiffness are distinguished from 0, and the mode is oscillatory and within the
+  range of a log of this rate;
 - starts apart led to the same end;
 - where the spring explains little, no joint with a mode elsewhere explains the torque as well, and none that is rigid;
 - the profile of the compliance 1/K12 is bounded on both sides.
@@ -80,8 +80,8 @@ def visible(
         J: (rows, free) the derivatives of the torque there, filtered.
         known: how well.
         together: how many of how many starts led to the estimate.
-        progress: is told.
-        shares: of the load in the inertia, for which bounds are looked for.
+        progress: receives messages.
+        shares: of the load in the inertia, for which bounds are searched.
     """
     rigid, at = _fit_rigid(problem, problem.values(x))
     error, slopes = rigid.linearise(at.x)

@@ -290,7 +290,7 @@ def remarks(estimate: EstimateParts) -> dict[str, str]:
     Of a fault of loop or log it is by how much the value changes, in its unit, when the fault is corrected.
     """
     found: dict[str, list[str]] = {p.name: ["at its bound"] for p in estimate.params.rows if p.at_bound is not None}
-    for name, by in moved_by_loop(estimate, beyond=SHOWN_SHIFT).items():
+    for name, by in moved_by_loop(estimate, threshold=SHOWN_SHIFT).items():
         found.setdefault(name, []).append(f"loop: {format_signed(by, 3)}")
     known, symbols = estimate.checks.known, {p.name: p.symbol for p in estimate.params.rows}
     for limitation in () if known is None else known.limitations:
@@ -382,7 +382,7 @@ def bounds_table(estimate: EstimateParts, caption: str = "") -> Table | None:
 
 
 def bands_table(estimate: EstimateParts, caption: str = "") -> Table | None:
-    """Return the residual in each band of frequencies; None where it was not looked at."""
+    """Return the residual in each band of frequencies; None where it was not computed."""
     if estimate.fit.residuals is None:
         return None
     rows = tuple(
@@ -445,7 +445,7 @@ def legend(estimate: EstimateParts, *, initial: bool = True) -> Iterator[str]:
         letters = f"{field_symbol(one.name, one.unit)}, {field_symbol(other.name, other.unit)}"
         kind = "masses" if one.unit == "kg" else "inertias"
         yield f"{spring}: stiffness c and damping d of the spring; {one.symbol}, {other.symbol}: {kind} {letters}"
-    if moved_by_loop(estimate, beyond=SHOWN_SHIFT):
+    if moved_by_loop(estimate, threshold=SHOWN_SHIFT):
         loop = loop_verdict(estimate)
         undecided = loop is not None and is_another_law(loop.reasons)
         when = "if the drive runs the other law" if undecided else "once the fault of loop or log is corrected"

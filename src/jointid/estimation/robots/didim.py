@@ -119,7 +119,7 @@ def identify_rigid_robot(
         iterations: at most.
         settled: the largest change of a parameter that ends them, standard deviations.
         known: values and bounds to keep, by name; see `apply_constraints`.
-        progress: is told each iteration.
+        progress: receives each iteration.
 
     Raises:
         RecordError: a record lacks torque or reference, or has the wrong clock or unit.

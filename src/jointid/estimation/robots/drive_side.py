@@ -4,7 +4,7 @@ The motors' positions are filtered and prescribed, the links simulated on their 
 compared with those that were logged (`simulation.robot_drive_side`), through one window and one filter. The positions'
 own filter goes over the torques and over the direction of friction, too: of random robots, logged at 500 Hz, it left
 twice the noise otherwise. Where a motor rests or turns round its row is left out, as in IDIM. The search is that of the
-closed loop (`flexible`), begun from a robot of rigid joints, which here is a regression on the measured motion.
+closed loop (`flexible`), started from a robot of rigid joints, which here is a regression on the measured motion.
 
 Beside the robot's parameters two of the record are searched: by how much the log shows the torques late, one number for
 all joints, which else would be taken for the springs' damping; and where motors move at the first sample the links'
@@ -56,12 +56,12 @@ from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, Robot
 from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import RobotOutcome
 
-_LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the row in which a link's frequency is looked for, and its ratio
-_DAMPING = 0.1  # of critical, of springs that are looked for: wide enough to be seen from the next of the row
+_LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the grid in which a link's frequency is searched, and its ratio
+_DAMPING = 0.1  # of critical, of springs that are searched: wide enough to be seen from the next of the row
 _GAIN, _CLEAR = 0.97, 0.75  # of a joint's torque error, that a spring leaves: it has one, and it needs no second look
 _LEAST = 1e-20  # of a torque, squared: what is left without noise
 _BEGINNINGS = 3  # steps to where the links are at the first sample, which the torques depend on nearly in a line
-_MOVES = 0.05  # of the samples: of a motor that does less nothing is told
+_MOVES = 0.05  # of the samples: a motor that moves less determines nothing
 _STILL = 20  # samples in a row, from the first on: a motor that rests there
 _SWEEPS = 3  # over the joints, at most, each tried again at all frequencies
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
@@ -267,7 +267,7 @@ def identify_flexible_drive_side(
         evaluations: simulations with derivatives, at most, of each search.
         delay: s, by which the log shows torques later than positions; None to identify it.
         known: values and bounds to keep, by name; see `apply_constraints`.
-        progress: is told the steps.
+        progress: receives the steps.
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
@@ -307,7 +307,7 @@ class SearchOfSprings:
     each time. Those that gain most are placed, and the others tried again beside them.
 
     Attributes:
-        problem: of the drive side. progress: is told what was found.
+        problem: of the drive side. progress: receives the results.
     """
 
     problem: RobotDriveSideProblem

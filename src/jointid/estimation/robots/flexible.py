@@ -1,8 +1,8 @@
 """DIDIM of a robot with flexible joints: rotors, springs, friction on both sides and the links, from torques alone.
 
 The torque error of all joints is made least by Levenberg and Marquardt's steps with derivatives by variation
-(`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The joints weigh by their
-errors. What is tried, in order:
+(`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The joints are weighted by
+their errors. The steps in order:
 
 1. The robot of rigid joints, split into rotors, springs and links (`starts.robot_springs`).
 2. A frequency for each spring, given or the best of a row of them; and a rough descent from there.
@@ -14,7 +14,7 @@ errors. What is tried, in order:
 
 Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
 at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at
-the stiffest that is looked for. Otherwise the stiffness is refused, and ``1 / (c + 2 std)`` is its bound from below.
+the stiffest of the search. Otherwise the stiffness is refused, and ``1 / (c + 2 std)`` is its bound from below.
 
 Valid for springs that are linear and tie each rotor to its own link, and rotors that turn fast against the links: their
 gyroscopic torques are left out [Spong 1987].
@@ -59,7 +59,7 @@ _FALLING = 0.7  # of its error before a step: a descent that is on its way
 _POOR = 0.1  # of a joint's filtered torque: an error that is more than noise
 _TURNS, _SETTLED = 4, 0.4  # descents with new sizes of the joints' errors, and their change that asks for no other
 _OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
-_SHOWN = 4.0  # standard deviations by which a compliance is told from 0
+_SHOWN = 4.0  # standard deviations by which a compliance differs from 0
 _TWO = 2.0  # of them: the bound of one that is not
 
 
@@ -105,7 +105,7 @@ def identify_flexible_robot(
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each search; there are three to eleven.
         known: values and bounds to keep, by name; see `apply_constraints`.
-        progress: is told the steps.
+        progress: receives the steps.
 
     Raises:
         RecordError: a record lacks torque or reference, or has the wrong clock or unit.
@@ -170,7 +170,7 @@ def search_springs(
         rigid: what was found of it with stiff joints, below the modes.
         look: for the frequencies of the flexible joints at which the search is to begin, Hz, in the robot split.
         evaluations: at most, of each descent.
-        progress: is told the steps.
+        progress: receives the steps.
 
     Raises:
         MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
@@ -298,7 +298,7 @@ class _Descents:
 
     Args:
         evaluations: at most, of each.
-        progress: is told the steps.
+        progress: receives the steps.
     """
 
     def __init__(self, evaluations: int, progress: Progress) -> None:

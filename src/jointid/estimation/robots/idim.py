@@ -66,7 +66,7 @@ _WORDS = {
 
 
 def solve_rows(settings: IDIM, rows: Rows, instruments: Instruments | None = None) -> Solution:
-    """Return the solution of all parameters, the fixed ones' deviations 0; one joint has nothing to weigh.
+    """Return the solution of all parameters, with deviations of 0 for fixed ones; one joint needs no weights.
 
     Args:
         settings: of the method.
@@ -164,7 +164,8 @@ def identify_robot(
         records: of each joint, with torque and motor position behind the gear, on one clock; or those of several logs.
         settings: of the method.
         filtering: of positions and rows.
-        known: values and bounds of friction to keep, by name as "joint1.viscous"; a value beyond a bound is kept at it.
+        known: values and bounds of friction to keep, by name as "joint1.viscous"; a value outside its
+            bounds is fixed at the bound.
 
     Raises:
         MethodError: the record does not determine all base parameters; the sentence names those involved. Or "iv" has
@@ -190,16 +191,16 @@ def identify_robot(
     settings = replace(settings, fixed={**settings.fixed, **kept})
     solution = solve_rows(settings, rows, by_loop)
     held = dict[str, float]()
-    while beyond := _beyond(rows.names, solution.fit.values, limits):
-        held |= {name: value for name, value in beyond.items() if name not in held}
-        settings = replace(settings, fixed={**settings.fixed, **beyond})
+    while violated := _violated_bounds(rows.names, solution.fit.values, limits):
+        held |= {name: value for name, value in violated.items() if name not in held}
+        settings = replace(settings, fixed={**settings.fixed, **violated})
         solution = solve_rows(settings, rows, by_loop)
     nominal, values = _nominal(robot, base, rows), solution.fit.values
     friction, terms = list(rows.names[len(base) :]), friction_terms(robot)
     for place, formula in zip(offset_indices(robot), base.offset_formulas, strict=True):
         friction[place] = formula
     part = InverseModelRobot(
-        closing=model,
+        setup=model,
         names=rows.names,
         values=values,
         covariance=solution.covariance,
@@ -284,8 +285,8 @@ def _by_symbol(robot: Robot, known: Mapping[str, Parameter]) -> dict[str, Parame
     return {symbols[name]: parameter for name, parameter in known.items()}
 
 
-def _beyond(names: Sequence[str], values: FloatArray, limits: Mapping[str, Parameter]) -> dict[str, float]:
-    """Return the bound of each value that is beyond it, by symbol."""
+def _violated_bounds(names: Sequence[str], values: FloatArray, limits: Mapping[str, Parameter]) -> dict[str, float]:
+    """Return the bound of each value that violates it, by symbol."""
     found = {}
     for name, value in zip(names, values, strict=True):
         one = limits.get(name)

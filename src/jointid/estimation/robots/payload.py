@@ -198,7 +198,7 @@ def identify_payload(
         loaded: the record of each joint with it; another motion will do.
         method: as of `jointid.identify`.
         filtering: of positions, torques and rows.
-        progress: is told the steps.
+        progress: receives the steps.
 
     Raises:
         MethodError: the records or the robot do not determine the payload, its mass comes out negative, the method does

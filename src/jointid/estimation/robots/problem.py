@@ -78,7 +78,7 @@ class RobotProblem(ABC, Generic[Run]):
         measured: (samples, n) torques.
         filtering: resolved.
         parameters: what is identified.
-        sigma: (n,) of the joints' errors, by which they weigh.
+        sigma: (n,) of the joints' errors, by which they are weighted.
     """
 
     measured: FloatArray

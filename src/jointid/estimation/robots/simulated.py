@@ -53,7 +53,7 @@ class SimulatedRobot(IdentifiedRobot):
         fit: of the search.
     """
 
-    closing: RobotLoop | RobotDriveSide
+    setup: RobotLoop | RobotDriveSide
     fit: RobotFit
 
     def numbers(self) -> RobotNumbers:
@@ -121,7 +121,7 @@ def identify_simulated_robot(
         settings: of the method.
         filtering: of positions, torques and derivatives.
         known: values and bounds to keep, by name; see `apply_constraints`.
-        progress: is told the steps.
+        progress: receives the steps.
 
     Raises:
         RecordError, MethodError: see `identify_rigid_robot`, `identify_flexible_robot`, `identify_flexible_drive_side`.
@@ -159,7 +159,7 @@ def identify_simulated_robot(
     problem = add_problems([problem_of(model, log, free, filtering) for log in logs])
     nominal = nominal_numbers(robot, parameters.numbers(fit.values))
     part = SimulatedRobot(
-        closing=model,
+        setup=model,
         names=fit.names,
         values=fit.values,
         covariance=fit.covariance,
@@ -209,16 +209,16 @@ def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedP
     named = zip(parameters.parameters, parameters.places, part.values, part.covariance.std, strict=True)
     units = parameter_units(robot, parameters)
     for one, place, value, std in named:
-        joint, told = _joint_of(place, rotors), one.name not in refused
+        joint, determined = _joint_of(place, rotors), one.name not in refused
         rows.append(
             EstimatedParameter(
                 name=one.name,
                 symbol=one.name,
                 unit=units[one.name],
-                value=float(value) if told else None,
-                stderr=float(std) if told else None,
+                value=float(value) if determined else None,
+                stderr=float(std) if determined else None,
                 free=True,
-                identifiable=told,
+                identifiable=determined,
                 lower_bound=refused.get(one.name),
                 of_joint=not place.is_of_record,
                 axis="" if joint is None else robot.names[joint],

@@ -28,7 +28,7 @@ from jointid.simulation.closed_loop import in_threads
 
 FASTEST = 0.22  # of the sampling frequency: a mode faster than about a fifth is not followed by the log
 
-_LOWEST, _HIGHEST = 0.5, 12.0  # times the crossover: the modes that are looked for
+_LOWEST, _HIGHEST = 0.5, 12.0  # times the crossover: the modes that are searched
 _RATIO = 1.25  # of neighbouring frequencies of the grid
 _HALF, _SHARES = 0.5, (0.25, 0.75)  # of the load in the inertia: first the halves of (13), then at the best frequencies
 _NARROWED = 3  # frequencies at which other shares are tried

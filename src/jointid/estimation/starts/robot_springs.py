@@ -27,7 +27,7 @@ from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robots import RobotOutcome
 
 STIFFEST = 0.15
-"""Of the sampling frequency: the highest mode that is looked for."""
+"""Of the sampling frequency: the highest mode that is searched."""
 
 _POSES = 40  # along the references, over which inertias are averaged
 _SHARE = 0.5  # of the inertia about a joint, at most, that its rotor begins with
@@ -35,9 +35,9 @@ _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not 
 _SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the inertia about a joint: how far its rotor may be from what is wanted
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
 _DAMPING = 0.03  # of critical, of the springs a search begins with
-_MODES = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the row in which a frequency is looked for
+_MODES = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the grid in which a frequency is searched
 _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
-_SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
+_SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is searched
 _REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
 _DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 

@@ -308,10 +308,10 @@ def simulation_answer(simulation: object, joint: Joint, values: Mapping[str, flo
     return document
 
 
-def robot_simulation_answer(robot: Robot, simulation: object, strays: Mapping[int, float]) -> Json:
+def robot_simulation_answer(robot: Robot, simulation: object, deviations: Mapping[int, float]) -> Json:
     """Return the document of a robot's simulation, without its signals."""
     said: Json = {"schema": "jointid.robot_simulation/1", "robot": robot.name, "joints": list(robot.names)}
-    return {**said, **plain(simulation), "strays": {robot.names[k]: off for k, off in strays.items()}}
+    return {**said, **plain(simulation), "strays": {robot.names[k]: off for k, off in deviations.items()}}
 
 
 def plain(value: Any) -> Any:

@@ -93,7 +93,7 @@ class Report:
             controllers: of each joint of a robot, see `diagnose`.
             feed_forward: of a robot's records, see `diagnose`.
             repetition: what it takes to do it again, where the files are known.
-            progress: is told each step.
+            progress: receives each step.
 
         Raises:
             MethodError: of a robot there is more than one validation, or `tuned`.
@@ -103,8 +103,8 @@ class Report:
             >>> axis = ji.twin(noise="white")
             >>> record = axis.record.without("motor_position", "load_position")
             >>> estimate = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0))
-            >>> told = ji.Report.of(estimate, record, profiles=["stiffness"])
-            >>> "## Checks" in told.markdown()
+            >>> report = ji.Report.of(estimate, record, profiles=["stiffness"])
+            >>> "## Checks" in report.markdown()
             True
         """
         again = repetition or Repetition()
@@ -248,7 +248,7 @@ def tune_to_limit(estimate: Estimate, drive: Drive, shown: Iterable[DriveNumber]
         return tune(estimate, drive=drive, shown=shown)
     except JointidError as error:  # a refused parameter, say: the report is written all the same
         return str(error)
-    except LinAlgError as error:  # values beyond all bounds have no margins
+    except LinAlgError as error:  # values far outside all bounds have no margins
         return f"they cannot be computed from these values ({error})."
 
 
