@@ -325,7 +325,7 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
 def _channel_faults(file: FileTable) -> Iterator[Fault]:
     """Yield missing columns, misplaced settings, impossible units, and torques in different units."""
     # Behind a transmission that is not right, a motor may move in any way.
-    kinds = KINDS if file.geared and not file.transmission else file.kinds
+    kinds = KINDS if file.is_wrong("transmission") else file.kinds
     drive = file.drive_of_joint
     for name, table in file.channels.items():
         if table.column is None and drive is not None and drive.traces is None:
@@ -392,9 +392,9 @@ def _si_unit(file: FileTable, channel: str, kind: Kind) -> str | None:
 
 def _kind_of(file: FileTable, channel: str, kind: Kind) -> Kind:
     """Return the kind of motion of a channel's side; with a lead the motor turns."""
-    table, transmission = file.channels.get(channel), file.transmission
+    table = file.channels.get(channel)
     side = (file.drive_of_joint or Drive()).side(channel, None if table is None else table.build())
-    return "revolute" if transmission and transmission.lead is not None and side == "motor" else kind
+    return file.kind_of_side(side, kind)
 
 
 def _lacking(file: FileTable, channel: str, unit: str, kind: Kind) -> str | None:
@@ -426,11 +426,10 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
 
 def _limit_faults(file: FileTable) -> Iterator[Fault]:
     """Yield limits in impossible units, and a limit on the spring of a rigid joint."""
-    if len(file.kinds) > 1 or (file.geared and file.transmission is None):
+    if file.is_wrong("joint") or file.is_wrong("transmission"):
         return
-    gear, (kind,) = file.transmission, file.kinds
-    turning = gear is not None and gear.lead is not None and gear.side == "motor"
-    moving: Kind = "revolute" if turning else kind
+    gear, kind = file.transmission, file.joint.kind
+    moving = kind if gear is None else file.kind_of_side(gear.side, kind)
     torque = torque_unit(file, kind) or TORQUE_UNIT[moving]
     for one in settings_of(AxisLimits):
         number = getattr(file.limits, one.name)

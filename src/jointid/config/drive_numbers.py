@@ -13,13 +13,13 @@ from jointid.common.transmission import SIDES
 from jointid.common.units import Kind
 from jointid.config.controller_gain import AGREES
 from jointid.config.quantities import OUTPUTS, Stated, list_units, output_of, speaks_output
+from jointid.config.schema import TIMES
 from jointid.models.controllers import Cascade, Controller, ServoController, declared_unit, numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
 from jointid.records.drives import Drive
 
-_TIMES: Mapping[str, str] = {"integral_gain": "integral_time", "derivative_gain": "derivative_time"}
-"""Gains that a drive may show as times."""
+_TIMES = {gain: time for time, (gain, _) in TIMES.items()}
 
 
 @dataclass(frozen=True, slots=True)

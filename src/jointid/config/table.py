@@ -174,7 +174,7 @@ class Table(BaseModel):
             deciding = cls.decided_by[str(key)]
             return (key, deciding), "choice", _describe_choice(deciding, field, raw[key])
         if error["type"] == "missing":
-            return (key,), "missing", messages.missing(_expectation(field).expected, field.description or "")
+            return (key,), "missing", cls.lacks(str(key))
         return (key,), "value", _describe_value(field, raw[key], short)
 
     @classmethod
@@ -474,7 +474,7 @@ def _or_text(described: dict[str, Any]) -> None:
 
 
 def _make_validator(one: Declared) -> Callable[[float], float]:
-    """Return the validator of a setting beyond its bounds: NaN, 0, or a choice."""
+    """Return the validator of a setting apart from its bounds: NaN, 0, or a choice."""
 
     def check(value: float) -> float:
         if one.fault(value) is not None:
