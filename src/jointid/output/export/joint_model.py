@@ -262,7 +262,7 @@ class JointModel:
             )
         assert self.side is not None
         there = OtherSide(replace(transmission, side=self.side), self.torque_unit)
-        # An angle is told per unit of position, which becomes another one.
+        # An angle is given per unit of position, which becomes another one.
         turned = None if self.gravity is None else replace(self.gravity, angle=self.gravity.angle * there.ratio)
         wave = None if self.wave is None else self.wave * abs(there.ratio)  # signs are in the amplitudes
         return replace(
