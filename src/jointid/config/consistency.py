@@ -11,6 +11,7 @@ from jointid.common import messages, units
 from jointid.common.errors import Fault
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.settings import settings_of
+from jointid.common.text import join
 from jointid.common.units import Kind
 from jointid.config.quantities import Stated, misfit
 from jointid.config.schema import (
@@ -107,7 +108,7 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
 
     name = choose_method(file, table.name, of_model)
     if name is None:
-        rest = _no_method({method: lacking(method) for method in _defaults()}, file, of_model)
+        rest = _describe_missing_method({method: lacking(method) for method in _defaults()}, file, of_model)
         yield fault_at(("method", "name"), rest, "missing")
     else:
         other = next(default for default in _defaults() if default != name)
@@ -135,11 +136,10 @@ def _models_of(name: str, key: str) -> tuple[str, ...]:
 
 def _needs(method: str, model: str) -> str:
     made = method_of(method)
-    *most, last = [*made.channels(model), *(["controller"] if made.needs_controller else [])]
-    return f"{', '.join(most)} and {last}"
+    return join([*made.channels(model), *(["controller"] if made.needs_controller else [])])
 
 
-def _no_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
+def _describe_missing_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
     """Return the rest of the sentence on a file without a possible method."""
     lacks = [f"{method_of(method).describe(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
     rigid = choose_method(file, None, "rigid") is not None
@@ -188,12 +188,12 @@ def _record_faults(file: FileTable) -> Iterator[Fault]:
             yield fault_at(
                 (*place, "controller"), " changes a controller that the file does not have: add [controller]."
             )
-        elif controller is not None and (refused := _no_change(controller, run.controller)):
+        elif controller is not None and (refused := _describe_refused_numbers(controller, run.controller)):
             yield fault_at((*place, "controller"), refused)
     yield from _free_faults(("together", "free"), file.together.free, file)
 
 
-def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | None:
+def _describe_refused_numbers(controller: Controller, numbers: Mapping[str, float]) -> str | None:
     """Return the rest of the sentence on unknown or refused numbers of a controller."""
     known = (*numbers_of(controller), "period")
     for name in numbers:
@@ -244,7 +244,7 @@ def _parameter_faults(file: FileTable) -> Iterator[Fault]:
     for name, table in file.parameters.items():
         place = ("parameters", name)
         if name not in known:
-            yield fault_at(place, _no_parameter(name, file.joint, file.gravity, known), "unknown")
+            yield fault_at(place, _describe_unknown(name, file.joint, file.gravity, known), "unknown")
             continue
         # A parameter that is a bare number has no keys.
         keys = table.model_fields_set - {"value"}
@@ -299,7 +299,7 @@ def _open(lower: float) -> float:
     return 0.0 if 0.0 < lower < _NEXT_TO_ZERO else lower
 
 
-def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
+def _describe_unknown(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
     remedy = messages.suggest(name, known, "leave it out")
     for key, choices in (("model", MODELS), ("friction", FRICTIONS), ("spring", SPRINGS)):

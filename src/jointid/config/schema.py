@@ -420,7 +420,7 @@ class LawTable(Table):
             yield "", refused
 
 
-class DrawnTable(LawTable):
+class BlockDiagramTable(LawTable):
     """A law with a block diagram, which may filter velocity and torque."""
 
     def settings(self, *without: str) -> dict[str, Any]:
@@ -512,7 +512,7 @@ _MEANT = {
 }
 
 
-def with_gains_meant(keys: Iterable[str]) -> frozenset[str]:
+def add_gains_of_times(keys: Iterable[str]) -> frozenset[str]:
     """Return keys of [controller], with the gain of each time: integral_gain for integral_time."""
     given = list(keys)
     return frozenset([*given, *(TIMES[key][0] for key in given if key in TIMES)])
@@ -531,7 +531,7 @@ def _table_of(word: str, law: Any) -> type[LawTable]:
             types |= {gain: (annotation_of(declared), None)} if declared.required else {}
     made: type[LawTable] = make(
         f"{law.__name__}Table",
-        __base__=DrawnTable,
+        __base__=BlockDiagramTable,
         __module__=__name__,
         __doc__=f'[controller] with law = "{word}".',
         law=(Literal[word], Field(description="the controller's law")),

@@ -154,7 +154,10 @@ class Table(BaseModel):
                 return table
         if short:  # its key is not in the file
             found = [((), code, rest) for _, code, rest in found]
-        raise ValidationError.from_exception_data(cls.__name__, [_as_error(*fault) for fault in dict.fromkeys(found)])
+        errors: list[InitErrorDetails] = [
+            {"type": _our_error(code, rest), "loc": place, "input": None} for place, code, rest in dict.fromkeys(found)
+        ]
+        raise ValidationError.from_exception_data(cls.__name__, errors)
 
     @classmethod
     def _fault(cls, error: ErrorDetails, raw: Any, short: bool) -> Located:
@@ -214,10 +217,6 @@ def accept_by(make: Callable[[Any], object]) -> AfterValidator:
 
 def _our_error(code: str, rest: str) -> PydanticCustomError:
     return PydanticCustomError(_OURS, "{rest}", {"code": code, "rest": rest})
-
-
-def _as_error(place: Place, code: str, rest: str) -> InitErrorDetails:
-    return InitErrorDetails(type=_our_error(code, rest), loc=place, input=None)
 
 
 def _describe_choice(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> str:
