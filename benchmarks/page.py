@@ -65,8 +65,8 @@ def _machine(results: Results) -> str:
     lines = [f"Measured on {results.date}: {results.machine}; {versions}. One thread of linear algebra."]
     if results.load:
         lines.append(
-            f"Processes that wanted a core before and after: {' and '.join(f'{load:.1f}' for load in results.load)}; "
-            "where that is more than one, others were at work, too, and what runs on two cores suffers most."
+            f"Load average before and after: {' and '.join(f'{load:.1f}' for load in results.load)}. "
+            "Above one, other processes were running, and timings on two cores suffer most."
         )
     return " ".join(lines)
 
@@ -192,10 +192,10 @@ def _rigid(found: Rigid | None) -> list[str]:
     if found is None:
         return []
     return [
-        f"The public EMPS record, {found.samples:,} samples of a real rigid axis, from torque alone by `identify` as "
-        "its joint file has it, with its intervals and verdicts, in one process and not the first time: "
-        f"{_ms(found.seconds)} ms, {found.simulations} simulations with derivatives, "
-        f"{100 * found.left:.2f} % of the torque left.\n"
+        f"`identify` takes the public EMPS record, {found.samples:,} samples of a real rigid axis, with its joint "
+        "file, from torque alone. Intervals and verdicts included, a repeated call in one process takes "
+        f"{_ms(found.seconds)} ms and {found.simulations} simulations with derivatives, and leaves "
+        f"{100 * found.left:.2f} % of the torque.\n"
     ]
 
 

@@ -248,12 +248,12 @@ def test_the_page_says_what_was_measured() -> None:
     assert "| JAX scan | 2 steps, friction held | 0.6 % | 20 (10 to 40) | 100 | 200 (100 to 400) | 133 |" in text
     assert "| CasADi mapaccum | left out: casadi is not installed |" in text
     assert "| Python, NumPy and the problem | 0.10 (0.10 to 0.25) | 38 |" in text
-    assert "before and after: 0.1 and 5.5;" in text
+    assert "before and after: 0.1 and 5.5." in text
     assert "| JAX | 512 | 8 |" in text
     assert "| other | it could not be installed: no |  |" in text
     assert "| least squares | 4 of 6 | 20 (20 to 20) | 1 (1 to 1) | 8.0000 |" in text
     assert "| a toolbox | left out: no such thing |" in text
-    assert "not the first time: 30 (28 to 40) ms, 7 simulations with derivatives, 4.50 % of the torque left." in text
+    assert "takes 30 (28 to 40) ms and 7 simulations with derivatives, and leaves 4.50 % of the torque." in text
     assert text.count("\n\n\n") == 0
     assert text.endswith(page.TRIED.read_text(encoding="utf-8"))
     assert "## Whole identifications" not in page.written(replace(some_results(), solvers=()))

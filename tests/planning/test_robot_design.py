@@ -84,7 +84,7 @@ def test_the_intervals_are_those_that_come() -> None:
     assert ratio.min() > 0.6 and ratio.max() < 1.7
 
 
-def test_what_didim_will_report_is_foretold() -> None:
+def test_what_didim_will_report_is_predicted() -> None:
     loop, noise = two().loop(), np.array([0.4, 0.2])
     found = design_robot_test(
         loop.robot, LIMITS, duration=6.0, sample_time=1e-3, seconds=1.0, noise=noise, loop=loop
@@ -145,7 +145,7 @@ def test_what_is_refused() -> None:
         design_robot_test(two().robot, (AxisLimits(lower=0.0), LIMITS[1]))
     with pytest.raises(MethodError, match="The upper position is above the lower one"):
         AxisLimits(lower=1.0, upper=0.5)
-    with pytest.raises(MethodError, match="foretold under the controllers, and there are none"):
+    with pytest.raises(MethodError, match="predicted under the controllers, and there are none"):
         design_robot_test(two((9.0, None)).robot, LIMITS)
     with pytest.raises(MethodError, match="A test of 10 samples tells nothing"):
         design_robot_test(two().robot, LIMITS, duration=0.01)
@@ -172,7 +172,7 @@ def needed(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatAr
     return torque
 
 
-def test_the_torque_that_is_foretold_is_the_friction_of_each_direction_too() -> None:
+def test_the_predicted_torque_is_the_friction_of_each_direction_too() -> None:
     robot, (q, v, a) = two().robot, played()
     first, second = robot.joints
     joints = replace(first, viscous_backwards=25.0), replace(second, coulomb_backwards=12.0)
@@ -184,7 +184,7 @@ def test_the_torque_that_is_foretold_is_the_friction_of_each_direction_too() -> 
     assert about["Fc2"] == pytest.approx(0.5 * (second.coulomb + 12.0)), "of both directions, beside an offset"
 
 
-def test_the_torque_that_is_foretold_has_the_weight_that_is_grouped_with_an_offset() -> None:
+def test_the_predicted_torque_has_the_weight_that_is_grouped_with_an_offset() -> None:
     links = (
         Link("slide", -1, "prismatic", inertial=inertial(10.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1))),
         Link("hand", 0, axis=np.array([0.0, 1.0, 0.0]), inertial=inertial(2.0, (0.03, 0.0, 0.15), (0.02, 0.02, 0.004))),
@@ -204,7 +204,7 @@ def test_the_mode_of_a_coupled_joint_is_that_with_the_other_shafts_held(factor: 
     assert _modes(replace(robot, joints=joints), np.array([[0.4, -0.3]]))["joint1"] == pytest.approx(hertz, abs=0.05)
 
 
-def test_slow_controllers_are_foretold_with_their_feed_forward() -> None:
+def test_slow_controllers_are_predicted_with_their_feed_forward() -> None:
     loop, t = two().loop(slower=8.0), np.arange(4000) * 1e-3
     q = np.column_stack([0.4 * (1 - np.cos(3.0 * t)), 0.3 * (1 - np.cos(4.6 * t))])
     asked = {"duration": 4.0, "sample_time": 1e-3, "loop": loop, "noise": (0.4, 0.2), "motion": q}

@@ -11,6 +11,7 @@ from jointid.common import messages, units
 from jointid.common.errors import Fault
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.settings import settings_of
+from jointid.common.text import join
 from jointid.common.units import Kind
 from jointid.config.quantities import Stated, misfit
 from jointid.config.schema import (
@@ -107,7 +108,7 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
 
     name = choose_method(file, table.name, of_model)
     if name is None:
-        rest = _no_method({method: lacking(method) for method in _defaults()}, file, of_model)
+        rest = _describe_missing_method({method: lacking(method) for method in _defaults()}, file, of_model)
         yield fault_at(("method", "name"), rest, "missing")
     else:
         other = next(default for default in _defaults() if default != name)
@@ -135,11 +136,10 @@ def _models_of(name: str, key: str) -> tuple[str, ...]:
 
 def _needs(method: str, model: str) -> str:
     made = method_of(method)
-    *most, last = [*made.channels(model), *(["controller"] if made.needs_controller else [])]
-    return f"{', '.join(most)} and {last}"
+    return join([*made.channels(model), *(["controller"] if made.needs_controller else [])])
 
 
-def _no_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
+def _describe_missing_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
     """Return the rest of the sentence on a file without a possible method."""
     lacks = [f"{method_of(method).describe(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
     rigid = choose_method(file, None, "rigid") is not None
@@ -188,12 +188,12 @@ def _record_faults(file: FileTable) -> Iterator[Fault]:
             yield fault_at(
                 (*place, "controller"), " changes a controller that the file does not have: add [controller]."
             )
-        elif controller is not None and (refused := _no_change(controller, run.controller)):
+        elif controller is not None and (refused := _describe_refused_numbers(controller, run.controller)):
             yield fault_at((*place, "controller"), refused)
     yield from _free_faults(("together", "free"), file.together.free, file)
 
 
-def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | None:
+def _describe_refused_numbers(controller: Controller, numbers: Mapping[str, float]) -> str | None:
     """Return the rest of the sentence on unknown or refused numbers of a controller."""
     known = (*numbers_of(controller), "period")
     for name in numbers:
@@ -244,7 +244,7 @@ def _parameter_faults(file: FileTable) -> Iterator[Fault]:
     for name, table in file.parameters.items():
         place = ("parameters", name)
         if name not in known:
-            yield fault_at(place, _no_parameter(name, file.joint, file.gravity, known), "unknown")
+            yield fault_at(place, _describe_unknown(name, file.joint, file.gravity, known), "unknown")
             continue
         # A parameter that is a bare number has no keys.
         keys = table.model_fields_set - {"value"}
@@ -299,7 +299,7 @@ def _open(lower: float) -> float:
     return 0.0 if 0.0 < lower < _NEXT_TO_ZERO else lower
 
 
-def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
+def _describe_unknown(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
     remedy = messages.suggest(name, known, "leave it out")
     for key, choices in (("model", MODELS), ("friction", FRICTIONS), ("spring", SPRINGS)):
@@ -325,7 +325,7 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
 def _channel_faults(file: FileTable) -> Iterator[Fault]:
     """Yield missing columns, misplaced settings, impossible units, and torques in different units."""
     # Behind a transmission that is not right, a motor may move in any way.
-    kinds = KINDS if file.geared and not file.transmission else file.kinds
+    kinds = KINDS if file.is_wrong("transmission") else file.kinds
     drive = file.drive_of_joint
     for name, table in file.channels.items():
         if table.column is None and drive is not None and drive.traces is None:
@@ -392,9 +392,9 @@ def _si_unit(file: FileTable, channel: str, kind: Kind) -> str | None:
 
 def _kind_of(file: FileTable, channel: str, kind: Kind) -> Kind:
     """Return the kind of motion of a channel's side; with a lead the motor turns."""
-    table, transmission = file.channels.get(channel), file.transmission
+    table = file.channels.get(channel)
     side = (file.drive_of_joint or Drive()).side(channel, None if table is None else table.build())
-    return "revolute" if transmission and transmission.lead is not None and side == "motor" else kind
+    return file.kind_of_side(side, kind)
 
 
 def _lacking(file: FileTable, channel: str, unit: str, kind: Kind) -> str | None:
@@ -426,11 +426,10 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
 
 def _limit_faults(file: FileTable) -> Iterator[Fault]:
     """Yield limits in impossible units, and a limit on the spring of a rigid joint."""
-    if len(file.kinds) > 1 or (file.geared and file.transmission is None):
+    if file.is_wrong("joint") or file.is_wrong("transmission"):
         return
-    gear, (kind,) = file.transmission, file.kinds
-    turning = gear is not None and gear.lead is not None and gear.side == "motor"
-    moving: Kind = "revolute" if turning else kind
+    gear, kind = file.transmission, file.joint.kind
+    moving = kind if gear is None else file.kind_of_side(gear.side, kind)
     torque = torque_unit(file, kind) or TORQUE_UNIT[moving]
     for one in settings_of(AxisLimits):
         number = getattr(file.limits, one.name)

@@ -23,10 +23,10 @@ from jointid.config.consistency import (
     torque_unit,
 )
 from jointid.config.controller_gain import controller_gain, unit_faults
-from jointid.config.drive_gains import in_our_words
+from jointid.config.drive_gains import translate_gains
 from jointid.config.drive_numbers import drive_numbers
-from jointid.config.quantities import Stated, stated_in
-from jointid.config.schema import FileTable, with_gains_meant
+from jointid.config.quantities import Stated, find_quantities
+from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.schema_record import Run, Source, Together
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
@@ -116,7 +116,7 @@ class JointFile:
         if crowded := list(_size_faults(tables)):  # each of so many would be a sentence
             raise JointFileError(crowded)
         corrected, misspelt = FileTable.correct_keys(tables)
-        file, faults = FileTable.read(in_our_words(corrected))
+        file, faults = FileTable.read(translate_gains(corrected))
         return cls.of_table(file, path, [*misspelt, *faults])
 
     @classmethod
@@ -152,8 +152,8 @@ class JointFile:
             together=file.together.build(),
             limits=file.limits.build(),
             path=path,
-            stated=dict(stated_in(file)),
-            said=with_gains_meant(file.controller.model_fields_set) if file.controller else (),
+            stated=dict(find_quantities(file)),
+            said=add_gains_of_times(file.controller.model_fields_set) if file.controller else (),
         )
 
     @property

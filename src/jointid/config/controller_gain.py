@@ -27,9 +27,9 @@ AGREES = 1e-3
 def unit_faults(file: FileTable) -> Iterator[Fault]:
     """Yield numbers of joint and controller in units of another motion or output."""
     joint, law = file.joint, file.controller
-    if file.is_wrong("joint") or len(file.kinds) > 1 or (file.geared and file.transmission is None):
+    if file.is_wrong("joint") or file.is_wrong("transmission"):
         return
-    kind = _kind_of(file, "motor")
+    kind = file.kind_of_side("motor", joint.kind)
     if isinstance(joint.torque_constant, Stated):
         declared = "N/A or N/V" if kind == "prismatic" else "N m/A or N m/V"
         if fault := misfit(joint.torque_constant.text, declared):
@@ -38,7 +38,7 @@ def unit_faults(file: FileTable) -> Iterator[Fault]:
     yield from _channel_faults(file, joint)
     if law is None:
         return
-    faults = list(_misfits(law, _kind_of(file, law.side)))
+    faults = list(_misfits(law, file.kind_of_side(law.side, joint.kind)))
     yield from faults
     if not faults and (drive := file.drive_of_joint) is not None:
         try:
@@ -87,7 +87,7 @@ def _gain(file: FileTable, joint: JointTable, law: LawTable, drive: Drive) -> fl
         JointFileError: it is not known, or is given twice and differs.
     """
     given: float | None = law.gain if "gain" in law.model_fields_set else None
-    spoken = _find_output(law, _kind_of(file, law.side))
+    spoken = _find_output(law, file.kind_of_side(law.side, joint.kind))
     if spoken is None:
         constant = drive.torque_constant or drive.torque_per_volt
         known = None if constant is None else constant * _through(file, law)
@@ -169,7 +169,7 @@ def _of_output(
 
 def _share(file: FileTable, drive: Drive) -> float:
     """Return the torque of 1 % of the rated torque, on the motor's side."""
-    return drive.resolve_unit(units.unit("%"), _kind_of(file, "motor")).factor
+    return drive.resolve_unit(units.unit("%"), file.kind_of_side("motor", file.joint.kind)).factor
 
 
 def _is_share(file: FileTable, drive: Drive, gain: float, through: float) -> bool:
@@ -185,12 +185,6 @@ def _unlike(spoken: _StatedOutput, output: str, torque: str, per: str) -> Fault:
         f"{output}, but {torque}; expected what takes one to the other: add the torque constant below [joint], as "
         f'torque_constant = "0.72 N m/{per}".'
     )
-
-
-def _kind_of(file: FileTable, side: str) -> Kind:
-    """Return how a side moves: with a lead the motor turns."""
-    lead = file.transmission is not None and file.transmission.lead is not None
-    return "revolute" if lead and side == "motor" else next(iter(file.kinds))
 
 
 def _through(file: FileTable, law: LawTable) -> float:

@@ -1,4 +1,4 @@
-"""Gains of the controller by the names and in the units of a drive's own parameters, where its profile has them."""
+"""Gains given by the names and in the units of a drive's parameters, from its profile."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def table_at(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
     return raw
 
 
-def in_our_words(raw: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the tables of a joint file with gains that are given as a drive's parameters under the keys they are here.
+def translate_gains(raw: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the tables of a joint file with a drive's gains under the file's own keys.
 
     A plain number is in the parameter's unit, as the drive shows it; a time of 0, which turns an integral off, is left
     out.
@@ -54,7 +54,7 @@ def in_our_words(raw: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def keys_of_controller(raw: Mapping[str, Any]) -> set[str]:
-    """Return the keys of [controller], a drive's parameters as what they are here."""
+    """Return the keys of [controller], with a drive's parameters under the file's own keys."""
     profile, controller = table_at(raw, "drive").get("profile"), table_at(raw, "controller")
     gains = load_profile(profile).gains if profile in profile_names() else ()
     return {*controller, *(gain.key for gain in gains if gain.name in controller)}

@@ -12,14 +12,14 @@ from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.transmission import SIDES
 from jointid.common.units import Kind
 from jointid.config.controller_gain import AGREES
-from jointid.config.quantities import OUTPUTS, Stated, list_units, output_of, speaks_output
+from jointid.config.quantities import OUTPUTS, Stated, in_controller_units, list_units, output_of
+from jointid.config.schema import TIMES
 from jointid.models.controllers import Cascade, Controller, ServoController, declared_unit, numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
 from jointid.records.drives import Drive
 
-_TIMES: Mapping[str, str] = {"integral_gain": "integral_time", "derivative_gain": "derivative_time"}
-"""Gains that a drive may show as times."""
+_TIMES = {gain: time for time, (gain, _) in TIMES.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ def _convert_number(learned: Any, name: str, said: _Said) -> Iterator[DriveNumbe
         yield replace(there, declared=there.of(declared, known)) if declared else there
         return
     measured = declared_unit(learned, name)
-    candidates, speaks = list_units(measured, said.kind), speaks_output(measured)
+    candidates, speaks = list_units(measured, said.kind), in_controller_units(measured)
     if not candidates:  # a share, say
         if declared is not None:
             yield DriveNumber(name, _label(name, said), "", 1.0, declared=declared)
@@ -164,4 +164,4 @@ def _power(measured: str) -> int:
     """Return the power of a position in the unit that a setting declares."""
     if "rad" not in measured:
         return 0
-    return -1 if speaks_output(measured) else 1
+    return -1 if in_controller_units(measured) else 1

@@ -24,7 +24,7 @@ from jointid.common.transmission import Transmission
 from jointid.config.consistency import choose_method
 from jointid.config.contents import JointFile
 from jointid.config.drive_gains import keys_of_controller, table_at
-from jointid.config.schema import FileTable, with_gains_meant
+from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.serialise import controller_table
 from jointid.config.toml_text import deepest_key, split_sections
 from jointid.models.controllers import CONTROLLER_UNITS, LAWS, Controller, numbers_of, unit_of_number
@@ -101,7 +101,7 @@ def load_joint(
     path = Path(path)
     tables = parse_toml(read_text(path))
     if "robot" in tables and axis is None:
-        raise _of_robot(path, what)
+        raise _robot_error(path, what)
     return require_joint(_select(_file(tables, path, changes, **choices), axis), what)
 
 
@@ -126,10 +126,10 @@ def require_joint(file: JointFile | RobotFile, what: str) -> JointFile:
     """
     if isinstance(file, JointFile):
         return file
-    raise _of_robot(file.path, what)
+    raise _robot_error(file.path, what)
 
 
-def _of_robot(path: Path, what: str) -> MethodError:
+def _robot_error(path: Path, what: str) -> MethodError:
     return MethodError(f"{what} takes one joint, and {path} is a robot file; name one of its joints by --axis.")
 
 
@@ -181,7 +181,7 @@ def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = (), axi
     law = said.get("law", "cascade")
     kind: Any = LAWS.get(law) if isinstance(law, str) else None  # mypy does not take a type for something with a hash
     required = [one for one in settings_of(kind) if one.required] if kind else []
-    known = with_gains_meant(keys_of_controller(tables))
+    known = add_gains_of_times(keys_of_controller(tables))
     stand_ins = [f"controller.{one.name}=1.0" for one in required if one.type is float and one.name not in known]
     law_said = ["controller.law=cascade"] if law == "cascade" else []
     file = JointFile.of(apply_changes(raw, [*law_said, *stand_ins, *changes]), path)
@@ -304,7 +304,7 @@ def save_with_controller(
         text = with_table(file.path.read_text(encoding="utf-8-sig"), written)
         text = with_paths(text, file.path.parent, path.parent)
         if record is not None and not file.runs:
-            text = with_record(text, _from_there(os.fspath(record), Path.cwd(), path.parent))
+            text = with_record(text, _relocate_path(os.fspath(record), Path.cwd(), path.parent))
     except OSError as error:
         raise JointFileError(f"{error.filename} cannot be used ({error.strerror}); check the folder.") from error
     _write(path, text)
@@ -406,10 +406,10 @@ def with_paths(text: str, before: Path, after: Path) -> str:
     tables = [expected.get("record"), *(listed if isinstance(listed, list) else [])]
     named = [table for table in tables if isinstance(table, dict) and isinstance(table.get("file"), str)]
     for table in named:
-        table["file"] = _from_there(table["file"], before, after)
+        table["file"] = _relocate_path(table["file"], before, after)
 
     def relocate(line: re.Match[str]) -> str:
-        file = _from_there(tomllib.loads(f"file = {line[2]}")["file"], before, after)
+        file = _relocate_path(tomllib.loads(f"file = {line[2]}")["file"], before, after)
         return line[1] + json.dumps(file, ensure_ascii=False)
 
     sections = split_sections(text)
@@ -449,7 +449,7 @@ def _verify(made: str, expected: Mapping[str, Any]) -> str:
         return tomli_w.dumps(expected)
 
 
-def _from_there(file: str, before: Path, after: Path) -> str:
+def _relocate_path(file: str, before: Path, after: Path) -> str:
     """Return a relative path as seen from another folder; an absolute one is unchanged."""
     if Path(file).is_absolute():
         return file

@@ -51,7 +51,7 @@ def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
         kind: how the side moves; None for both.
     """
     kinds: tuple[Kind, ...] = ("prismatic", "revolute") if kind is None else (kind,)
-    if not speaks_output(declared):
+    if not in_controller_units(declared):
         choices = [unit.strip() for unit in declared.replace(",", " or ").split(" or ")]
         if len(choices) == 2 and kind is not None:  # straight, then turning
             choices = [choices[kinds[0] == "revolute"]]
@@ -74,14 +74,14 @@ def _is_unit(unit: str) -> bool:
 
 def output_of(text: str, declared: str, kind: Kind) -> str | None:
     """Return the controller's output unit (N, N m, A, V or %) in a text; None without one."""
-    if not speaks_output(declared):
+    if not in_controller_units(declared):
         return None
     said = units.parse_quantity(text)
     known = zip(OUTPUTS[kind], list_units(declared, kind), strict=True)
     return next((output for output, unit in known if said.matching(unit) is not None), None)
 
 
-def speaks_output(declared: str) -> bool:
+def in_controller_units(declared: str) -> bool:
     """Return True for a declaration in controller units, possibly per another unit."""
     return declared.startswith(CONTROLLER_UNITS)
 
@@ -100,7 +100,7 @@ def misfit(text: str, declared: str, kind: Kind | None = None) -> str | None:
         return f" is {messages.format_value(text)}; {error}."
     if any(said.matching(unit) is not None for unit in known):
         return None
-    plain = "the controller's units" if speaks_output(declared) else "SI units"
+    plain = "the controller's units" if in_controller_units(declared) else "SI units"
     return (
         f" is {messages.format_value(text)}; expected a number in {_either(known)}, or a plain one in {plain}: correct "
         "the unit."
@@ -118,16 +118,16 @@ def to_si(text: str, declared: str) -> Stated:
     return Stated(next(v for unit in list_units(declared) if (v := said.matching(unit)) is not None), text)
 
 
-def stated_in(table: Any, before: str = "") -> Iterator[tuple[str, Stated]]:
-    """Yield the numbers below a table of the joint file that are given with a unit, by the path of their key."""
+def find_quantities(table: Any, before: str = "") -> Iterator[tuple[str, Stated]]:
+    """Yield the numbers with a unit below a table, with the path of their key."""
     if isinstance(table, Stated):
         yield before, table
     elif isinstance(table, list):
         for place, item in enumerate(table):
-            yield from stated_in(item, f"{before}.{place}")
+            yield from find_quantities(item, f"{before}.{place}")
     elif isinstance(table, dict):
         for key, item in table.items():
-            yield from stated_in(item, f"{before}.{key}" if before else key)
+            yield from find_quantities(item, f"{before}.{key}" if before else key)
     elif hasattr(table, "model_fields_set"):
         given = {key: getattr(table, key) for key in type(table).model_fields if key in table.model_fields_set}
-        yield from stated_in(given, before)
+        yield from find_quantities(given, before)

@@ -26,7 +26,7 @@ from jointid.common.parameters import Parameter
 from jointid.common.settings import settings_of
 from jointid.common.units import Kind
 from jointid.config.contents import JointFile
-from jointid.config.robot_model import in_order, load_robot
+from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.schema import (
     ControllerTable,
     FileTable,
@@ -578,7 +578,7 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
         ]
     if unknown:
         raise JointFileError(unknown)
-    ordered = in_order(model, names)
+    ordered = reorder_joints(model, names)
     if list(ordered.names) != names:
         raise JointFileError(
             f"joints lists {', '.join(names)}; expected each joint after the one that carries it: write them as "

@@ -132,7 +132,7 @@ def read_robot(text: str, called: str = "the robot's model") -> Robot:
             robot = _robot(mujoco, model, root.get("name") or root.get("model") or "robot", called)
     except MethodError as error:
         raise JointFileError(f"{called}: {error}") from error
-    return in_order(robot, order)
+    return reorder_joints(robot, order)
 
 
 @contextmanager
@@ -290,7 +290,7 @@ def _rotation_about(mujoco: Any, axis: FloatArray, angle: float) -> FloatArray:
     return _matrix(mujoco, quaternion)
 
 
-def in_order(robot: Robot, names: Sequence[str]) -> Robot:
+def reorder_joints(robot: Robot, names: Sequence[str]) -> Robot:
     """Return a robot with its joints in the given order, parents before children."""
     rank = {name: place for place, name in enumerate(dict.fromkeys(names))}
     chosen = list(_sort_links(robot, [rank.get(name, len(rank)) for name in robot.names]))

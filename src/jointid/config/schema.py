@@ -420,13 +420,13 @@ class LawTable(Table):
             yield "", refused
 
 
-class DrawnTable(LawTable):
+class BlockDiagramTable(LawTable):
     """A law with a block diagram, which may filter velocity and torque."""
 
     def settings(self, *without: str) -> dict[str, Any]:
         """Return the settings of the law."""
         found = super().settings("law", "side", "velocity_filter", "torque_filters", *without)
-        for time, (gain, made) in _TIMES.items():
+        for time, (gain, made) in TIMES.items():
             if time in found:
                 found[gain] = made(found.pop(time), found["position_gain"] if self.law != "cascade" else 1.0)
         if self.velocity_filter is not None:
@@ -441,7 +441,7 @@ class DrawnTable(LawTable):
     @classmethod
     def find_missing(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield required gains that are given neither as a gain nor as a time."""
-        for time, (gain, _) in _TIMES.items():
+        for time, (gain, _) in TIMES.items():
             needed = time in cls.model_fields and cls.model_fields[gain].default is None
             if needed and not {time, gain} & set(given):
                 yield gain, cls.lacks(gain).removesuffix(": add it.") + f": add it, or {time}."
@@ -449,7 +449,7 @@ class DrawnTable(LawTable):
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield missing gains, and gains given twice, also as a time."""
         wrong = [*self.find_missing(self.model_fields_set)]
-        for time, (gain, _) in _TIMES.items():
+        for time, (gain, _) in TIMES.items():
             if {time, gain} <= self.model_fields_set:
                 said = f" = {getattr(self, time):g} s stands beside {gain}, which says the same: leave one out."
                 wrong.append((time, said))
@@ -498,7 +498,7 @@ class StateSpaceTable(LawTable):
         )
 
 
-_TIMES: Mapping[str, tuple[str, Callable[[float, float], float]]] = {
+TIMES: Mapping[str, tuple[str, Callable[[float, float], float]]] = {
     "integral_time": ("integral_gain", lambda time, gain: gain / time),
     "derivative_time": ("derivative_gain", lambda time, gain: gain * time),
 }
@@ -512,10 +512,10 @@ _MEANT = {
 }
 
 
-def with_gains_meant(keys: Iterable[str]) -> frozenset[str]:
+def add_gains_of_times(keys: Iterable[str]) -> frozenset[str]:
     """Return keys of [controller], with the gain of each time: integral_gain for integral_time."""
     given = list(keys)
-    return frozenset([*given, *(_TIMES[key][0] for key in given if key in _TIMES)])
+    return frozenset([*given, *(TIMES[key][0] for key in given if key in TIMES)])
 
 
 def _table_of(word: str, law: Any) -> type[LawTable]:
@@ -525,13 +525,13 @@ def _table_of(word: str, law: Any) -> type[LawTable]:
     types: dict[str, Typed] = {"velocity_filter": (FilterTable, None), "torque_filters": (FilterTables, [])}
     for (of, time), meaning in _MEANT.items():
         if of == word:
-            gain = _TIMES[time][0]
+            gain = TIMES[time][0]
             (declared,) = [one for one in settings_of(law) if one.name == gain]
             times[time] = (with_unit(Positive, "s") | None, Field(None, description=f"{meaning} [s]"))
             types |= {gain: (annotation_of(declared), None)} if declared.required else {}
     made: type[LawTable] = make(
         f"{law.__name__}Table",
-        __base__=DrawnTable,
+        __base__=BlockDiagramTable,
         __module__=__name__,
         __doc__=f'[controller] with law = "{word}".',
         law=(Literal[word], Field(description="the controller's law")),
@@ -649,6 +649,11 @@ class FileTable(Table):
     def geared(self) -> bool:
         """Whether there is a transmission, right or wrong."""
         return self.transmission is not None or self.is_wrong("transmission")
+
+    def kind_of_side(self, side: str, kind: Kind) -> Kind:
+        """Return the kind of motion of a side, for that kind of load: with a lead the motor turns."""
+        lead = self.transmission is not None and self.transmission.lead is not None
+        return "revolute" if lead and side == "motor" else kind
 
     @property
     def controlled(self) -> bool:

@@ -154,7 +154,10 @@ class Table(BaseModel):
                 return table
         if short:  # its key is not in the file
             found = [((), code, rest) for _, code, rest in found]
-        raise ValidationError.from_exception_data(cls.__name__, [_as_error(*fault) for fault in dict.fromkeys(found)])
+        errors: list[InitErrorDetails] = [
+            {"type": _our_error(code, rest), "loc": place, "input": None} for place, code, rest in dict.fromkeys(found)
+        ]
+        raise ValidationError.from_exception_data(cls.__name__, errors)
 
     @classmethod
     def _fault(cls, error: ErrorDetails, raw: Any, short: bool) -> Located:
@@ -174,7 +177,7 @@ class Table(BaseModel):
             deciding = cls.decided_by[str(key)]
             return (key, deciding), "choice", _describe_choice(deciding, field, raw[key])
         if error["type"] == "missing":
-            return (key,), "missing", messages.missing(_expectation(field).expected, field.description or "")
+            return (key,), "missing", cls.lacks(str(key))
         return (key,), "value", _describe_value(field, raw[key], short)
 
     @classmethod
@@ -214,10 +217,6 @@ def accept_by(make: Callable[[Any], object]) -> AfterValidator:
 
 def _our_error(code: str, rest: str) -> PydanticCustomError:
     return PydanticCustomError(_OURS, "{rest}", {"code": code, "rest": rest})
-
-
-def _as_error(place: Place, code: str, rest: str) -> InitErrorDetails:
-    return InitErrorDetails(type=_our_error(code, rest), loc=place, input=None)
 
 
 def _describe_choice(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> str:
@@ -474,7 +473,7 @@ def _or_text(described: dict[str, Any]) -> None:
 
 
 def _make_validator(one: Declared) -> Callable[[float], float]:
-    """Return the validator of a setting beyond its bounds: NaN, 0, or a choice."""
+    """Return the validator of a setting apart from its bounds: NaN, 0, or a choice."""
 
     def check(value: float) -> float:
         if one.fault(value) is not None:

@@ -5,13 +5,14 @@ s_k on the log of joint k's torque the deviations of all parameters are those of
 
     M = sum_k W_k' W_k / s_k^2,      cov = M^-1
 
-The motion looked for is that with the largest log det M, whose intervals are smallest on the geometric mean [Swevers
+The search takes the motion with the largest log det M, whose intervals are smallest on the geometric mean [Swevers
 et al. 1997, D-optimal]; no units and no choice of base parameters enter it. The motions are Fourier series (`motions`),
 the search an evolution strategy (I. Rechenberg's rule of one success in five) over their numbers, in which a motion
 that asks a joint for more torque than it has is worse than any that does not.
 
-Of joints with springs a multisine about the mode of rotor against link is added, and what the test tells of all
-parameters, springs included, is foretold from the robot simulated under its controllers, with derivatives by variation.
+Of joints with springs a multisine about the mode of rotor against link is added, and the deviations of all
+parameters, springs included, are predicted from the robot simulated under its controllers, with derivatives by
+variation.
 
 Obstacles, and the robot's own body, are not known here: play the motion slowly first.
 """
@@ -60,7 +61,7 @@ from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulate
 
 NOISE = 0.01
-"""Of each joint's torque in motions drawn at random: the noise that is foretold with where no first record says it."""
+"""Of each joint's torque in motions drawn at random: the predicted noise without a first record."""
 
 _HARMONICS = 8
 _INSTANTS = 160  # of a period, at which columns are taken in the search
@@ -89,9 +90,9 @@ class RobotDesign(Charted, Documented):
         torque: (samples, n) that the nominal robot needs for it, N m or N.
         names, units: of the parameters.
         values: (parameters,) of the nominal robot.
-        std: (parameters,) that are foretold; infinite of what the motion does not tell.
+        std: (parameters,) predicted; infinite for a parameter that the motion does not determine.
         present_std: the same of the first record's motion; None without one.
-        noise: (n,) standard deviation of the white noise that is foretold with, on the log of each torque.
+        noise: (n,) standard deviation of the assumed white noise on the log of each torque.
         of_record: whether that is the noise of a first record.
         limits: that were kept.
         reached: of each joint, positions, speed, acceleration and torque.
@@ -123,13 +124,13 @@ class RobotDesign(Charted, Documented):
         return tuple({name: getattr(one, name) for name in ROBOT_LIMITS} for one in self.limits)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def well_known(self) -> tuple[str, ...]:
         """Names of the parameters that will be known to a tenth of the nominal value, one standard deviation."""
         return tuple(n for n, v, s in zip(self.names, self.values, self.std, strict=True) if s < 0.1 * abs(v))
 
     @property
     def parameters(self) -> Mapping[str, Mapping[str, float | str | None]]:
-        """Nominal value, deviations foretold of this motion and of the present one, and unit of each, by its name."""
+        """Nominal value, predicted deviations of this and the present motion, and unit, by name."""
         before = [None] * len(self.names) if self.present_std is None else [float(one) for one in self.present_std]
         return {
             name: {"about": float(value), "std": float(std), "present_std": present, "unit": unit}
@@ -140,7 +141,7 @@ class RobotDesign(Charted, Documented):
 
     @property
     def ratio(self) -> float | None:
-        """Deviations beside those of the present motion, on the geometric mean; None where one of them is not told."""
+        """Geometric mean of deviations relative to the present motion; None if one is infinite."""
         if self.present_std is None or not np.all(np.isfinite([self.std, self.present_std])):
             return None
         return float(np.exp(np.mean(np.log(self.std / self.present_std))))
@@ -149,9 +150,8 @@ class RobotDesign(Charted, Documented):
     def sentence(self) -> str:
         """Predicted intervals in one sentence, compared with the present motion."""
         lasts = len(self.reference) * self.sample_time
-        stated = (
-            f"In {number(lasts, 3)} s this motion tells {len(self.told)} of {len(self.names)} parameters to a tenth"
-        )
+        known = f"{len(self.well_known)} of {len(self.names)} parameters"
+        stated = f"In {number(lasts, 3)} s this motion tells {known} to a tenth"
         if self.ratio is not None:
             stated += f", with intervals of {100 * self.ratio:.0f} % of the present motion's on the geometric mean"
         elif self.present_std is not None:
@@ -162,7 +162,7 @@ class RobotDesign(Charted, Documented):
     def to_document(self, *, details: bool = False) -> Document:
         """Return limits and predicted intervals; there are no further details."""
         del details
-        header: tuple[str, ...] = ("parameter", "about", "2 sigma foretold", "of the present motion", "unit")
+        header: tuple[str, ...] = ("parameter", "about", "2 sigma predicted", "of the present motion", "unit")
         rows = list[tuple[str, ...]]()
         for i, name in enumerate(self.names):
             before = "-" if self.present_std is None else _sigma(self.present_std[i])
@@ -198,7 +198,7 @@ class RobotDesign(Charted, Documented):
                     ("joint", "positions", "speed", "acceleration", "torque"), joints,
                     "what the motion reaches, of what is allowed", (0, 1, 2, 3, 4),
                 ),
-                Table(header, tuple(rows), "intervals that are foretold", (0, len(header) - 1)),
+                Table(header, tuple(rows), "predicted intervals", (0, len(header) - 1)),
                 Facts(tuple(facts)),
             ),
         )  # fmt: skip
@@ -209,7 +209,7 @@ class RobotDesign(Charted, Documented):
         for k, name in enumerate(self.robot.names):
             for values, unit, word, colour in (
                 (self.reference, self.robot.position_unit(k), "reference", MEASURED),
-                (self.torque, self.robot.torque_unit(k), "torque foretold", SIMULATED),
+                (self.torque, self.robot.torque_unit(k), "predicted torque", SIMULATED),
             ):
                 line = Line(np.asarray(t), values[:, k], colour)
                 panels.append(Panel("time [s]", f"{name}, {word} [{unit}]", (line,), height=180))
@@ -245,7 +245,7 @@ def design_robot_test(
     """
     if any(robot.flexible) and loop is None:
         raise MethodError(
-            "What a test tells of springs is foretold under the controllers, and there are none; give every joint its "
+            "The intervals of springs are predicted under the controllers, and there are none; give every joint its "
             "controller, or leave the springs out."
         )
     samples = round(duration / sample_time)
@@ -394,7 +394,7 @@ class _Regressor:
 
 
 def _deviations(J: FloatArray) -> FloatArray:
-    """Return the deviations of least squares on rows of deviation 1, (parameters,); infinite of what is not told."""
+    """Return the deviations of least squares on rows of deviation 1, (parameters,); infinite if not determined."""
     norms = np.linalg.norm(J, axis=0)
     seen = norms > 0.0
     found = np.full(J.shape[1], np.inf)

@@ -36,7 +36,7 @@ FINE, COARSE = 0.5, 1.0
 """Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
 
 _STEPS = 64  # per part of a period, at most
-_POSES = 5  # along the reference, at which the fastest motion is looked for
+_POSES = 5  # along the reference, at which the fastest motion is searched for
 _MORE = 2  # pieces per step and part, at most, beside a thousand
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
 
