@@ -205,6 +205,8 @@ def identify_payload(
             not fit the model or does not settle, or the estimator is "iv".
         RecordError: as of `jointid.identify`.
     """
+    if not isinstance(model, Robot | RobotLoop | RobotDriveSide):
+        raise MethodError(f"A payload is identified by a robot; received {type(model).__name__}: give a robot.")
     robot = model if isinstance(model, Robot) else model.robot
     if isinstance(method, IDIM) or (method is None and isinstance(model, Robot)):
         together = payload_of_both_records(robot, empty, loaded, method, filtering)

@@ -85,10 +85,10 @@ class Plots:
         """
         from jointid.diagnostics.report_data import estimate_spectra
 
-        fit = self.estimate.fit
+        axis, fit = AxisSignals.of(self.estimate), self.estimate.fit  # first, since it refuses a robot
         inside = slice(fit.borders[0], fit.measured.size - fit.borders[1])
         found = estimate_spectra(fit.measured[inside], fit.predicted[inside], self.estimate.data.sample_time)
-        cutoff, axis = self.estimate.settings.filtering.cutoff, AxisSignals.of(self.estimate)
+        cutoff = self.estimate.settings.filtering.cutoff
         return _draw(charts.spectra_chart([axis], [found], cutoff, self.estimate.frequencies))
 
     def response(self) -> Figure:
