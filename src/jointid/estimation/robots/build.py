@@ -61,7 +61,8 @@ def build_robot_result(
     left = dict(zip(model.names, map(float, errors), strict=True))
     first = records[0].torque
     assert first is not None
-    bounds: Verdict = friction_verdict(negative) if negative else bounds_verdict(())
+    held = bounds_verdict([row.name for row in rows if row.at_bound is not None])
+    bounds: Verdict = friction_verdict(negative) if negative else held
     channels = dict.fromkeys(name for record in records for name in record.channels)
     return FitResult(
         params=Params(

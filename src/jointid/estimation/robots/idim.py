@@ -189,7 +189,9 @@ def identify_robot(
     kept = {symbol: one.start for symbol, one in limits.items() if not one.free and one.start is not None}
     settings = replace(settings, fixed={**settings.fixed, **kept})
     solution = solve_rows(settings, rows, by_loop)
+    held = dict[str, float]()
     while beyond := _beyond(rows.names, solution.fit.values, limits):
+        held |= beyond
         settings = replace(settings, fixed={**settings.fixed, **beyond})
         solution = solve_rows(settings, rows, by_loop)
     nominal, values = _nominal(robot, base, rows), solution.fit.values
@@ -226,6 +228,7 @@ def identify_robot(
                 stderr=None if name in fixed else float(std),
                 free=name not in fixed,
                 identifiable=True,
+                at_bound=held.get(name),
                 axis=robot.names[joint],
             )
             for name, unit, joint, value, std in named

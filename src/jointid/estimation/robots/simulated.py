@@ -209,6 +209,7 @@ def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedP
                 identifiable=told,
                 lower_bound=refused.get(one.name),
                 of_joint=not place.is_of_record,
+                at_bound=float(value) if told and value in (one.lower, one.upper) else None,
                 axis="" if joint is None else robot.names[joint],
             )
         )
