@@ -120,6 +120,11 @@ def compare(
             "Candidates are compared for a record, and estimates as `read_report` returns them; received "
             f"{type(first).__name__}: write the estimate to a file, and read it by `read_report`."
         )
+    if not isinstance(second, ClosedLoop | Joint):
+        raise MethodError(
+            f"Candidates are compared for one joint; received {type(second).__name__}: give its loop, or of methods "
+            "the joint."
+        )
     if among == "methods":
         return compare_methods(
             first, second, filtering=filtering, parameters=parameters, didim=didim, progress=progress

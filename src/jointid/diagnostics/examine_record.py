@@ -15,7 +15,7 @@ from enum import StrEnum
 import numpy as np
 
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, Verdicts
-from jointid.common.errors import FaultsError, JointidError
+from jointid.common.errors import FaultsError, JointidError, MethodError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.common.text import number, pluralise
@@ -205,6 +205,8 @@ def examine(
         >>> print(found.sentence)
         Nothing is wrong with twin L19.
     """
+    if not isinstance(record, Record):
+        raise MethodError(f"One record is examined; received {type(record).__name__}: give that of one joint.")
     loop = model if isinstance(model, ClosedLoop) else None
     checked = [*_check_samples(record, loop)]
     law = None if loop is None else compare_law(record, loop)

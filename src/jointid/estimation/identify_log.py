@@ -4,7 +4,7 @@ An ordinary identification of one window gives the start. Then least squares ove
 its own (`problems.log_windows`), in two or three passes: time grows with the length of the record, memory with that of
 a window. Noise that is averaged over a day leaves next to nothing, and what the model lacks stays: unless the residual
 is seen not to repeat with the motion (`repeats`), the deviations are the larger, in every direction, of what leaving
-out windows says and what leaving out places says (`uncertainty.jackknife`).
+out windows says and what leaving out places says (`uncertainty.resampling`).
 """
 
 from __future__ import annotations

@@ -81,6 +81,11 @@ def test_commands_of_one_joint(robot: Path, tmp_path: Path, capsys: pytest.Captu
     assert "tau1" in (tmp_path / "base.csv").read_text(encoding="utf-8").partition("\n")[0]
 
 
+def test_a_report_of_one_joint_is_repeated_for_that_joint(robot: Path, tmp_path: Path) -> None:
+    run("report", robot, "--axis", "base", "--markdown", tmp_path, "--no-profiles", "--no-tuning")
+    assert "--record log.csv --axis base" in (tmp_path / "report.md").read_text(encoding="utf-8")
+
+
 def test_a_joint_that_is_not_there(robot: Path) -> None:
     with pytest.raises(MethodError, match='The axis is "elbow"; expected "base" or "wrist"'):
         run("tune", robot, "--axis", "elbow")

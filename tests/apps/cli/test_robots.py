@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.apps.cli.app import app
-from jointid.common.errors import JointidError, MethodError
+from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config.robot_model import load_robot
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
@@ -74,6 +74,15 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     more = json.loads((tmp_path / "both.json").read_text(encoding="utf-8"))["parameters"]
     assert more["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
     assert more["Fv2"]["std"] < 0.8 * answer["parameters"]["Fv2"]["std"]
+    found, of_joint = tmp_path / "found.json", r"found\.json is the estimate of a robot; expected that of one joint"
+    for words in (
+        ("compare", found, tmp_path / "both.json"),
+        ("simulate", folder / "robot.toml", "--estimate", found),
+        ("validate", EMPS, "--estimate", found),
+        ("export", EMPS, "--estimate", found, "--out", tmp_path / "a.xml"),
+    ):
+        with pytest.raises(RecordError, match=of_joint):
+            run(*words)
 
 
 def test_validate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

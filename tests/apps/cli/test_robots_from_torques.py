@@ -190,6 +190,9 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
     run("design", joint, "--seconds", "0.3", "--record", tmp_path / "log.csv")
     assert "of the present motion's on the geometric mean" in " ".join(capsys.readouterr().out.split())
     run("design", joint, "--motion", out / "motion.csv")
+    assert "1 % of each joint's usual torque" in capsys.readouterr().out
+    run("design", joint, "--motion", out / "motion.csv", "--record", tmp_path / "log.csv")
+    assert "the first record's residual" in capsys.readouterr().out
     with pytest.raises(MethodError, match=r"within the limits of each of its .*--stroke is for a joint file"):
         run("design", joint, "--stroke", "1")
 

@@ -29,6 +29,13 @@ def test_didim_keeps_values_and_bounds() -> None:
     low = ji.identify(LOGS[0], LOOP, parameters=viscous(free=True, upper=0.5 * TRUTH))
     assert low.params["joint1.viscous"].value == pytest.approx(0.5 * TRUTH)
     assert low.fit.axis_errors["joint1"] > 2 * free.fit.axis_errors["joint1"]
+    require_held(low, "joint1.viscous")
+
+
+def require_held(found: ji.Estimate, name: str) -> None:
+    """Require that the bound of a parameter, and of no other, speaks against the estimate."""
+    assert {p.name: p.at_bound for p in found.params.rows if p.at_bound is not None} == {name: 0.5 * TRUTH}
+    assert {one.subject: one.status for one in found.checks.verdicts}[Subject.BOUNDS] is Status.FAILED
 
 
 def test_idim_keeps_values_and_bounds() -> None:
@@ -39,6 +46,7 @@ def test_idim_keeps_values_and_bounds() -> None:
     assert (kept.params["Fv1"].value, low.params["Fv1"].value) == (TRUTH, 0.5 * TRUTH)
     assert loose.values == free.values and not kept.params["Fv1"].free
     assert low.fit.axis_errors["joint1"] > 2 * free.fit.axis_errors["joint1"]
+    require_held(low, "Fv1")
 
 
 def test_what_is_not_kept_is_refused() -> None:

@@ -125,6 +125,19 @@ def test_what_is_for_a_robot_refuses_a_joint_in_a_sentence() -> None:
         ji.robots.consistent_robot(joint)
 
 
+def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
+    loop, records = logged()
+    axis = ji.twin(noise="none")
+    with pytest.raises(MethodError, match=r"Candidates are compared for one joint; received RobotLoop"):
+        ji.compare(axis.record, loop)  # type: ignore[call-overload]
+    with pytest.raises(MethodError, match=r"One record is examined; received tuple"):
+        ji.examine(records, axis.loop)  # type: ignore[arg-type]
+    with pytest.raises(
+        MethodError, match=r"A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; received ClosedLoop"
+    ):
+        ji.identify_payload(axis.loop, records, records)  # type: ignore[arg-type]
+
+
 def test_a_robot_needs_a_record_of_each_joint() -> None:
     loop, (first, _) = logged()
     with pytest.raises(MethodError, match="from the records of its joints"):
@@ -139,5 +152,5 @@ def test_its_file_is_of_the_same_schema_and_is_no_joint(tmp_path: Path) -> None:
     row = answer["parameters"]["joint1.viscous"]
     assert row["axis"] == "joint1" and row["formula"] == "joint1.viscous" and row["nominal"] == pytest.approx(3.0)
     assert len(answer["correlation"]) == len(answer["free"]) == len(found.params)
-    with pytest.raises(RecordError, match="is no estimate of schema"):
+    with pytest.raises(RecordError, match="is the estimate of a robot; expected that of one joint"):
         read_identified_joint(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"), None)

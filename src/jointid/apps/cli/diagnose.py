@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Literal
 
 from jointid.apps.cli.console import (
     DEFAULTS,
+    Changes,
     FilteringName,
     Flag,
     Inputs,
     Options,
+    Quiet,
     Several,
     deliver,
     ready,
@@ -21,7 +23,15 @@ if TYPE_CHECKING:
     from jointid.config import JointFile
 
 
-def robot(joint: Path, /, *, options: Options = DEFAULTS) -> None:
+def robot(
+    joint: Path,
+    /,
+    *,
+    record: Path | None = None,
+    changes: Changes = (),
+    quiet: Quiet = False,
+    json: Path | None = None,
+) -> None:
     """Ask what an estimate is worth: of a joint file one question a command, of a robot file all at once.
 
     Of a robot: which parameters its record tells, what is left of each joint's torque and what that follows, and
@@ -29,11 +39,15 @@ def robot(joint: Path, /, *, options: Options = DEFAULTS) -> None:
 
     Args:
         joint: a robot file, which has the table [robot].
-        options: those that most commands have.
+        record: the record, instead of the one the robot file names.
+        changes: a key of the robot file and its value, as method.estimator=robust; may be given several times.
+        quiet: say nothing of the progress.
+        json: also write the answer as JSON to this file.
     """
     from jointid import MethodError, diagnose
     from jointid.config.robot_file import RobotFile
 
+    options = Options(record=record, changes=changes, quiet=quiet, json=json)
     file = options.load(joint, options.outputs)
     if not isinstance(file, RobotFile):
         raise MethodError(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import Changes, Options, deliver
+from jointid.apps.cli.console import Changes, Options, Quiet, deliver
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
 
@@ -21,7 +21,7 @@ def payload(
     mass: float | None = None,
     changes: Changes = (),
     json: Path | None = None,
-    quiet: bool = False,
+    quiet: Quiet = False,
 ) -> None:
     """Identify what a robot carries: mass, centre and inertia, from a record without it and one with it.
 

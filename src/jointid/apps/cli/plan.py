@@ -236,7 +236,9 @@ def _design_robot(
     }  # fmt: skip
     complete = all({"lower", "upper", "speed"} <= one.stated.keys() for one in file.limits)
     if motion is not None:
-        found = run(loop or file.robot, motion=file.driving(motion), **asked)
+        asked["motion"] = file.driving(motion)
+    if motion is not None and options.record is None:
+        found = run(loop or file.robot, **asked)
     elif options.record is None and complete:
         found = run(loop or file.robot, sample_time=file.source.sample_time, **asked)
     else:

@@ -84,7 +84,7 @@ def report(
     file = options.load(joint, outputs, **choices)
     html_name = "report.html" if page is None else page.name
     source = Path(file.record_path(options.record))
-    asked = {**choices, "plan": plan, "held_out": held_out and held_out.name}
+    asked = {"axis": options.axis, **choices, "plan": plan, "held_out": held_out and held_out.name}
     if not isinstance(file, JointFile):
         again = repetition(joint, source, asked, options.changes, html_name, "robot")
         _report_robot(

@@ -37,6 +37,7 @@ def read_identified_joint(path: str | Path, joint: Joint, loop: ClosedLoop | Non
             refuses a value, without which no torque can be predicted.
     """
     answer = read_answer(path)
+    _require_joint(answer, path, _REMEDY)
     if (stated := answer.get("transmission")) != (declared := plain(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_gear_text(stated)}, and this joint has {_gear_text(declared)}; correct "
@@ -101,7 +102,9 @@ def read_friction(path: str | Path) -> str:
     Raises:
         RecordError: the file is no estimate.
     """
-    friction = read_answer(path).get("friction")
+    answer = read_answer(path)
+    _require_joint(answer, path, _REMEDY)
+    friction = answer.get("friction")
     if not isinstance(friction, str) or friction not in FRICTIONS:
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
     return friction
@@ -133,6 +136,12 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
     return answer
+
+
+def _require_joint(answer: Json, path: str | Path, remedy: str) -> None:
+    """Raise a `RecordError` if an answer is the estimate of a robot."""
+    if answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot":
+        raise RecordError(f"{path} is the estimate of a robot; expected that of one joint: {remedy}.")
 
 
 def _no_number(name: str) -> float:
@@ -191,6 +200,7 @@ def read_report(path: str | Path) -> ReportedEstimate:
         answer = answer.get("estimate")
     if not isinstance(answer, dict) or answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
+    _require_joint(answer, path, _REMEDY_OF_REPORT)
     try:
         return _build_report(answer, path.name)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
