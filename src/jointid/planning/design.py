@@ -202,6 +202,11 @@ def _read_robot(
         loop = model
     if motion is not None:
         played = [one.reference for one in motion if one.reference is not None]
+        if len(played) != len(robot):
+            raise MethodError(
+                f"The motion of a robot has the reference of each joint; received {len(played)} for {len(robot)} "
+                "joints: give one for each, in the order of the joints."
+            )
         q = np.column_stack([one.values for one in played]) @ np.linalg.inv(robot.coupling).T
         found |= {"motion": q, "sample_time": played[0].sample_time, "duration": len(q) * played[0].sample_time}
     given = {name: asked[name] for name in ("sample_time", "duration", "noise", "limits") if asked[name] is not None}

@@ -136,6 +136,10 @@ def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
         MethodError, match=r"A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; received ClosedLoop"
     ):
         ji.identify_payload(axis.loop, records, records)  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match=r"has the reference of each joint; received 1 for 2 joints"):
+        ji.design(loop, motion=records[:1])
+    with pytest.raises(MethodError, match=r"of a robot use Report\.of"):
+        ji.figures.residual(ji.validate(estimate(), recorded(loop, two().records(6.0, seed=2), 0.01)[0]))  # type: ignore[arg-type]
 
 
 def test_a_robot_needs_a_record_of_each_joint() -> None:

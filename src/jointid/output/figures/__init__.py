@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jointid.common.charts import Chart
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.matplotlib_backend import Charted
 from jointid.common.matplotlib_backend import draw as draw_chart
@@ -54,7 +54,13 @@ def torque_chart(answer: Estimate | Validation) -> Chart:
 
 
 def residual(validation: Validation) -> Figure:
-    """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing."""
+    """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing.
+
+    Raises:
+        MethodError: the validation is of a robot.
+    """
+    if not isinstance(validation, Validation):
+        raise MethodError("The error of one joint is drawn so; of a robot use Report.of, whose page draws each joint.")
     return _draw(charts.residual_chart([AxisSignals.of(validation)], "", validation))
 
 
