@@ -12,14 +12,14 @@ import jointid as ji
 from jointid.common.messages import Message
 from jointid.common.text import encodable
 from jointid.common.transmission import Transmission
-from jointid.estimation.result.answer import Found, Trust
+from jointid.estimation.result.answer import Found, Trust, consequence
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Params
 from jointid.estimation.result.summary import bounds_table, parameters_table
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import EncoderLag
 from jointid.uncertainty.identifiability import Identifiability, Known, physical
-from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
+from jointid.uncertainty.verdict import AGAINST_EVERY_VALUE, Reason, Status, StiffnessBound, Subject, Verdict
 from tests.estimates import amended
 from tests.estimation.test_estimate import CONTROLLER, ESTIMATE, parameter
 from tests.text import unwrapped
@@ -90,6 +90,14 @@ def test_a_fault_without_known_effect_speaks_against_everything() -> None:
     reason = Message(Reason.LOOP_NOT_AS_DECLARED, "torque and reference are swapped")
     wrong = amended(RIGID, checks={"verdicts": (Verdict(Subject.LOOP, Status.FAILED, (reason,)),)})
     assert str(wrong.answer.trust) == "Do not rely on it yet: torque and reference are swapped"
+
+
+@pytest.mark.parametrize("code", AGAINST_EVERY_VALUE)
+def test_a_reason_against_every_value_is_in_the_answer_and_beside_its_check(code: Reason) -> None:
+    failed = Verdict(Subject.WHITENESS, Status.FAILED, (Message(code, "it is so"),))
+    found = amended(RIGID, checks={"verdicts": (*judged(RIGID).checks.verdicts, failed)})
+    assert str(found.answer.trust) == "Do not rely on it yet: it is so"
+    assert consequence(found, failed) == f"Do not use the inertia: {AGAINST_EVERY_VALUE[code]}."
 
 
 def test_a_cause_comes_before_its_effects() -> None:

@@ -96,6 +96,12 @@ CAUSES = (Reason.CAUSE_FOUND, Reason.NO_CAUSE_FOUND, Reason.RECORD_TOO_SHORT, Re
 """Reasons that stand in the place of what the tests of small deviations find."""
 
 
+AGAINST_EVERY_VALUE: Mapping[Reason, str] = {
+    Reason.RESIDUAL_FOLLOWS_MOTION: "what the model lacks may move it by more than its interval",
+}
+"""Reasons of a failed check that speak against every value of the estimate, and why."""
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """The answer to one question.

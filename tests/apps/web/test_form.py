@@ -26,6 +26,7 @@ from jointid.apps.web.preview import build_preview, draw_svg
 from jointid.common.errors import JointFileError
 from jointid.config import json_schema, load, loads
 from jointid.models.controllers import FILTERS, Cascade, FirstOrder, MovingAverage
+from jointid.models.controllers import LAWS as CONTROLLER_LAWS
 from jointid.paper.twin import JOINT_FILE
 from jointid.records.formats import Table
 
@@ -387,3 +388,11 @@ def test_a_preview_is_small_and_has_the_peaks() -> None:
     assert "5.000" in draw_svg(first, "1 s")
     assert "no numbers" in draw_svg(second, "1 s")
     assert draw_svg({**first, "low": 2.0, "high": 2.0, "outline": [[2.0, None], [2.0, None]]}, "<b>").count("<b>") == 0
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_has_the_fields_of_all_laws(law: str) -> None:
+    shown = {one.key for one in FIELDS if one.applies({"controller.law": law})}
+    assert {"controller.limit", "controller.delay", "controller.period", "controller.gain"} <= shown
+    assert "controller.limit" not in {one.key for one in FIELDS if one.applies({"controller.law": LEARN})}
+    assert law in CONTROLLER_LAWS

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from jointid.planning.joint_design import Design
     from jointid.planning.robot_design import RobotDesign
 
-Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
-
 
 def report(
     joint: Path,
@@ -254,7 +252,7 @@ def export(
     changes: Changes = (),
     axis: str | None = None,
     out: Path,
-    format: Language | None = None,  # noqa: A002
+    format: str | None = None,  # noqa: A002
     side: Literal["motor", "load"] | None = None,
     fixed: Flag = False,
     period: float | None = None,
@@ -273,7 +271,7 @@ def export(
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         axis: of a robot file the name of the one joint that the estimate is of.
         out: the file to write.
-        format: the language, instead of the one the ending of the file means.
+        format: the language by its name, as joint-file, instead of the one the ending of the file means.
         side: of a transmission, whose numbers are written; without it the load's for URDF and MJCF, and else the side
             that was identified.
         fixed: of a joint file: the values are kept, instead of being starts.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any, Literal, TypeAlias
@@ -27,11 +27,10 @@ Draft: TypeAlias = Mapping[str, str]
 EXTRA = "extra"
 """The field of further lines of the joint file."""
 
-LAWS = ("cascade", "pd", "pid")
-"""The laws that have fields."""
-
 LEARN, WITHOUT, EXTRA_LAW = "learn", "none", "extra"
 """Answers to the question for the controller's law that are no laws."""
+
+_ANY_LAW = "any law"  # in a condition of `form.toml`
 
 _DIGITS = r"[+-]?([0-9]+[.,]?[0-9]*|[.,][0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBER = re.compile(_DIGITS)
@@ -186,11 +185,16 @@ def _define_entry(name: str, said: Mapping[str, Any], key: str = "") -> Field:
         said.get("form") or _find_form(known),
         tuple(said["unit"]) if "unit" in said else units,
         tuple({**meant, **others}.items()),
-        {other: tuple(values) for other, values in said.get("when", {}).items()},
+        {other: _expand_laws(values) for other, values in said.get("when", {}).items()},
         said.get("usual", ""),
         said.get("whole", known.get("type") == "integer"),
         variant,
     )
+
+
+def _expand_laws(values: Sequence[str]) -> tuple[str, ...]:
+    """Return the values of a condition, with each law in the place of the word for any."""
+    return tuple(each for value in values for each in (LAWS if value == _ANY_LAW else (value,)))
 
 
 def _find_form(known: Mapping[str, Any]) -> Form:
@@ -225,6 +229,9 @@ _SCHEMA = json_schema()
 _FORM: dict[str, dict[str, dict[str, Any]]] = tomllib.loads(
     files("jointid.apps.web").joinpath("form.toml").read_text(encoding="utf-8")
 )
+LAWS = tuple(word for word in _FORM["law"]["controller.law"]["words"] if word not in ("", LEARN, WITHOUT, EXTRA_LAW))
+"""The laws that have fields."""
+
 _LABELS = {
     "joint.friction": {law.name: law.label for law in FRICTIONS.values()},
     "joint.spring": {name: law.label for name, law in SPRINGS.items()},

@@ -18,12 +18,19 @@ from jointid.common.text import format_signed, interval, join, number, round_to
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
 from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
-from jointid.uncertainty.verdict import POOR_FIT, Reason, Status, StiffnessBound, Subject, Verdict
+from jointid.uncertainty.verdict import (
+    AGAINST_EVERY_VALUE,
+    POOR_FIT,
+    Reason,
+    Status,
+    StiffnessBound,
+    Subject,
+    Verdict,
+)
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
 _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
-_OF_ROBOT = (Subject.SOLVER, Subject.FIT, Subject.BOUNDS, Subject.REPEATABLE, Subject.LOOP)
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 
 
@@ -240,7 +247,7 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
     """Return whether to rely on the estimate of a robot."""
     verdicts = estimate.checks.verdicts
     of_springs = [v for v in verdicts if v.subject is Subject.STIFFNESS]
-    failed = [v.reasons[0] for v in verdicts if v.status is Status.FAILED and v.subject in _OF_ROBOT]
+    failed = [v.reasons[0] for v in verdicts if v.status is Status.FAILED and v.subject is not Subject.STIFFNESS]
     against = [one for one in failed if one.code is not Reason.AT_BOUND]  # that speaks against one parameter
     if against:
         return _not_yet(against)
@@ -310,7 +317,7 @@ def _effects(estimate: EstimateParts, asked: EstimatedParameter) -> Iterator[Mes
         lag = f"{number(1e3 * checks.encoder_lag.lag, 2)} ms"
         words = f"{checks.encoder_lag.late} seems {lag} late, which hides the spring"
         yield Message(Against.ENCODER_LAG, words, {"lag": checks.encoder_lag.lag})
-    yield from (one for v in checks.verdicts for one in v.reasons if one.code is Reason.RESIDUAL_FOLLOWS_MOTION)
+    yield from (one for v in checks.verdicts for one in v.reasons if one.code in AGAINST_EVERY_VALUE)
     if not fit.filtered_error <= POOR_FIT:  # nor is it where the error is no number
         left = f"{number(100 * fit.filtered_error, 2)} % of the {fit.compared} is not explained"
         yield Message(Against.TORQUE_UNEXPLAINED, left, {"remaining": fit.filtered_error})
@@ -407,8 +414,9 @@ def _against(asked: EstimatedParameter, verdict: Verdict) -> str:
     }
     if not asked.identifiable:
         why[Subject.IDENTIFIABILITY] = "the record determines it only together with others"
-    if any(one.code is Reason.RESIDUAL_FOLLOWS_MOTION for one in verdict.reasons):
-        why[Subject.REPEATABLE] = "what the model lacks may move it by more than its interval"
+    for one in verdict.reasons:
+        if one.code in AGAINST_EVERY_VALUE:
+            why[verdict.subject] = AGAINST_EVERY_VALUE[Reason(one.code)]
     if asked.at_bound is not None:
         why[Subject.BOUNDS] = "a bound holds it, not the record"
     return why.get(verdict.subject, "")

@@ -1,13 +1,10 @@
 """Controllers: named laws of signals, filters and limits, lowered to one sampled law.
 
-To add a law, add its file and its line in `LAWS`: the joint file's keys, checks and documentation derive from its
-settings.
+To add a law, write its class in `laws` and its name in `LAWS`: the joint file's keys, checks and documentation derive
+from its settings.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
 
 from jointid.models.controllers.filters import (
     FILTERS,
@@ -19,7 +16,15 @@ from jointid.models.controllers.filters import (
     SecondOrder,
     as_filter,
 )
-from jointid.models.controllers.laws import PD, PID, Cascade, StateSpaceController, shift_start, with_present_sample
+from jointid.models.controllers.laws import (
+    LAWS,
+    PD,
+    PID,
+    Cascade,
+    StateSpaceController,
+    shift_start,
+    with_present_sample,
+)
 from jointid.models.controllers.sampled import (
     CONSTANT,
     DIRECTION,
@@ -62,6 +67,3 @@ __all__ = [
     "as_filter", "declared_unit", "in_torque", "invert", "law_inputs", "number", "numbers_of", "refer", "respond",
     "run", "scale", "shift_start", "unit_of_number", "with_numbers", "with_present_sample",
 ]  # fmt: skip
-
-LAWS: Mapping[str, type[Any]] = {"cascade": Cascade, "pd": PD, "pid": PID, "state_space": StateSpaceController}
-"""The class of each law, by the word for it in a joint file."""

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -303,3 +303,7 @@ class StateSpaceController(ServoController):
             self.period or sample_time, self.delay,
         )  # fmt: skip
         return refer(law, self.ratio)
+
+
+LAWS: Mapping[str, type[Any]] = {"cascade": Cascade, "pd": PD, "pid": PID, "state_space": StateSpaceController}
+"""The class of each law, by the word for it in a joint file."""
