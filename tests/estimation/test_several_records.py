@@ -54,7 +54,7 @@ def test_two_records_under_different_gains() -> None:
         assert value == pytest.approx(axis.truth[name], rel=1e-4), name
     assert found.fit.converged
     assert not found.checks.agreement.differs
-    with pytest.raises(MethodError, match="gain cannot be told"):
+    with pytest.raises(MethodError, match="gain cannot be distinguished"):
         identify(records, [axis.loop, slower], several=SeveralRecords(free=["drive_gain"]), method=QUICK)
     wrong = identify(records, axis.loop, method=QUICK)  # the second under the gains of the first
     assert wrong.checks.agreement.differs

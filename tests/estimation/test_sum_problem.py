@@ -130,9 +130,9 @@ def test_the_vector_of_several_starts_is_their_mean_without_what_was_added(axis:
 
 def test_the_gain_of_a_drive_needs_something_known(axis: Twin) -> None:
     problems, _ = two(axis, ("drive_gain",))
-    with pytest.raises(MethodError, match="gain cannot be told from the scale"):
+    with pytest.raises(MethodError, match="gain cannot be distinguished from the scale"):
         several(problems)
-    with pytest.raises(MethodError, match="gain cannot be told from the scale"):
+    with pytest.raises(MethodError, match="gain cannot be distinguished from the scale"):
         several(problems, added=[{"load_inertia": 10.0}] * 2)
     assert any(p.name == "drive_gain" for p in several(problems, added=ADDED).free)
     known = [

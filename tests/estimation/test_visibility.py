@@ -71,7 +71,7 @@ def test_an_axis_that_is_as_good_as_rigid_shows_no_spring(stiff_axis: tuple[Reco
     whole = {known.combination.name: known for known in estimate.checks.known.physical}
     assert whole["total inertia"].value == pytest.approx(105.0, rel=0.05)
     assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
-    with pytest.raises(MethodError, match=r"stiffness, .*cannot be told from this record"):
+    with pytest.raises(MethodError, match=r"stiffness, .*cannot be determined from this record"):
         validate(estimate, record)
 
 
@@ -81,7 +81,7 @@ def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
     require_refused(estimate)
     assert "not identifiable" in str(estimate)
     assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
-    with pytest.raises(MethodError, match=r"stiffness, .*cannot be told from this record"):
+    with pytest.raises(MethodError, match=r"stiffness, .*cannot be determined from this record"):
         validate(estimate, emps)
 
 

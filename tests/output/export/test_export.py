@@ -115,7 +115,7 @@ def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> Non
     assert any("motor_viscous, which is outside its bounds: -4.0000 N s/m" in one for one in made.lost)
     again = loads(made.text)
     assert set(again.parameters) == {*TABLE_2} - {"stiffness", "motor_viscous"}
-    with pytest.raises(ji.MethodError, match="stiffness cannot be told from run 7"):
+    with pytest.raises(ji.MethodError, match="stiffness cannot be determined from run 7"):
         ji.export(model(file.joint, values), "modelica")
 
 

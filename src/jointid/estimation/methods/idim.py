@@ -87,7 +87,7 @@ class IDIM(Method):
     estimator: Estimator | None = setting(
         None,
         "ols, ordinary least squares; weighted, each equation of a flexible joint or a robot by the size of its error; "
-        "robust, rows that do not fit weigh less or nothing; iv, instruments from the simulated loop, for which the "
+        "robust, rows that do not fit have less or no weight; iv, instruments from the simulated loop, for which the "
         "controller is needed; without it ols for a joint, weighted for a robot",
     )
     effects: tuple[Effect, ...] = ()

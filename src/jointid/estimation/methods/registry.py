@@ -63,7 +63,7 @@ OFFSETS = "whether a constant torque of each motor is identified, too"
 EVALUATIONS = "simulations with derivatives at most, of each search of springs"
 FREQUENCIES = (
     "by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of springs "
-    "begins; without them they are looked for"
+    "begins; without them they are searched"
 )
 """What the methods that simulate a robot say of their settings."""
 

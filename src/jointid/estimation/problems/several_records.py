@@ -262,8 +262,8 @@ def _require_scale(
         known = known or len(set(sharing)) > 1
     if not known:
         raise MethodError(
-            "The drive's gain cannot be told from the scale of the joint's parameters, because no two records differ "
-            "by a known inertia; give the inertia that was added to the load in one of them, or keep the gain fixed."
+            "The drive's gain cannot be distinguished from the scale of the joint's parameters, because no two records "
+            "differ by a known inertia; give the inertia added to the load in one of them, or keep the gain fixed."
         )
 
 

@@ -142,8 +142,8 @@ class Estimate(EstimateParts, Documented):
         refused = [p.name for p in self.params.rows if p.of_joint and p.value is None]
         if refused:
             raise MethodError(
-                f"{', '.join(refused)} cannot be told from this record, so this estimate predicts no torque; identify "
-                "the joint as rigid."
+                f"{', '.join(refused)} cannot be determined from this record, so this estimate predicts no torque; "
+                "identify the joint as rigid."
             )
         settings, data = self.settings, self.data
         law = "" if settings.loop is None else law_fingerprint(settings.loop)

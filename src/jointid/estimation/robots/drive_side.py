@@ -323,7 +323,7 @@ class SearchOfSprings:
         assert cutoff is not None
         if cutoff < _LOWEST:
             raise MethodError(
-                f"Links are looked for that swing behind their motors from {_LOWEST:g} Hz on, and the torques are "
+                f"Links that swing behind their motors are searched from {_LOWEST:g} Hz on, and the torques are "
                 f"filtered at {cutoff:g} Hz; log faster, raise filtering.cutoff, or give frequencies."
             )
         highest = min(_HIGHEST, cutoff)

@@ -136,7 +136,7 @@ def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> No
     if frequencies is not None and (missing := sorted(set(flexible) - set(frequencies))):
         raise MethodError(
             f"A frequency is needed for each flexible joint; {', '.join(missing)} has none: give one in Hz, or none "
-            "at all to have them looked for."
+            "at all to have them searched."
         )
     for name in frequencies or ():
         if name not in flexible:
@@ -150,7 +150,7 @@ def require_frequencies(frequencies: Mapping[str, float] | None, sample_time: fl
         if not 0.0 < hertz <= highest:
             raise MethodError(
                 f"The frequency of {name} is {hertz:g} Hz; expected one above 0 and up to {highest:g} Hz, of which a "
-                "record of this sample time shows something: correct it, or give none at all to have them looked for."
+                "record of this sample time shows something: correct it, or give none at all to have them searched."
             )
 
 

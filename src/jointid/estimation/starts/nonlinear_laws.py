@@ -95,7 +95,7 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
         windup = float(np.max(np.abs(run.motor_position - run.load_position)))
         if not (values["stiffness"] > 0.0 and windup > 0.0):
             raise MethodError(
-                f"A {joint.spring.name} spring is looked for from a linear one, and the record shows none; identify "
+                f"A {joint.spring.name} spring is searched from a linear one, and the record shows none; identify "
                 'the joint with spring = "linear", or as rigid.'
             )
         springs = list(joint.spring.starts(values, windup))

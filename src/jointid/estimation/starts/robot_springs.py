@@ -135,7 +135,7 @@ class StartOfSprings:
 
         All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
         what it does to its own, and a run for each joint and frequency would take as many times as long. Where a stiff
-        joint would explain its torque better than any of the row, its mode may be above them all: whether it is begun
+        joint would explain its torque better than any of the row, its mode may be above them all: whether it starts
         at the best or at the highest is decided by the torques of all joints.
         """
         row = frequency_row(self.problem.sample_time)
@@ -152,7 +152,7 @@ class StartOfSprings:
         whole = [float(np.linalg.norm(one)) for one in in_threads(costs, [self.values(way) for way in ways])]
         best = ways[int(np.argmin(whole))]
         for name, f in best.items():
-            progress(f"{name}: its mode is looked for from {f:.3g} Hz")
+            progress(f"{name}: its mode is searched from {f:.3g} Hz")
         return best
 
 
@@ -161,7 +161,7 @@ def frequency_row(sample_time: float) -> list[float]:
     row = [f for f in _MODES if f < _STIFF / sample_time]
     if not row:
         raise MethodError(
-            f"Modes are looked for from {_MODES[0]:g} Hz on, which records of {sample_time:g} s a sample do not show; "
+            f"Modes are searched from {_MODES[0]:g} Hz on, which records of {sample_time:g} s a sample do not show; "
             "log faster, or leave the springs out."
         )
     return row

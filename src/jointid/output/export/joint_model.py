@@ -160,8 +160,8 @@ class JointModel:
         refused = [p.name for p in self.parameters if p.value is None]
         if refused:
             raise MethodError(
-                f"{', '.join(refused)} cannot be told from {', '.join(self.origin.records)}, and no other program can "
-                "simulate without; identify the joint as rigid, or export a joint file, which leaves it out."
+                f"{', '.join(refused)} cannot be determined from {', '.join(self.origin.records)}, and no other "
+                "program can simulate without; identify the joint as rigid, or export a joint file, which omits it."
             )
         return {p.name: p.value for p in self.parameters if p.value is not None}
 

@@ -134,7 +134,7 @@ def _explain_absence(given: ReportData, name: str) -> str:
         why = {
             "residual": "The record has no position to show the error against.",
             "spectra": "The record is too short for spectra.",
-            "correlation": "No single parameter of this joint is told, so there is nothing to be correlated."
+            "correlation": "No single parameter of this joint is determined, so there is nothing to be correlated."
             if refused
             else "The correlations of this estimate's errors are not known.",
             "profiles": "None were asked for, or needed.",
