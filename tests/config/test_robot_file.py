@@ -219,7 +219,7 @@ def test_a_feed_forward_that_was_logged_is_there(folder: Path) -> None:
 
 def test_remedies_name_the_tables_of_a_robot_file(folder: Path) -> None:
     text = TEXT.replace("viscous = 3.0\n", "parameters = { stiffness = 1e4 }\n")
-    with pytest.raises(JointFileError, match=r'^joint0: parameters.stiffness .* set joints\.model = "flexible"'):
+    with pytest.raises(JointFileError, match=r'^joints\.1\.parameters\.stiffness .* set joints\.model = "flexible"'):
         RobotFile.of(parse_toml(text), folder / "robot.toml")
 
 
@@ -376,8 +376,9 @@ def test_a_robot_file_of_one_joint_is_simulated_as_its_joint_file(tmp_path: Path
     [
         ('kind = "prismatic"', r'joints\.1\.kind is "prismatic", but the model says "revolute"'),
         ('friction = "dahl"', r'joints\.1\.friction: Friction "dahl" is not known'),
-        ("parameters = { inertai = 3 }", "joint0: parameters.inertai is not known for a rigid joint"),
-        ("parameters = { inertia = { start = 3, lower = 4 } }", r"joint0: parameters\.inertia\.start is 3"),
+        ("parameters = { inertai = 3 }", r"joints\.1\.parameters\.inertai is not known for a rigid joint"),
+        ("parameters = { inertia = { start = 3, lower = 4 } }", r"joints\.1\.parameters\.inertia\.start is 3"),
+        ("transmission = { ratio = 1.0, screw_lead = 1.0 }", r"^joints\.1\.transmission"),
         ("spring = { damping = 1.0 }", r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
         ("limits = { lower = 1.0, upper = -1.0 }", r"joints\.1\.limits\.upper: The upper position is above the lower"),
     ],

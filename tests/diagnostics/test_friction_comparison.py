@@ -55,7 +55,7 @@ def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(
     assert not by_name["symmetric"].predicts_as_well
     assert not by_name["asymmetric"].predicts_as_well
     assert found.answer.code == FrictionShown.ANOTHER
-    assert found.sentence.endswith('; set joint.friction = "stribeck" to identify it.')
+    assert found.sentence.endswith('; declare the joint with friction = "stribeck" to identify it.')
 
 
 def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(found: FrictionComparison) -> None:

@@ -97,7 +97,7 @@ def test_what_is_wrong_is_named_first(fault: str, seed: int, named: Fault) -> No
     assert check.findings[0].test.fault is named
     assert {CUBIC_SPRING, BACKLASH} - {one.test.fault for one in check.findings}  # two words for one thing
     asked = {CUBIC_SPRING: "three-piece", BACKLASH: "backlash", SECOND_MODE: "elastic-load"}.get(named)
-    assert asked is None or f'; to identify it, set joint.spring = "{asked}"' in str(check.sentences[0])
+    assert asked is None or f'; to identify it, declare the joint with spring = "{asked}"' in str(check.sentences[0])
 
 
 def test_a_small_second_mode_is_found_by_a_search() -> None:
@@ -155,7 +155,7 @@ def test_a_stiffness_beside_a_friction_that_grows_with_the_load_is_not_relied_on
     assert made is not None
     found = ji.identify(made.record, made.axis.loop)
     assert Reason.FRICTION_NOT_AS_MODELLED in found.answer.trust.values["reasons"]
-    assert 'set joint.friction = "load-dependent"' in str(check_loop(found, made.record).sentences)
+    assert 'declare the joint with friction = "load-dependent"' in str(check_loop(found, made.record).sentences)
 
 
 def test_a_rigid_joint_has_no_spring() -> None:

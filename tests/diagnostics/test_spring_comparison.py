@@ -56,7 +56,7 @@ def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple
     assert by_name["linear"].kept > 1.5 * found.shown.kept
     assert not by_name["linear"].predicts_as_well
     assert found.answer.code == SpringShown.ANOTHER
-    assert found.sentence.endswith('; set joint.spring = "backlash" to identify it.')
+    assert found.sentence.endswith('; declare the joint with spring = "backlash" to identify it.')
 
 
 def test_a_linear_spring_is_told_as_that(plain: tuple[Case, SpringComparison]) -> None:
@@ -91,7 +91,7 @@ def test_a_rigid_axis_shows_no_spring(monkeypatch: pytest.MonkeyPatch) -> None:
     found = compare_springs(record, replace(loop, joint=ji.FlexibleJoint("prismatic")))
     assert found.shown.name == RIGID
     assert found.answer.code == SpringShown.NONE
-    assert 'set joint.model = "rigid"' in found.sentence
+    assert 'declare the joint with model = "rigid"' in found.sentence
 
 
 def one(name: str, parameters: int, worse: float, error: float) -> JudgedLaw:

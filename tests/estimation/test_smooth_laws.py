@@ -33,7 +33,7 @@ def test_the_record_shows_that_its_friction_winds_up() -> None:
     loop, values = with_law(case, "presliding")
     found = compare(noisy(case, loop, values), case.loop, "frictions")
     assert found.shown.name == "presliding"
-    assert found.sentence.endswith('; set joint.friction = "presliding" to identify it.')
+    assert found.sentence.endswith('; declare the joint with friction = "presliding" to identify it.')
 
 
 def test_what_takes_friction_for_a_line_refuses_it() -> None:

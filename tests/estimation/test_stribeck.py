@@ -67,8 +67,8 @@ def test_a_model_without_it_names_the_law_to_try_and_is_biased() -> None:
     plain = replace(loop, joint=loop.joint.linear)
     estimate = ji.identify(noisy(case, loop, values), plain)
     verdict = next(v for v in estimate.checks.verdicts if v.subject is Subject.LOOP)
-    assert any('joint.friction = "stribeck"' in str(reason) for reason in verdict.reasons)
-    assert not any('joint.friction = "stribeck"' in str(one) for one in _reasons(case, loop, values))
+    assert any('the joint with friction = "stribeck"' in str(reason) for reason in verdict.reasons)
+    assert not any('the joint with friction = "stribeck"' in str(one) for one in _reasons(case, loop, values))
 
 
 def _reasons(case: Case, loop: ClosedLoop, values: dict[str, float]) -> list[str]:

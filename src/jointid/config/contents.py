@@ -485,7 +485,7 @@ class JointFile:
         if missing:
             raise MethodError(
                 f"A simulation needs a value for every parameter; {', '.join(missing)} has none: give it a value or a "
-                "start under [parameters], or identify the joint first."
+                "start in the table parameters, or identify the joint first."
             )
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 

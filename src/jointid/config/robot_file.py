@@ -342,7 +342,8 @@ class RobotFile:
     def joint_file(self, name: str) -> JointFile:
         """Return the joint file of one joint, identified alone, as if no other joint moved.
 
-        The method has its default settings. Gravity is what `joints.gravity` says.
+        The method has its default settings. Gravity is what `joints.gravity` says. Numbers of the [[joints]] table are
+        starts of the parameters; but the rotor's inertia is none of a rigid joint's, which includes the links.
 
         Args:
             name: of the joint.
@@ -353,7 +354,15 @@ class RobotFile:
         names = [str(file.name) for file in self.joints]
         if name not in names:
             raise MethodError(f"The axis{messages.no_choice(name, names)}")
-        return self.joints[names.index(name)]
+        number = names.index(name)
+        file, own = self.joints[number], read_robot_tables(self.raw).joints[number]
+        parameters = dict(file.parameters)
+        for parameter, start in _stated_starts(own, file):
+            known = parameters.get(parameter.name, parameter)
+            unsaid = parameter.name not in parameters or known.start is None
+            if unsaid and known.lower <= start <= known.upper:
+                parameters[parameter.name] = replace(known, start=start)
+        return replace(file, parameters=parameters)
 
     def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
         """Read the record of every joint, from one reading of the file.
@@ -616,7 +625,11 @@ def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointF
             files.append(JointFile.of_table(said.table(number, link.kind), path))
         except JointFileError as error:
             for fault in error.faults:
-                faults.setdefault(fault, []).append(own.name)
+                if fault.place and fault.place[0] in _OF_JOINT_FILE:
+                    rest = fault.removeprefix(messages.dot_path(fault.place))
+                    faults[fault_at(("joints", number, *fault.place), rest, fault.code)] = list(robot.names)
+                else:
+                    faults.setdefault(fault, []).append(own.name)
     for file in files:
         if file.joint.transmission is not None and file.joint.transmission.side == "motor":
             side = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
@@ -662,6 +675,21 @@ def _starts(file: JointFile) -> tuple[dict[str, float], dict[str, float], dict[s
         else:
             numbers[name] = float(parameter.start)
     return motor, spring, numbers
+
+
+def _stated_starts(own: RobotJointTable, file: JointFile) -> Iterator[tuple[Parameter, float]]:
+    """Yield parameters of a joint with the numbers of its table, the inverse of `_starts`."""
+    numbers = own.settings()
+    for part in ("viscous", "coulomb"):
+        if part in numbers:
+            numbers.setdefault(f"{part}_backwards", numbers[part])
+    spring = {} if own.spring is None else own.spring.settings("law")
+    for parameter in file.joint.parameters:
+        name = parameter.name.removeprefix("motor_")
+        of_spring = _OF_SPRING.get(parameter.name.removesuffix("_forwards").removesuffix("_backwards"))
+        given = numbers.get(_AS_MOTOR.get(name, name)) if of_spring is None else spring.get(of_spring)
+        if given is not None and parameter.name != "inertia":
+            yield parameter, float(given)
 
 
 def _joint(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> RobotJoint:

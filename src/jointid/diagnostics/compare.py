@@ -201,7 +201,9 @@ _SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "friction
 def _check(joint: Joint, among: str, didim: DIDIM | None) -> DIDIM:
     """Return the settings of DIDIM; raise a `MethodError` if the laws of the joint cannot be compared."""
     if among == "springs" and not isinstance(joint, FlexibleJoint):
-        raise MethodError('Only a flexible joint has a spring; received a rigid one: set joint.model = "flexible".')
+        raise MethodError(
+            'Only a flexible joint has a spring; received a rigid one: declare it with model = "flexible".'
+        )
     settings = didim or DIDIM()
     settings.require_settings_of(joint.model)
     if settings.minimiser != "least-squares":

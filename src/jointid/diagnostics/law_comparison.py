@@ -142,7 +142,7 @@ class LawComparison(Documented):
         lost = [one.name for one in self.laws if one.refusal]
         words = f"; {join(lost)} could not be identified" if lost else ""
         if self.shown.name != self.declared:
-            words += f'; set joint.{self.kind} = "{self.shown.name}" to identify it'
+            words += f'; declare the joint with {self.kind} = "{self.shown.name}" to identify it'
         return words
 
 
@@ -173,7 +173,8 @@ class SpringComparison(LawComparison):
         left = f"{_format_share(found.kept)} of the torque where it was not fitted"
         if found.name == RIGID:
             words = f"The record shows no spring: a rigid joint leaves {left}, one with a linear spring "
-            words += f'{_format_share(linear.kept)}; set joint.model = "rigid", or identify how soft the spring may be'
+            words += f'{_format_share(linear.kept)}; declare the joint with model = "rigid", or identify how soft '
+            words += "the spring may be"
             return Message(SpringShown.NONE, words, values)
         if found.name == LinearSpring.name:
             words = f"The record shows no other spring than a linear one, {found.words}, which leaves {left}"

@@ -11,6 +11,7 @@ import pytest
 import jointid as ji
 from jointid.apps.cli.app import app
 from jointid.common.errors import MethodError
+from jointid.config import JointFile, load
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 
@@ -79,6 +80,25 @@ def test_commands_of_one_joint(robot: Path, tmp_path: Path, capsys: pytest.Captu
     run("tune", robot, *axis)
     run("simulate", robot, *axis, "--estimate", found, "--out", tmp_path / "base.csv")
     assert "tau1" in (tmp_path / "base.csv").read_text(encoding="utf-8").partition("\n")[0]
+
+
+def test_a_joint_starts_from_the_numbers_of_its_table(robot: Path) -> None:
+    numbers = ["viscous=2.0", "coulomb=1.5", "offset=0", "rotor_inertia=0.5"]
+    keys = [f"joints.1.{one}" for one in numbers]
+    inertia = "joints.1.parameters.inertia.value=0.8"
+    file = load(robot, [*keys, inertia, "joints.1.parameters.coulomb.start=1.7"], axis="base")
+    assert isinstance(file, JointFile)
+    assert file.values() == {"inertia": 0.8, "viscous": 2.0, "coulomb": 1.7, "offset": 0.0}
+    assert file.parameters["viscous"].free
+    flexible = ["joints.1.spring={stiffness=9e3,damping=2.0,viscous=0.4}", 'joints.1.friction="asymmetric"']
+    file = load(robot, [*keys, *flexible], axis="base")
+    assert {name: one.start for name, one in file.parameters.items()} == {
+        "motor_inertia": 0.5, "motor_viscous_forwards": 2.0, "motor_viscous_backwards": 2.0,
+        "motor_coulomb_forwards": 1.5, "motor_coulomb_backwards": 1.5, "stiffness": 9e3, "damping": 2.0, "offset": 0.0,
+        "load_viscous_forwards": 0.4, "load_viscous_backwards": 0.4,
+    }  # fmt: skip
+    with pytest.raises(MethodError, match=r"every parameter; inertia has none: give it a value or a start in the tabl"):
+        run("simulate", robot, "--axis", "base", *(word for key in keys for word in ("--set", key)))
 
 
 def test_a_report_of_one_joint_is_repeated_for_that_joint(robot: Path, tmp_path: Path) -> None:

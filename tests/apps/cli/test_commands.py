@@ -687,7 +687,7 @@ def test_nine_seconds_of_it_do_not_tell_directions_apart(
 def friction_of(record: Path, law: str, out: Path, capsys: pytest.CaptureFixture[str]) -> float:
     """Return the force of Stribeck's law that is identified as the comparison of the laws says."""
     assert run("diagnose", "friction", EMPS, "--record", record, "--json", out, "-q") == 0
-    assert f'set joint.friction = "{law}" to identify it' in " ".join(capsys.readouterr().out.split())
+    assert f'declare the joint with friction = "{law}" to identify it' in " ".join(capsys.readouterr().out.split())
     assert json.loads(out.read_text(encoding="utf-8"))["shown"] == law
     keys = ("--set", f"joint.friction={law}", "--json", out, "-q")
     assert run("identify", EMPS, "--record", record, *keys) == 0

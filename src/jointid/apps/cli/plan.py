@@ -135,8 +135,8 @@ class Rough:
         if missing:
             raise MethodError(
                 f"A test that is planned without a record needs a value of every parameter; {', '.join(missing)} "
-                f"{'have' if len(missing) > 1 else 'has'} none: give them in [parameters], or name an answer by "
-                "--estimate."
+                f"{'have' if len(missing) > 1 else 'has'} none: give them in the table parameters, or name an answer "
+                "by --estimate."
             )
         return stated, None
 

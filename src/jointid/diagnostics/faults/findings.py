@@ -214,4 +214,8 @@ class LoopCheck(Documented):
         laws = dict.fromkeys(law for one in named if one.table == table for law in one.laws if law in self.laws)
         tried = " or ".join(f'"{law}"' for law in laws)
         verb = "springs" if table == "spring" else table
-        return f"; to identify it, set joint.{table} = {tried}, as jointid diagnose {verb} tells" if laws else ""
+        return (
+            f"; to identify it, declare the joint with {table} = {tried}, as jointid diagnose {verb} tells"
+            if laws
+            else ""
+        )
