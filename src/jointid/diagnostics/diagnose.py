@@ -73,7 +73,11 @@ def diagnose(
     if estimate.robot is None:
         if isinstance(record, Sequence):
             raise MethodError("The estimate of a joint is diagnosed on its own record; give that one alone.")
+        if controllers or feed_forward != "none":
+            raise MethodError("The arguments controllers and feed_forward are for a robot; leave them out for a joint.")
         return check_loop(estimate, record, tests, shown=shown)
     if not isinstance(record, Sequence):
         raise MethodError("The estimate of a robot is diagnosed on the record of each joint; give them in order.")
+    if tests is not None or shown:
+        raise MethodError("The arguments tests and shown are for a joint; leave them out for a robot.")
     return diagnose_robot(estimate, record, controllers, feed_forward=feed_forward)

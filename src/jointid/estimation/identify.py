@@ -47,6 +47,10 @@ def fit(
 ) -> FitResult:
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
+        if isinstance(record, Record):
+            raise MethodError(
+                "A robot is identified from the record of each of its joints; received one: give them all."
+            )
         if not isinstance(record, Sequence) or several or windows:
             raise MethodError(
                 "A robot is identified from the records of its joints, without SeveralRecords or windows; give the "

@@ -12,6 +12,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
+from jointid.diagnostics.check_loop import LoopTests
 from jointid.estimation.result.answer import Trust
 from jointid.output.json.reading import read_identified_joint
 from jointid.records.record import Record
@@ -123,6 +124,13 @@ def test_what_is_for_a_robot_refuses_a_joint_in_a_sentence() -> None:
     joint = ji.identify(axis.record, axis.loop.joint, checks=False)
     with pytest.raises(MethodError, match="needs the estimate of a robot"):
         ji.robots.consistent_robot(joint)
+    for given in ({"controllers": [axis.loop.controller]}, {"feed_forward": "gravity"}):
+        with pytest.raises(MethodError, match="controllers and feed_forward are for a robot; leave them out"):
+            ji.diagnose(joint, axis.record, **given)  # type: ignore[call-overload]
+    with pytest.raises(
+        MethodError, match=r"A record, and what .*; received Estimate: draw an estimate by estimate\.pl"
+    ):
+        ji.figures.draw(joint)  # type: ignore[arg-type]
 
 
 def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
@@ -136,6 +144,10 @@ def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
         MethodError, match=r"A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; received ClosedLoop"
     ):
         ji.identify_payload(axis.loop, records, records)  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match=r"from one record of one joint; received tuple: of a robot .* or --axis"):
+        ji.learn_controller(records)  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match="tests and shown are for a joint; leave them out for a robot"):
+        ji.diagnose(estimate(), records, tests=LoopTests())  # type: ignore[call-overload]
     with pytest.raises(MethodError, match=r"has the reference of each joint; received 1 for 2 joints"):
         ji.design(loop, motion=records[:1])
     with pytest.raises(MethodError, match=r"of a robot use Report\.of"):
@@ -144,7 +156,7 @@ def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
 
 def test_a_robot_needs_a_record_of_each_joint() -> None:
     loop, (first, _) = logged()
-    with pytest.raises(MethodError, match="from the records of its joints"):
+    with pytest.raises(MethodError, match="from the record of each of its joints; received one"):
         ji.identify(first, loop)
 
 

@@ -31,7 +31,16 @@ FORMATS = (".png", ".svg", ".pdf")
 
 
 def draw(result: Charted) -> Figure:
-    """Return the figure of a result that has one: of `tune`, the responses; of `inspect`, all channels of the file."""
+    """Return the figure of a result that has one: of `tune`, the responses; of `inspect`, all channels of the file.
+
+    Raises:
+        MethodError: the result has none.
+    """
+    if not isinstance(result, Charted):
+        raise MethodError(
+            f"A record, and what inspect, design or tune returns, is drawn so; received {type(result).__name__}: draw "
+            "an estimate by estimate.plot, a validation by figures.torque."
+        )
     return draw_chart(result.chart())
 
 
