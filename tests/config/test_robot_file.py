@@ -378,7 +378,6 @@ def test_a_robot_file_of_one_joint_is_simulated_as_its_joint_file(tmp_path: Path
         ('friction = "dahl"', r'joints\.1\.friction: Friction "dahl" is not known'),
         ("parameters = { inertai = 3 }", r"joints\.1\.parameters\.inertai is not known for a rigid joint"),
         ("parameters = { inertia = { start = 3, lower = 4 } }", r"joints\.1\.parameters\.inertia\.start is 3"),
-        ("transmission = { ratio = 1.0, screw_lead = 1.0 }", r"^joints\.1\.transmission"),
         ("spring = { damping = 1.0 }", r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
         ("limits = { lower = 1.0, upper = -1.0 }", r"joints\.1\.limits\.upper: The upper position is above the lower"),
     ],

@@ -181,6 +181,7 @@ def test_the_predicted_torque_is_the_friction_of_each_direction_too() -> None:
     np.testing.assert_allclose(found.torque, needed(robot, q, v, a), atol=1e-6)
     about = {name: one["about"] for name, one in found.parameters.items()}
     assert about["Fv1+"] == pytest.approx(first.viscous) and about["Fv1-"] == pytest.approx(25.0)
+    assert "none: one motion was predicted" in str(found), "nothing was searched"
     assert about["Fc2"] == pytest.approx(0.5 * (second.coulomb + 12.0)), "of both directions, beside an offset"
 
 

@@ -185,7 +185,8 @@ class RobotDesign(Charted, Documented):
         source = (
             "as the first record's residual" if self.of_record else f"{100 * NOISE:g} % of each joint's usual torque"
         )
-        facts = [("noise", f"white, {source}"), ("search", f"{self.tried} motions were tried")]
+        searched = f"{self.tried} motions were tried" if self.tried > 1 else "none: one motion was predicted"
+        facts = [("noise", f"white, {source}"), ("search", searched)]
         if self.modes:
             each = ", ".join(f"{name} {number(hertz, 3)} Hz" for name, hertz in self.modes.items())
             facts.append(("multisines", f"about the modes of {each}"))

@@ -19,7 +19,7 @@ import jointid
 from jointid.apps.cli import main
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.messages import Message
-from jointid.config import load
+from jointid.config import JointFile, load
 from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.limitations import LimitationCode
 from jointid.models.controllers import PID, Cascade, FirstOrder
@@ -553,6 +553,22 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(
     assert said.err.startswith("jointid: ")
     assert "Traceback" not in said.err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("report", EMPS, "--held-out", "nope.csv"), "nope.csv cannot be opened"),
+        (("report", EMPS, "--method", "didim", "--plan", "nope"), 'The goal "nope" names nope, which is no free'),
+        (("design", EMPS, "--goal", "nope"), 'The goal "nope" names nope, which is no free'),
+    ],
+)
+def test_a_file_or_goal_that_is_not_there_is_refused_before_the_joint_is_identified(
+    words: tuple[str | Path, ...], sentence: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(JointFile, "identify", None)
+    assert run(*words) == 2
+    assert sentence in capsys.readouterr().err
 
 
 def test_what_could_not_be_written_is_refused_before_anything_runs(

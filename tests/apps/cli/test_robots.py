@@ -11,6 +11,7 @@ import pytest
 
 from jointid.apps.cli.app import app
 from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.config.robot_file import RobotFile
 from jointid.config.robot_model import load_robot
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
@@ -168,13 +169,21 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
         run("export", EMPS, "--out", tmp_path / "a.xml")
 
 
-def test_a_report_says_why_a_robot_has_no_next_test(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (("--plan", "weakest"), 'The test of a robot has the goal "all"; received "weakest"'),
+        (("--no-profiles",), "neither profiles nor tuning; --no-profiles is for a joint file"),
+        (("--no-tuning",), "neither profiles nor tuning; --no-tuning is for a joint file"),
+        (("--held-out", "nope.csv"), "nope.csv cannot be opened"),
+    ],
+)
+def test_a_report_refuses_what_a_robot_has_not_before_it_identifies(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...], said: str
 ) -> None:
-    run("report", folder / "robot.toml", "--plan", "weakest", "--markdown", tmp_path)
-    said = 'The test of a robot has the goal "all"'
-    assert f"Without a next test: {said}" in " ".join(capsys.readouterr().out.split())
-    assert f"None was planned. {said}" in (tmp_path / "report.md").read_text(encoding="utf-8")
+    monkeypatch.setattr(RobotFile, "identify", None)
+    with pytest.raises(JointidError, match=said):
+        run("report", folder / "robot.toml", *asked, "--markdown", tmp_path)
 
 
 def test_payload(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

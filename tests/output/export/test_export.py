@@ -167,7 +167,7 @@ def test_mistakes_are_told_in_a_sentence(folder: Path, capsys: pytest.CaptureFix
         in capsys.readouterr().err
     )
     assert exported(folder, "a.mo", "--timestep", 1e-4) == 2
-    assert "modelica has no setting timestep; it has: none." in capsys.readouterr().err
+    assert "modelica has no setting timestep; it has none: leave it out." in capsys.readouterr().err
     assert exported(folder, "a.mo", "--side", "motor") == 2
     assert "there are no numbers of the motor side" in capsys.readouterr().err
     assert exported(folder, "nowhere/a.mo") == 2

@@ -75,7 +75,7 @@ def test_what_is_refused() -> None:
     robot = arm()
     with pytest.raises(MethodError, match="matlab holds one joint; a robot is written as mjcf or urdf"):
         export(robot, "matlab")
-    with pytest.raises(MethodError, match="urdf has no setting timestep; it has: none"):
+    with pytest.raises(MethodError, match="urdf has no setting timestep; it has none: leave it out"):
         export(robot, "urdf", timestep=1e-3)
     with pytest.raises(MethodError, match="All numbers of a robot are behind its gears"):
         export(robot, "mjcf", side="motor")

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.console import DEFAULTS, Options, deliver, make_folder, show
 from jointid.apps.cli.places import Outputs
+from jointid.apps.cli.results import require_goal
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 
@@ -201,6 +202,7 @@ def design(
         _design_robot(file, options, duration, seconds, motion, out, figure)
         return
     file = options.load_joint(joint, outputs, method="didim")
+    require_goal(file, goal)
     asked: dict[str, Any] = {
         "goal": goal,
         "limits": limits.beside(file.limits),

@@ -84,16 +84,23 @@ def report(
     source = Path(file.record_path(options.record))
     asked = {"axis": options.axis, **choices, "plan": plan, "held_out": held_out and held_out.name}
     if not isinstance(file, JointFile):
+        _refuse_options(
+            "The report of a robot has neither profiles nor tuning",
+            {"--no-profiles": no_profiles, "--no-tuning": no_tuning},
+        )
+        if plan not in (None, "all"):
+            raise MethodError(f'The test of a robot has the goal "all"; received "{plan}": give --plan all.')
         again = repetition(joint, source, asked, options.changes, html_name, "robot")
         _report_robot(
             file, options, again, plan, held_out, partial(_save, page=page, markdown=markdown, figures=figures)
         )
         return
     if plan is not None:
-        _require_goal(file, plan)
+        require_goal(file, plan)
+    unseen = None if held_out is None else file.record(held_out)
     again = repetition(joint, source, asked, options.changes, html_name)
     record, estimate = options.identify(file)
-    checks = [] if held_out is None else [validate_estimate(estimate, file.record(held_out))]
+    checks = [] if unseen is None else [validate_estimate(estimate, unseen)]
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
     stated = Report.of(
         estimate, record, checks, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
@@ -125,16 +132,19 @@ def _report_robot(
     from jointid import IDIM, Report, design
     from jointid import validate as validate_estimate
 
+    unseen = None if held_out is None else file.record(held_out)
+    asked: dict[str, Any] = {}
+    if plan is not None:
+        loop = None if isinstance(file.method, IDIM) else file.loop
+        asked = {"limits": file.limits, "filtering": file.filtering, "loop": loop, "goal": plan}
     records = file.record(options.record, judged=True)
     estimate = file.identify(records, options.progress)
-    checks = [] if held_out is None else [validate_estimate(estimate, file.record(held_out))]
+    checks = [] if unseen is None else [validate_estimate(estimate, unseen)]
     controllers = [one.controller for one in file.joints]
     stated = Report.of(
         estimate, records, checks, controllers=controllers, feed_forward=file.feed_forward, repetition=again
     )
-    if plan is not None:
-        loop = None if isinstance(file.method, IDIM) else file.loop
-        asked: dict[str, Any] = {"limits": file.limits, "filtering": file.filtering, "loop": loop, "goal": plan}
+    if asked:
         stated = _with_test(stated, lambda: design(estimate, records, progress=options.progress, **asked))
     written = save(stated)
     deliver(checks[0] if checks else estimate)
@@ -163,7 +173,7 @@ def _save(stated: Report, page: Path | None, markdown: Path | None, figures: Pat
     return written + ([] if figures is None else [*stated.save_figures(figures)])
 
 
-def _require_goal(file: JointFile, plan: str) -> None:
+def require_goal(file: JointFile, plan: str) -> None:
     """Raise a `MethodError` if no test can be planned for this goal, before the record is read."""
     from jointid.planning.goals import parse_goal
 

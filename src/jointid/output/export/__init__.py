@@ -136,8 +136,8 @@ def export(
     known = list(inspect.signature(write).parameters)[1:]
     unknown = [key for key in settings if key not in known]
     if unknown:
-        has = ", ".join(known) or "none"
-        raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; it has: {has}.")
+        has = f"it has: {', '.join(known)}" if known else "it has none: leave it out"
+        raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; {has}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
     if robot is not None:

@@ -109,8 +109,10 @@ class Report:
         """
         again = repetition or Repetition()
         if not isinstance(record, Record):
-            if len(checks) > 1 or tuned is not None:
-                raise MethodError("The report of a robot has one validation at most, and no tuning; leave them out.")
+            if len(checks) > 1 or tuned is not None or profiles:
+                raise MethodError(
+                    "The report of a robot has one validation at most, no profiles and no tuning; leave them out."
+                )
             found = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
             (validation,) = cast("Sequence[RobotValidation]", checks) or (None,)
             return cls(RobotReportData(estimate, found, validation), name, again)
