@@ -64,3 +64,12 @@ def test_each_of_several_logs_is_no_record_that_the_estimate_has_not_seen(model:
     for log in LOGS:
         with pytest.raises(MethodError, match="is the one that the estimate is from"):
             ji.validate(found, log)
+
+
+def test_a_torque_of_0_throughout_is_refused() -> None:
+    torque = LOGS[0][1].torque
+    assert torque is not None
+    dead = (LOGS[0][0], replace(LOGS[0][1], torque=replace(torque, values=0.0 * torque.values)))
+    for model in (TWIN.robot, LOOP):
+        with pytest.raises(MethodError, match=r"The torque of joint2 is 0 throughout"):
+            ji.identify(dead, model)
