@@ -246,6 +246,11 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
     assert second.spring == JointSpring(1e4, viscous=0.5) and second.rotor_inertia == 0.5
     assert [one.joint.friction.name for one in file.joints] == ["asymmetric", "symmetric", "symmetric"]
     assert list(file.parameters) == ["joint1.link_viscous"] and file.parameters["joint1.link_viscous"].start == 0.5
+    bounded = text.replace("viscous_backwards = { start = 2.0 }", "viscous_backwards = { start = 2.0, lower = 1.0 }")
+    (folder / "robot.toml").write_text(bounded.replace("{ start = 3.0 }", "3.0", 1), encoding="utf-8")
+    kept = load(folder / "robot.toml").parameters
+    assert kept["joint0.viscous_forwards"].start == 3.0 and not kept["joint0.viscous_forwards"].free
+    assert (kept["joint0.viscous_backwards"].start, kept["joint0.viscous_backwards"].lower) == (None, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,12 @@ def test_its_own_record_is_no_test_of_it() -> None:
     assert poor.answer.code is Prediction.OWN_RECORD
 
 
+def test_each_of_several_records_is_an_own_one() -> None:
+    records = [made(0.1, 1), made(0.13, 2)]
+    estimate = ji.identify(records, LOOP)
+    assert {ji.validate(estimate, one).answer.code for one in records} == {Prediction.OWN_RECORD}
+
+
 def test_a_joint_is_asked_about_one_record() -> None:
     estimate, record = identified()
     with pytest.raises(MethodError, match="The estimate of a joint is validated on one record"):

@@ -521,9 +521,10 @@ class RobotFile:
             known = {parameter.name: parameter for parameter in file.joint.parameters}
             for name, stated in file.parameters.items():
                 own = name.removeprefix("motor_")
-                own = _LINK_FRICTION.get(name, _AS_MOTOR.get(own, own))
+                own = _OF_ROBOT.get(name, own)
                 if stated != replace(known[name], start=stated.start):
-                    found[f"{file.name}.{own}"] = stated
+                    # A start is a number of the robot that is built, and no start of a search.
+                    found[f"{file.name}.{own}"] = replace(stated, start=None) if stated.free else stated
         return found
 
     @property
@@ -653,8 +654,13 @@ _NUMBERS = [one.name for one in settings_of(RobotJoint) if one.name not in ("spr
 _AS_MOTOR = {"inertia": "rotor_inertia", "viscous_forwards": "viscous", "coulomb_forwards": "coulomb"}
 """Parameters of a joint that have another name as a number of a robot's motor."""
 
-_LINK_FRICTION = {"load_viscous": "link_viscous", "load_coulomb": "link_coulomb"}
-"""Friction of the load by its name among the parameters of a robot."""
+_OF_ROBOT = {
+    "load_viscous": "link_viscous",
+    "load_coulomb": "link_coulomb",
+    "inertia": "rotor_inertia",
+    "motor_inertia": "rotor_inertia",
+}
+"""Parameters of a joint that have another name among the parameters of a robot."""
 
 _OF_SPRING = {name: name.removeprefix("load_") for name in ("stiffness", "damping", "load_viscous", "load_coulomb")}
 """Parameters of a joint that are numbers of a robot's spring."""

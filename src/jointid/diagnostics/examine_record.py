@@ -15,7 +15,7 @@ from enum import StrEnum
 import numpy as np
 
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, Verdicts
-from jointid.common.errors import FaultsError, JointidError, MethodError
+from jointid.common.errors import FaultsError, JointidError, require_type
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.common.text import number, pluralise
@@ -205,8 +205,9 @@ def examine(
         >>> print(found.sentence)
         Nothing is wrong with twin L19.
     """
-    if not isinstance(record, Record):
-        raise MethodError(f"One record is examined; received {type(record).__name__}: give that of one joint.")
+    require_type(record, Record, "One record is examined", "give that of one joint")
+    said = "A record is examined with the ClosedLoop, DriveSide or OpenLoop of a joint, or with the joint"
+    require_type(model, ClosedLoop | DriveSide | OpenLoop | Joint, said, "of a robot identify and diagnose its records")
     loop = model if isinstance(model, ClosedLoop) else None
     checked = [*_check_samples(record, loop)]
     law = None if loop is None else compare_law(record, loop)

@@ -321,7 +321,7 @@ def _describe(
 ) -> Validation:
     assert record.torque is not None
     borders, rows = identified.filtering.borders, torques.error.size // torques.equations
-    own = fingerprint(record.torque.values) == identified.fingerprint
+    own = fingerprint(record.torque.values) in identified.fingerprints
     size, anew = float(np.linalg.norm(torques.whole)), None if own else fit_anew()
     centred = torques.error[:rows] - torques.error[:rows].mean()
     power = float(centred @ centred) or 1.0

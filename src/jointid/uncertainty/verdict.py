@@ -225,9 +225,9 @@ def springs_verdict(refused: Sequence[str]) -> Verdict:
     return _judge(Subject.STIFFNESS, False, Reason.STIFFNESS_NOT_SHOWN, "; ".join(refused))
 
 
-def skip_test(subject: Subject, why: str) -> Verdict:
-    """Verdict for a question that was not tested, with the reason."""
-    return _judge(subject, None, Reason.NOT_TESTED, why)
+def skip_test(subject: Subject, why: str, axes: Sequence[str] = ()) -> Verdict:
+    """Verdict for a question that was not tested, or not for some axes, with the reason."""
+    return _judge(subject, None, Reason.NOT_TESTED, why, {"axes": list(axes)} if axes else None)
 
 
 def _judge(

@@ -69,6 +69,25 @@ def test_a_controller_that_is_not_as_declared_speaks_against_a_robot() -> None:
     assert "declared controller of joint2" in found.sentence
 
 
+def test_a_controller_that_could_not_be_tested_is_named() -> None:
+    loop, (first, second) = logged()
+    found = ji.identify((first, second.without("motor_position")), loop)
+    (verdict,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    assert verdict.status is Status.UNKNOWN and "the controller of joint2 was not checked" in verdict.said
+    assert found.answer.trust.code is Trust.NOT_CHECKED
+    assert "if the controller of joint2 is as declared, which was not checked" in found.sentence
+    said = ji.diagnose(found, (first, second.without("motor_position")))
+    assert said.as_declared is None
+    assert "The declared controller of joint1 makes" in said.answer and "of joint2 was not checked" in said.answer
+
+
+def test_the_share_of_each_joint_that_is_not_explained_stands_in_the_table() -> None:
+    found = estimate()
+    lines = found.summary().splitlines()
+    for name, left in found.fit.axis_errors.items():
+        assert any(line.split()[:2] == [name, f"{100 * left:.3g}"] for line in lines)
+
+
 def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> None:
     loop, records = logged()
     robot = replace(loop.robot, joints=(replace(loop.robot.joints[0], coupling={}), loop.robot.joints[1]))
@@ -148,6 +167,12 @@ def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
         ji.learn_controller(records)  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="tests and shown are for a joint; leave them out for a robot"):
         ji.diagnose(estimate(), records, tests=LoopTests())  # type: ignore[call-overload]
+    with pytest.raises(MethodError, match=r"^A record is examined with .*; received RobotLoop: of a robot"):
+        ji.examine(records[0], loop)  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match=r"^A ClosedLoop or a RobotLoop is simulated; received Estimate: give"):
+        ji.simulate(estimate(), records)  # type: ignore[call-overload]
+    with pytest.raises(MethodError, match=r"^The gains of drives are identified with a Robot; received RobotLoop"):
+        ji.robots.identify_drive_gains(loop, records, records, {"m": 1.0})  # type: ignore[arg-type]
     with pytest.raises(MethodError, match=r"has the reference of each joint; received 1 for 2 joints"):
         ji.design(loop, motion=records[:1])
     with pytest.raises(MethodError, match=r"of a robot use Report\.of"):

@@ -226,7 +226,8 @@ def test_faults_are_said() -> None:
     with pytest.raises(ji.RecordError, match="motor_position"):
         identify_flexible_drive_side(twin.robot, [replace(record, motor_position=None) for record in records])
     with pytest.raises(
-        MethodError, match="swing behind their motors from 4 Hz on, and the torques are filtered at 3 Hz"
+        MethodError,
+        match="Links that swing behind their motors are searched from 4 Hz on, and the torques are filtered at 3 Hz",
     ):
         identify_flexible_drive_side(twin.robot, records, Filtering(cutoff=3.0))
     for wrong in (0.0, -5.0, float("nan"), 900.0):

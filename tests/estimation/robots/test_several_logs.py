@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.uncertainty.verdict import Status, Subject
@@ -56,3 +56,20 @@ def test_logs_need_records() -> None:
     broken: list[tuple[Record, ...]] = [LOGS[0], (LOGS[1][0], replace(LOGS[1][1], torque=None))]
     with pytest.raises(RecordError, match="torque"):
         ji.identify(broken, LOOP)
+
+
+@pytest.mark.parametrize("model", [LOOP, TWIN.robot])
+def test_each_of_several_logs_is_no_record_that_the_estimate_has_not_seen(model: Any) -> None:
+    found = ji.identify(LOGS, model, checks=False)
+    for log in LOGS:
+        with pytest.raises(MethodError, match="is the one that the estimate is from"):
+            ji.validate(found, log)
+
+
+def test_a_torque_of_0_throughout_is_refused() -> None:
+    torque = LOGS[0][1].torque
+    assert torque is not None
+    dead = (LOGS[0][0], replace(LOGS[0][1], torque=replace(torque, values=0.0 * torque.values)))
+    for model in (TWIN.robot, LOOP):
+        with pytest.raises(MethodError, match=r"The torque of joint2 is 0 throughout"):
+            ji.identify(dead, model)

@@ -185,9 +185,25 @@ class RobotDiagnosis(Documented):
 
     @property
     def as_declared(self) -> bool | None:
-        """True if all controllers that can be tested make the logged torques; None if none can."""
-        seen = [one.law_holds for one in self.joints if one.law_holds is not None]
-        return all(seen) if seen else None
+        """True if all controllers make the logged torques, False if one does not; None if one cannot be tested."""
+        seen = [one.law_holds for one in self.joints]
+        return False if False in seen else None if None in seen else True
+
+    @property
+    def untested(self) -> tuple[str, ...]:
+        """Names of the joints whose controllers cannot be tested, if others can."""
+        found = tuple(one.name for one in self.joints if one.law_holds is None)
+        return found if len(found) < len(self.joints) else ()
+
+    @property
+    def untested_clause(self) -> str:
+        """A clause on the controllers that cannot be tested; "" without any."""
+        if not self.untested:
+            return ""
+        return (
+            f"the controller of {join(self.untested)} was not checked, which needs a declared controller, a motor "
+            "position and a reference"
+        )
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -253,21 +269,26 @@ class RobotDiagnosis(Documented):
                 f"The model leaves little of every joint's torque, but what it leaves of {join(coloured)} is no "
                 "white noise."
             )
-        if self.as_declared is None:
+        wrong = [one.name for one in self.joints if one.law_holds is False]
+        held = [one.name for one in self.joints if one.law_holds]
+        if not held and not wrong:
             why = (
                 "is not seen apart from the model: no motor position and reference were logged"
                 if self.method == "didim"
                 else "is not asked: the robot file declares none, or the record has no reference"
             )
             second = f"Whether the controllers are as declared {why}."
-        elif self.as_declared:
-            second = "The declared controllers make the logged torques of the logged positions."
-        else:
-            wrong = [one.name for one in self.joints if one.law_holds is False]
+        elif wrong:
             second = (
                 f"The declared controller of {join(wrong)} does not make the logged torque of the logged positions: "
                 "unless these are noisy or rounded, do not rely on DIDIM with it."
             )
+        elif self.untested:
+            second = f"The declared controller of {join(held)} makes the logged torque of the logged positions."
+        else:
+            second = "The declared controllers make the logged torques of the logged positions."
+        if self.untested:
+            second = f"{second[:-1]}; {self.untested_clause}."
         count = sum(len(one.asked) for one in self.joints)
         stated = sum(len(one.names(Told.TOLD)) for one in self.joints)
         return f"{first} {second} The record tells {stated} of {count} parameters to a tenth."

@@ -15,7 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Paragraph
 from jointid.common.errors import MethodError
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.robot_summary import errors_table
 from jointid.estimation.robots.consistent import can_be_near, consistent_robot
 from jointid.estimation.robots.idim import InverseModelRobot
@@ -27,7 +27,6 @@ from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop
 
 _ALIKE = 0.02  # of an error: two models whose errors differ by less are as good as each other
-_SAME = 1e-9  # relative: errors of two records never agree so closely
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +104,11 @@ class RobotValidation(Documented):
 def validate_robot(estimate: Estimate, records: Sequence[Record]) -> RobotValidation:
     """Compare an estimate, the nominal robot and bodies near it with another record; see `jointid.validate`."""
     part, filtering = estimate.require_robot(), estimate.settings.filtering
-    robot, own = part.model, np.array([*estimate.fit.axis_errors.values()])
+    robot = part.model
+    _require_another_record(estimate, records)
     if isinstance(part, InverseModelRobot):
         rows = base_rows(robot, part.base, motion_of_robot(robot, records, filtering))
         mine, nominal = (relative_errors(rows, values) for values in (part.values, part.nominal))
-        _require_another_record(mine, own)
         bodies = None
         if can_be_near(robot):
             bodies = relative_errors(rows, part.base.with_friction(consistent_robot(estimate).robot))
@@ -119,7 +118,6 @@ def validate_robot(estimate: Estimate, records: Sequence[Record]) -> RobotValida
     mine, nominal = (
         simulated_errors(setup, records, filtering, numbers) for numbers in (found, nominal_numbers(robot, found))
     )
-    _require_another_record(mine, own)
     if not np.all(np.isfinite(mine)):
         what = "references" if isinstance(setup, RobotLoop) else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
@@ -130,9 +128,10 @@ def validate_robot(estimate: Estimate, records: Sequence[Record]) -> RobotValida
     return RobotValidation(robot, mine, nominal, bodies, settled=estimate.fit.converged)
 
 
-def _require_another_record(errors: FloatArray, own: FloatArray) -> None:
-    """Raise a `MethodError` if the errors, (n,), are those of the estimate's own record."""
-    if np.allclose(errors, own, rtol=_SAME, atol=0.0):
+def _require_another_record(estimate: Estimate, records: Sequence[Record]) -> None:
+    """Raise a `MethodError` if the torques are those of a log that the estimate is from."""
+    torques = [record.torque.values for record in records if isinstance(record, Record) and record.torque is not None]
+    if torques and fingerprint(np.concatenate(torques)) in estimate.data.fingerprints:
         raise MethodError(
             "This record is the one that the estimate is from, or a copy of it; expected one that it has not seen, "
             "since any estimate predicts its own: give another."

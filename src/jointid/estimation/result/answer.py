@@ -260,7 +260,9 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
         return _fit_only(estimate)
     loop = loop_verdict(estimate)
     if loop is None or loop.status is Status.UNKNOWN:
-        words = "You can rely on it if the controllers are as declared, which was not checked"
+        untested = () if loop is None else loop.reasons[0].values.get("axes", ())
+        which = f"controller of {join(untested)} is" if untested else "controllers are"
+        words = f"You can rely on it if the {which} as declared, which was not checked"
         return Message(Trust.NOT_CHECKED, words, values)
     return Message(Trust.RELIABLE, "You can rely on it", values)
 

@@ -41,8 +41,8 @@ class IdentifiedJoint:
         values: every parameter of the joint, and of its effects, by name.
         filtering: resolved, as it was identified with.
         delay: seconds from the logged torque to the torque that acts.
-        record: name of the record it was identified from.
-        fingerprint: of that record's torque, see `fingerprint`.
+        record: name of the record or records that it was identified from.
+        fingerprints: of the torque of each of its records, see `fingerprint`.
         controller: fingerprint of the loop's controller, for DIDIM; see `law_fingerprint`.
         effects: torques beside the joint's own model; `values` has their parameters too.
     """
@@ -54,7 +54,7 @@ class IdentifiedJoint:
     filtering: Filtering
     delay: float
     record: str
-    fingerprint: str
+    fingerprints: tuple[str, ...]
     controller: str = ""
     effects: tuple[Effect, ...] = ()
 
@@ -149,7 +149,7 @@ class Estimate(EstimateParts, Documented):
         law = "" if settings.loop is None else law_fingerprint(settings.loop)
         return IdentifiedJoint(
             settings.method, settings.joint, settings.loop, self.values, settings.filtering, settings.delay,
-            data.record, data.fingerprint, law, settings.effects,
+            data.record, data.fingerprints, law, settings.effects,
         )  # fmt: skip
 
     def to_document(self, *, details: bool = False) -> Document:

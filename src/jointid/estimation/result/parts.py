@@ -381,6 +381,7 @@ class Data:
         sample_time: of the torque, seconds.
         torque_unit: of the torque: N, N m, A or V.
         fingerprint: of the torque, see `fingerprint`.
+        logs: of the torques of each log of a robot.
         resampled: how the samples were brought to a uniform clock, None where they were logged so.
         records: each of several records by itself; empty for one record.
         windows: how a long log was cut; None for a record.
@@ -393,10 +394,16 @@ class Data:
     sample_time: float
     torque_unit: str
     fingerprint: str = ""
+    logs: tuple[str, ...] = ()
     resampled: Resampled | None = None
     records: tuple[RecordFit, ...] = ()
     windows: Windows | None = None
     torque_constant: str = ""
+
+    @property
+    def fingerprints(self) -> tuple[str, ...]:
+        """Fingerprints of all records, or of all logs of a robot."""
+        return self.logs or tuple(one.fingerprint for one in self.records) or (self.fingerprint,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -44,7 +44,7 @@ def build_robot_result(
     """Return the fit of a robot.
 
     Args:
-        records: of its joints.
+        records: of its joints, those of one log after those of another.
         part: what only a robot has; its arrays are in the order of the rows.
         rows: the parameters.
         errors: (n,) the share of each joint's filtered torque that the model leaves.
@@ -64,6 +64,8 @@ def build_robot_result(
     first = records[0].torque
     assert first is not None
     bounds: Verdict = friction_verdict(negative) if negative else bounds_verdict(tuple(at_bounds or ()))
+    torques_of = [record.torque.values for record in records if record.torque is not None]
+    starts = range(0, len(torques_of), len(model))
     channels = dict.fromkeys(name for record in records for name in record.channels)
     return FitResult(
         params=Params(
@@ -98,7 +100,8 @@ def build_robot_result(
             channels=tuple(channels),
             sample_time=first.sample_time,
             torque_unit=join(list(dict.fromkeys(r.torque.unit for r in records if r.torque is not None))),
-            fingerprint=fingerprint(np.concatenate([r.torque.values for r in records if r.torque is not None])),
+            fingerprint=fingerprint(np.concatenate(torques_of)),
+            logs=tuple(fingerprint(np.concatenate(torques_of[at : at + len(model)])) for at in starts),
         ),
         settings=Settings(*method, system=model, loop=None, filtering=filtering),
         robot=part,

@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Paragraph, Table
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, require_type
 from jointid.common.messages import no_choice
 from jointid.common.text import interval
 from jointid.estimation.robots.payload import both_records
@@ -98,6 +98,7 @@ def identify_drive_gains(
 
     Valid for gears without losses that grow with the load: such a loss is taken for a part of the gain.
     """
+    require_type(robot, Robot, "The gains of drives are identified with a Robot", "give the robot alone")
     for name in known:
         if name not in SYMBOLS:
             raise MethodError(f"A number of the payload{no_choice(name, SYMBOLS)}")

@@ -37,7 +37,7 @@ from jointid.estimation.robots.flexible import (
     search_springs,
 )
 from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
-from jointid.estimation.robots.problem import RobotProblem, add_problems, require_torques
+from jointid.estimation.robots.problem import RobotProblem, add_problems
 from jointid.estimation.robots.regression import Records, RobotMotion, each_log, motion_of_robot
 from jointid.estimation.starts.robot_springs import StartOfSprings
 from jointid.models.robots.robot import Robot, Tree
@@ -199,7 +199,6 @@ def drive_side_problem(
         )
     model = "flexible" if any(robot.flexible) else "rigid"
     motion = motion_of_robot(robot, records, filtering or Filtering(), "The drive side of a robot", model, _SMEAR)
-    require_torques(robot, motion.torque)
     still = [name for name, share in zip(robot.names, np.mean(motion.moving, axis=0), strict=True) if share < _MOVES]
     if still:
         raise MethodError(

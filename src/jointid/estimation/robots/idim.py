@@ -281,7 +281,10 @@ def _by_symbol(robot: Robot, known: Mapping[str, Parameter]) -> dict[str, Parame
     symbols = {f"{robot.joints[term.joint].name}.{_NAMES[term.number]}": term.symbol for term in friction_terms(robot)}
     for name in known:
         if name not in symbols:
-            raise MethodError(f"To IDIM a joint is rigid, and its friction that of both sides; leave {name} out.")
+            raise MethodError(
+                f"{name} is of the link's side, and to IDIM a joint is rigid, with the friction of both sides: leave "
+                "it out."
+            )
     return {symbols[name]: parameter for name, parameter in known.items()}
 
 

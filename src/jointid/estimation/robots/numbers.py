@@ -10,7 +10,7 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -151,14 +151,24 @@ def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter
     )  # fmt: skip
 
 
-def require_friction(robot: Robot, names: Iterable[str]) -> None:
-    """Require that names are those of friction or of a constant torque.
+def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
+    """Require values and bounds of friction or of a constant torque, without a start for a search.
 
     Raises:
-        MethodError: one is not.
+        MethodError: one is of something else, or has a start.
     """
     known = [one.name for one in robot_parameters(robot).parameters if one.symbol in _OF_MASS[1:]]
-    for name in names:
+    for name, one in stated.items():
+        if name in known and one.free and one.start is not None:
+            raise MethodError(
+                f"{name} is free and has a start, which the methods of a robot do not use: leave the start out, or fix "
+                "the value."
+            )
+        if name not in known and name.endswith((".coulomb_forwards", ".coulomb_backwards")):
+            raise MethodError(
+                f"{name} has a value or bounds to keep, and a robot's Coulomb friction that differs by direction is "
+                "identified as coulomb, its mean, and a part of offset: state these, or leave it out."
+            )
         if name not in known:
             raise MethodError(
                 f"{name} has a value or bounds to keep, and the methods of a robot keep those of friction and constant "

@@ -20,7 +20,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Paragraph, Table
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, require_type
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import interval, join
 from jointid.estimation.identify import fit_robot
@@ -205,11 +205,10 @@ def identify_payload(
             not fit the model or does not settle, or the estimator is "iv".
         RecordError: as of `jointid.identify`.
     """
-    if not isinstance(model, Robot | RobotLoop | RobotDriveSide):
-        raise MethodError(
-            "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; received "
-            f"{type(model).__name__}: of a joint compare two estimates, or give SeveralRecords."
-        )
+    said = "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide"
+    require_type(
+        model, Robot | RobotLoop | RobotDriveSide, said, "of a joint compare two estimates, or give SeveralRecords"
+    )
     if method is not None:
         method.require_settings_of("robot")
     robot = model if isinstance(model, Robot) else model.robot

@@ -15,9 +15,9 @@ from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.numbers import RobotParameters
-from jointid.estimation.robots.regression import join_rows, require_one_log
+from jointid.estimation.robots.regression import join_rows, require_one_log, require_torques
 from jointid.models.robots.dynamics import IntArray
-from jointid.models.robots.robot import Robot, Tree
+from jointid.models.robots.robot import Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import in_threads
@@ -406,14 +406,7 @@ def robot_problem(
     experiment = prepare_robot(loop, records)
     samples = experiment.clock.samples
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
-    require_torques(loop.robot, measured)
+    require_torques(loop.robot, measured.T)
     model = "flexible" if any(loop.robot.flexible) else "rigid"
     resolved = (filtering or Filtering()).resolve(experiment.clock.sample_time, model)
     return RobotLoopProblem(measured, resolved, parameters, np.std(measured, axis=0) + 1e-300, experiment)
-
-
-def require_torques(robot: Robot, measured: FloatArray) -> None:
-    """Raise MethodError if a joint's torque, of (samples, n), is 0 throughout."""
-    dead = [robot.joints[j].name for j in np.flatnonzero(~np.any(measured != 0.0, axis=0))]
-    if dead:
-        raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")

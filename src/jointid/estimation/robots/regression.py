@@ -9,7 +9,7 @@ Coulomb frictions so far that of their 2-sigma intervals 17 % held the truth, an
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias, cast
 
@@ -75,6 +75,13 @@ def require_one_log(records: Sequence[object]) -> None:
             "The records of the joints of one log are needed here, and these are no records, or of several logs: give "
             "those of one log."
         )
+
+
+def require_torques(robot: Robot, torques: Iterable[FloatArray]) -> None:
+    """Raise a `MethodError` if the torque, (samples,), of a joint is 0 throughout."""
+    dead = [joint.name for joint, torque in zip(robot.joints, torques, strict=True) if not np.any(torque)]
+    if dead:
+        raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
 
 
 def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
@@ -162,6 +169,7 @@ def motion_of_robot(
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
+        MethodError: a torque is 0 throughout.
     """
     require_one_log(records)
     if len(records) != len(robot):
@@ -181,6 +189,7 @@ def motion_of_robot(
                 )
         channels.append(torque)
         positions.append(position)
+    require_torques(robot, [channel.values for channel in channels])
     clocks = {round(channel.sample_time, 12) for channel in channels}
     if len(clocks) > 1:
         raise RecordError(

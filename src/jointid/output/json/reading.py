@@ -182,7 +182,7 @@ def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identif
         filtering,
         float(answer["delay"]),
         str(record["name"]),
-        str(record["torque_sha256"]),
+        (str(record["torque_sha256"]),),
         str(answer["controller_sha256"] or ""),
         effects,
     )
