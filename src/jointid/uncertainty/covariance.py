@@ -75,6 +75,13 @@ class Covariance:
         weighted = np.asarray(weights) * self.std
         return math.sqrt(max(float(weighted @ self.correlation @ weighted), 0.0))
 
+    def with_fixed(self, count: int) -> Covariance:
+        """Return the covariance with `count` more parameters that are fixed: without deviation or correlation."""
+        size = self.std.size
+        correlation = np.eye(size + count)
+        correlation[:size, :size] = self.correlation
+        return Covariance(np.append(self.std, np.zeros(count)), correlation, self.bandwidth)
+
 
 def covariance_of(matrix: FloatArray, lags: int, scale: FloatArray | float = 1.0) -> Covariance:
     """Build a `Covariance` from a matrix, (parameters, parameters).

@@ -26,7 +26,15 @@ def viscous(free: bool, value: float | None = None, upper: float = np.inf) -> di
 def test_didim_keeps_values_and_bounds() -> None:
     free = ji.identify(LOGS[0], LOOP, checks=False)
     kept = ji.identify(LOGS[0], LOOP, parameters=viscous(free=False, value=TRUTH))
-    assert "joint1.viscous" in free.params and "joint1.viscous" not in kept.params
+    row = kept.params["joint1.viscous"]
+    assert free.params["joint1.viscous"].free and not row.free and (row.value, row.stderr) == (TRUTH, None)
+    assert kept.values["joint1.viscous"] == TRUTH and "joint1.viscous" not in kept.params.names
+    stated = kept.to_dict()["parameters"]["joint1.viscous"]
+    assert (stated["value"], stated["nominal"], stated["formula"]) == (TRUTH, pytest.approx(TRUTH), "joint1.viscous")
+    part = kept.require_robot()
+    np.testing.assert_array_equal(part.nominal, part.parameters_of(TWIN.robot))
+    (shown,) = (line.split() for line in kept.summary().splitlines() if line.startswith("joint1.viscous "))
+    assert "fixed" in " ".join(shown)
     stderr = [one.params["joint1.coulomb"].stderr for one in (kept, free)]
     assert stderr[0] < stderr[1], "what is known leaves more for the others"
     low = ji.identify(LOGS[0], LOOP, parameters=viscous(free=True, upper=0.5 * TRUTH))

@@ -53,7 +53,7 @@ class RobotParameters:
         base: the robot's numbers with 0 wherever one is grouped with others.
         dropped: the places of what was grouped, or acts on nothing.
         grouping: (parameters, dropped) what each of the dropped adds to each parameter.
-        kept: the places of what has a fixed value, which `base` has.
+        kept: the places of what has a fixed value, which `base` has. fixed: these parameters.
     """
 
     parameters: tuple[Parameter, ...]
@@ -63,6 +63,7 @@ class RobotParameters:
     dropped: tuple[NumberPlace, ...]
     grouping: FloatArray
     kept: tuple[NumberPlace, ...] = ()
+    fixed: tuple[Parameter, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,6 +89,10 @@ class RobotParameters:
         numbers = replace(numbers, beside=self.base.beside, log=self.base.log)
         kept, dropped = (np.array([p.read(numbers) for p in places]) for places in (self.places, self.dropped))
         return np.asarray(kept + self.grouping @ dropped)
+
+    def group_all(self, numbers: RobotNumbers) -> FloatArray:
+        """Return `group`, then the numbers in the places of the fixed parameters."""
+        return np.concatenate([self.group(numbers), [place.read(numbers) for place in self.kept]])
 
     def values(self, x: FloatArray) -> FloatArray:
         """Return the parameters from what is searched, (parameters,)."""
@@ -129,25 +134,27 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
 
 
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
-    """Remove the fixed parameters and tighten the bounds of the others.
+    """Set the fixed parameters apart and tighten the bounds of the others.
 
     Args:
         parameters: of a robot.
         known: by name; the value of a fixed parameter is its start. Unknown names are ignored.
     """
-    bounded, kept, fixed = list[Parameter](), list[int](), list[NumberPlace]()
+    bounded, kept, places, fixed = list[Parameter](), list[int](), list[NumberPlace](), list[Parameter]()
     base = parameters.base
     for i, (one, place) in enumerate(zip(parameters.parameters, parameters.places, strict=True)):
         stated = known.get(one.name, one)
         if not stated.free and stated.start is not None:
             base = with_values(base, (place,), np.array([stated.start]))
-            fixed.append(place)
+            places.append(place)
+            fixed.append(one.fix(stated.start))
             continue
         kept.append(i)
         bounded.append(replace(one, lower=max(one.lower, stated.lower), upper=min(one.upper, stated.upper)))
     return replace(
         parameters, parameters=tuple(bounded), places=tuple(parameters.places[i] for i in kept),
-        logarithmic=parameters.logarithmic[kept], base=base, grouping=parameters.grouping[kept], kept=tuple(fixed),
+        logarithmic=parameters.logarithmic[kept], base=base, grouping=parameters.grouping[kept], kept=tuple(places),
+        fixed=tuple(fixed),
     )  # fmt: skip
 
 

@@ -100,7 +100,7 @@ class SimulatedRobot(IdentifiedRobot):
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot."""
-        return self.fit.parameters.group(RobotNumbers.of(robot))
+        return self.fit.parameters.group_all(RobotNumbers.of(robot))
 
 
 def identify_simulated_robot(
@@ -160,12 +160,12 @@ def identify_simulated_robot(
     nominal = nominal_numbers(robot, parameters.numbers(fit.values))
     part = SimulatedRobot(
         setup=model,
-        names=fit.names,
-        values=fit.values,
-        covariance=fit.covariance,
-        nominal=parameters.group(RobotNumbers.of(robot)),
+        names=(*fit.names, *(one.name for one in parameters.fixed)),
+        values=np.array([*fit.values, *(one.start for one in parameters.fixed)], dtype=np.float64),
+        covariance=fit.covariance.with_fixed(len(parameters.fixed)),
+        nominal=parameters.group_all(RobotNumbers.of(robot)),
         nominal_errors=_errors(problem, nominal),
-        formulas=tuple(parameters.formulas(robot)),
+        formulas=(*parameters.formulas(robot), *(one.name for one in parameters.fixed)),
         springs=springs,
         fit=fit,
     )
@@ -206,7 +206,7 @@ def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedP
     refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
     refused |= {f"{one.joint}.damping": None for one in hidden}
     rows = []
-    named = zip(parameters.parameters, parameters.places, part.values, part.covariance.std, strict=True)
+    named = zip(*_of_table(parameters), part.values, part.covariance.std, strict=True)
     units = parameter_units(robot, parameters)
     for one, place, value, std in named:
         joint, determined = _joint_of(place, rotors), one.name not in refused
@@ -216,8 +216,8 @@ def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedP
                 symbol=one.name,
                 unit=units[one.name],
                 value=float(value) if determined else None,
-                stderr=float(std) if determined else None,
-                free=True,
+                stderr=float(std) if determined and one.free else None,
+                free=one.free,
                 identifiable=determined,
                 lower_bound=refused.get(one.name),
                 of_joint=not place.is_of_record,
@@ -227,10 +227,15 @@ def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedP
     return tuple(rows)
 
 
+def _of_table(parameters: RobotParameters) -> tuple[tuple[Parameter, ...], tuple[NumberPlace, ...]]:
+    """Return the parameters and their places, the fixed ones last."""
+    return (*parameters.parameters, *parameters.fixed), (*parameters.places, *parameters.kept)
+
+
 def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]:
     """Return the unit of each parameter by its name."""
     found = {}
-    for one, place in zip(parameters.parameters, parameters.places, strict=True):
+    for one, place in zip(*_of_table(parameters), strict=True):
         if one.symbol in SYMBOLS:
             found[one.name] = UNITS[SYMBOLS.index(one.symbol)]
         else:
