@@ -10,6 +10,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.robots.drive_side import identify_flexible_drive_side
 from jointid.estimation.robots.flexible import FlexibleRobotFit
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
@@ -170,7 +171,10 @@ def test_a_spring_that_the_record_does_not_show_is_refused() -> None:
 def test_the_answer_is_held_against_another_record() -> None:
     twin = replace(two((12.0, 18.0)), home=np.array([1.6, -2.3]))  # far from 0
     heavier = twin.robot.with_inertials(1.3 * np.array([link.inertial for link in twin.robot.links]))
-    estimate = ji.identify(logged(twin), ji.robots.RobotDriveSide(heavier))
+    known = {"joint1.offset": Parameter("offset", "offset", Quantity.FORCE).fix(twin.robot.joints[0].offset)}
+    estimate = ji.identify(logged(twin), ji.robots.RobotDriveSide(heavier), parameters=known)
+    row = estimate.params["joint1.offset"]
+    assert (row.free, row.value, row.stderr, row.axis) == (False, known[row.name].start, None, "joint1")
     assert np.all(axis_errors(estimate) < 0.02)
     assert np.all(estimate.require_robot().nominal_errors > 0.05)
     text = estimate.to_document().text()
