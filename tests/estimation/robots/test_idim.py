@@ -261,7 +261,7 @@ def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
     assert {v.subject for v in found.checks.verdicts if v.good} >= {Subject.SOLVER, Subject.FIT, Subject.REPEATABLE}
     with pytest.raises(MethodError, match="DIDIM is not for a Robot; use IDIM"):
         ji.identify(records, ARM, ji.DIDIM())
-    with pytest.raises(MethodError, match="without SeveralRecords or windows"):
+    with pytest.raises(MethodError, match="from the record of each of its joints; received one"):
         ji.identify(records[0], ARM)
     with pytest.raises(MethodError, match=r"IDIM\.fixed is for a robot, and this is a rigid joint"):
         ji.identify(records[0], ji.RigidJoint("prismatic"), IDIM(fixed={"Fv": 1.0}))
