@@ -228,7 +228,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
         run("identify", joint, "--set", "method.name=didim", "--set", "method.estimator=ols")
     text = joint.read_text(encoding="utf-8")
     joint.write_text(text[: text.rindex("[joints.controller]")], encoding="utf-8")
-    with pytest.raises(JointFileError, match="joints.2.controller is missing, but DIDIM needs it"):
+    with pytest.raises(JointFileError, match=r"joints\.2\.controller is missing, but DIDIM needs it"):
         run("simulate", joint, "--set", "method.name=didim", "--out", tmp_path / "one.csv")
 
 
