@@ -28,7 +28,7 @@ from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
 from jointid.estimation.problems.rest import moving_weights
-from jointid.estimation.robots.didim import fixed_point
+from jointid.estimation.robots.fit import fixed_point
 from jointid.estimation.robots.flexible import (
     SLOW,
     FlexibleRobotFit,

@@ -23,8 +23,9 @@ from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict, Sums
 from jointid.estimation.robots.build import build_robot_result
-from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
+from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, add_problems, robot_problem
