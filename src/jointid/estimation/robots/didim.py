@@ -15,6 +15,8 @@ of Coulomb friction is that of the direction of sliding, but of the velocity's s
 without it never rests, and a fixed point with a negative one would stay. Viscous and Coulomb friction are not let below
 0.
 
+Friction that is not linear in its parameters is searched from there (`laws`).
+
 Valid for rigid joints, or below about a fifth of the first resonance; the robot at rest at the first sample, or moving
 as its references do.
 """
@@ -27,11 +29,13 @@ from dataclasses import replace
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
-from jointid.estimation.robots.fit import SETTLED, RobotFit, fixed_point
+from jointid.estimation.robots.fit import NEAR, SETTLED, RobotFit, fixed_point
+from jointid.estimation.robots.laws import search_laws
 from jointid.estimation.robots.numbers import apply_constraints, robot_parameters
-from jointid.estimation.robots.problem import add_problems, robot_problem
+from jointid.estimation.robots.problem import RobotLoopProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.estimation.starts.rigid_robot import rigid_robot_start
+from jointid.models.robots.robot import Robot
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop, RobotOutcome
 
@@ -43,6 +47,7 @@ def identify_rigid_robot(
     *,
     offsets: bool = True,
     iterations: int = 30,
+    evaluations: int = 60,
     settled: float = SETTLED,
     known: Mapping[str, Parameter] | None = None,
     progress: Progress = lambda _: None,
@@ -56,6 +61,7 @@ def identify_rigid_robot(
         filtering: that torques and columns go through alike.
         offsets: whether each motor has a constant torque that is identified, too.
         iterations: at most.
+        evaluations: simulations with derivatives, at most, of each descent to laws that are not linear.
         settled: the largest change of a parameter that ends them, standard deviations.
         known: values and bounds to keep, by name; see `apply_constraints`.
         progress: receives each iteration.
@@ -64,20 +70,24 @@ def identify_rigid_robot(
         RecordError: a record lacks torque or reference, or has the wrong clock or unit.
         MethodError: the records do not determine the parameters, or nothing can be simulated at the start.
     """
-    loop.robot.require_lines("DIDIM of a robot takes")
-    robot = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
-    loop = replace(loop, robot=robot)
-    parameters = apply_constraints(robot_parameters(robot, offsets=offsets), known or {})
-    logs = each_log(records)
-    parts = [robot_problem(loop, log, parameters, filtering) for log in logs]
-    x, run = rigid_robot_start(parts[0], loop, logs[0])
+    known, logs, robot = known or {}, each_log(records), loop.robot.rigid
+
+    def pose(of: Robot) -> list[RobotLoopProblem]:
+        parameters = apply_constraints(robot_parameters(of, offsets=offsets), known)
+        return [robot_problem(replace(loop, robot=of), log, parameters, filtering) for log in logs]
+
+    parts = pose(robot.linear)
+    x, run = rigid_robot_start(parts[0], replace(loop, robot=robot.linear), logs[0])
+    settled = settled if robot.linear.joints == robot.joints else NEAR
     if len(parts) == 1:
-        return fixed_point(parts[0], x, run, iterations, progress, settled)
-    problem = add_problems(parts)
-    runs = problem.run(x)
-    if runs.outcome is not RobotOutcome.FINISHED:
-        raise MethodError(
-            f"The robot cannot be simulated along all logs from the start that the first gives: {runs.outcome.value}. "
-            "Name a livelier record first."
-        )
-    return fixed_point(problem, x, runs, iterations, progress, settled)
+        fit = fixed_point(parts[0], x, run, iterations, progress, settled)
+    else:
+        problem = add_problems(parts)
+        runs = problem.run(x)
+        if runs.outcome is not RobotOutcome.FINISHED:
+            raise MethodError(
+                "The robot cannot be simulated along all logs from the start that the first gives: "
+                f"{runs.outcome.value}. Name a livelier record first."
+            )
+        fit = fixed_point(problem, x, runs, iterations, progress, settled)
+    return search_laws(robot, fit, lambda of: add_problems(pose(of)), known, evaluations, progress)

@@ -20,6 +20,9 @@ from jointid.uncertainty.covariance import Covariance, robust
 SETTLED = 0.02
 """Standard deviations: the largest change of a parameter that ends the search."""
 
+NEAR = 0.2
+"""Standard deviations: a change that ends the search where another one is to follow."""
+
 _HALVINGS = 6  # of a step to a candidate that cannot be simulated
 
 

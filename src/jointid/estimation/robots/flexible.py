@@ -35,7 +35,8 @@ from jointid.common.parameters import Parameter
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.descents import OFF, UNSEEN, Descents
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.fit import NEAR, RobotFit
+from jointid.estimation.robots.laws import search_laws
 from jointid.estimation.robots.numbers import apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
@@ -48,7 +49,6 @@ from jointid.solvers.solve import Status
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
-_NEAR = 0.2  # standard deviations: a change of the rigid robot's parameters that is none where springs are to follow
 _SHOWN = 4.0  # standard deviations by which a compliance differs from 0
 
 
@@ -103,15 +103,29 @@ def identify_flexible_robot(
     """
     robot = loop.robot
     require_springs(robot, frequencies)
-    parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True), known or {})
-    problem = add_problems([robot_problem(loop, log, parameters, filtering) for log in each_log(records)])
+    known = known or {}
+
+    def pose(of: Robot) -> RobotProblem[Any]:
+        parameters = apply_constraints(robot_parameters(of, offsets=offsets, logarithmic=True), known)
+        own = replace(loop, robot=of)
+        return add_problems([robot_problem(own, log, parameters, filtering) for log in each_log(records)])
+
+    linear = replace(loop, robot=robot.linear)
+    problem = pose(linear.robot)
     if frequencies is None:
         frequency_row(problem.sample_time)
     require_frequencies(frequencies, problem.sample_time)
-    rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, settled=_NEAR, known=known, progress=progress)
-    return search_springs(
-        problem, robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
+    rigid = identify_rigid_robot(linear, records, SLOW, offsets=offsets, settled=NEAR, known=known, progress=progress)
+    found = search_springs(
+        problem, linear.robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
     )
+    fit = search_laws(robot, found.fit, pose, known, evaluations, progress)
+    if fit is found.fit:
+        return found
+    made = found.evaluations + fit.iterations
+    fit = replace(fit, iterations=made)
+    springs = judge_springs(fit, robot)
+    return replace(found, fit=fit, springs=springs, evaluations=made, message="the laws were searched")
 
 
 def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> None:
@@ -183,17 +197,12 @@ def search_springs(
         # No better than without springs: a robot that has none, or whose modes are high, is found from stiff ones.
         end = descents.from_start(rough, start, start.all_at(start.stiff))
 
-    def judge_springs(fit: RobotFit) -> tuple[SpringVerdict, ...]:
-        return tuple(
-            _judge(fit, problem, joint.name, "N/m" if link.kind == "prismatic" else "N m/rad")
-            for joint, link in zip(robot.joints, robot.links, strict=True)
-            if joint.spring is not None
-        )
-
     if not end.may_show or (stiff and end.norm > without):
         seen = end.of(problem).fit(descents.made)
         if seen is not None:
-            springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in judge_springs(seen))
+            springs = tuple(
+                replace(one, shown=False, stiffness=None, deviation=None) for one in judge_springs(seen, robot)
+            )
             return FlexibleRobotFit(seen, springs, rigid, descents.made, "no joint shows a spring")
     end = descents.finish(problem, end)
     fit = end.fit(descents.made)
@@ -208,14 +217,23 @@ def search_springs(
             "A robot of rigid joints explains the torque of every joint better than the one that the search of springs "
             "ended at; leave the springs out of the robot file, or excite their modes by a multisine."
         )
-    return FlexibleRobotFit(fit, judge_springs(fit), rigid, descents.made, end.solution.message)
+    return FlexibleRobotFit(fit, judge_springs(fit, robot), rigid, descents.made, end.solution.message)
 
 
-def _judge(fit: RobotFit, problem: RobotProblem[Any], joint: str, unit: str) -> SpringVerdict:
+def judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
+    """Return whether the records show the spring of each flexible joint."""
+    return tuple(
+        _judge(fit, joint.name, "N/m" if link.kind == "prismatic" else "N m/rad")
+        for joint, link in zip(robot.joints, robot.links, strict=True)
+        if joint.spring is not None
+    )
+
+
+def _judge(fit: RobotFit, joint: str, unit: str) -> SpringVerdict:
     """Return whether the records show a joint's spring."""
     stiffness, deviation = fit.value(f"{joint}.stiffness")
     compliance, spread = 1.0 / stiffness, deviation / stiffness**2
-    bound = problem.free[fit.names.index(f"{joint}.stiffness")].upper
+    bound = fit.parameters.parameters[fit.names.index(f"{joint}.stiffness")].upper
     shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - OFF
     at_least = 1.0 / (compliance + UNSEEN * spread)
     return SpringVerdict(joint, shown, stiffness if shown else None, deviation if shown else None, at_least, unit)

@@ -30,7 +30,7 @@ from jointid.models.friction import (
     StribeckFriction,
     SymmetricFriction,
 )
-from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.springs import ElasticLoad, LinearSpring, Spring
 
@@ -188,6 +188,29 @@ class RobotJoint:
         return FlexibleJoint("revolute", self.law, spring=self.spring.law)
 
     @property
+    def linear(self) -> RobotJoint:
+        """The joint with a linear spring, and the lines of its friction alone."""
+        friction = None if self.friction is None else self.friction.lines
+        spring = None if self.spring is None else replace(self.spring, law=LinearSpring())
+        names = {p.name for p in self.model.linear.parameters}
+        return replace(
+            self, friction=friction, spring=spring, stribeck_force=0.0, stribeck_speed=None,
+            numbers={name: value for name, value in self.numbers.items() if name in names},
+        )  # fmt: skip
+
+    @property
+    def rigid(self) -> RobotJoint:
+        """The joint whose spring does not give."""
+        if not isinstance(self.model, FlexibleJoint):
+            return self
+        whole = self.model.rigid
+        beside = {name.removeprefix("motor_").removeprefix("load_") for name in self.numbers}
+        numbers = {p.name: of_whole(p, self.values) for p in whole.parameters if p.name in beside}
+        return replace(
+            self, friction=self.friction and whole.friction, spring=None, numbers=numbers,
+        )  # fmt: skip
+
+    @property
     def values(self) -> dict[str, float]:
         """Its numbers by the names of a joint's parameters; what its link weighs is not among them."""
         motor, own = "" if self.spring is None else "motor_", (self.viscous, self.viscous_back)
@@ -203,6 +226,8 @@ class RobotJoint:
     @property
     def asymmetric(self) -> bool:
         """True of a friction that is another in the other direction."""
+        if self.friction is not None:
+            return self.friction.depends_on_direction("viscous")
         return self.viscous_backwards is not None or self.coulomb_backwards is not None
 
     @property
@@ -328,6 +353,16 @@ class Robot:
     def flexible(self) -> tuple[bool, ...]:
         """Which joints have a spring."""
         return tuple(joint.spring is not None for joint in self.joints)
+
+    @property
+    def linear(self) -> Robot:
+        """The robot with linear springs, and the lines of its friction alone."""
+        return replace(self, joints=tuple(joint.linear for joint in self.joints))
+
+    @property
+    def rigid(self) -> Robot:
+        """The robot whose springs do not give."""
+        return replace(self, joints=tuple(joint.rigid for joint in self.joints))
 
     def require_lines(self, taker: str) -> None:
         """Raise a `MethodError` if a law is smooth, a spring is in pieces, or one has numbers beside those of lines.
