@@ -10,6 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Progress
+from jointid.estimation.descent import roughly
 from jointid.estimation.robots.fit import RobotFit, conclude
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.simulation.robots import RobotOutcome
@@ -20,9 +21,6 @@ from jointid.uncertainty.covariance import white
 if TYPE_CHECKING:
     from jointid.estimation.starts.robot_springs import StartOfSprings
 
-CLOSE = 1e-3, 1e-4
-"""Tolerance of a close descent, and what a step is to promise: shares of the criterion."""
-
 UNSEEN = 2.0
 """Standard deviations: a compliance of less is not shown."""
 
@@ -31,7 +29,7 @@ OFF = 1e-3
 
 _COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first descent leads nowhere
 _FIRST, _TRIED = 12, 6  # evaluations of a rough descent, mostly enough; and of those from other frequencies
-_ROUGH = 3e-2, 1e-2  # tolerance, and what a step is to promise: shares of the criterion
+_ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to promise: shares of the criterion
 _FINE = 3e-5  # tolerance at last
 _LAST = 0.1  # of the sum of squares in units of the noise, a step's worth there: all parameters move by 0.3 deviations
 _FALLING = 0.7  # of its error before a step: a descent that is on its way
@@ -143,17 +141,22 @@ class Descents:
     ) -> End:
         """Descend roughly from values of all parameters."""
         x = problem.parameters.to_search_variables(values)
-        return self.from_values(problem, x, start.reach(values), _ROUGH, evaluations)
+        return self._descend(Counted(problem), x, start.reach(values), _ROUGH, min(evaluations, self.evaluations))
 
-    def from_values(
-        self, problem: RobotProblem[Any], x: FloatArray, reach: FloatArray, aim: tuple[float, float], evaluations: int
-    ) -> End:
-        """Descend from search variables, (free,), by steps within reach, (free,)."""
-        return self._descend(Counted(problem), x, reach, aim, min(evaluations, self.evaluations))
+    def follow(self, problem: RobotProblem[Any], values: FloatArray, reach: FloatArray) -> End:
+        """Descend from a start as the search of one joint's laws does, away from bounds, (parameters,) each.
+
+        Where a bound takes the effect of other parameters away, as a slider without stiffness, steps of Levenberg and
+        Marquardt would end there.
+        """
+        x, counted = problem.parameters.to_search_variables(values), Counted(problem)
+        found = solve(counted, roughly(problem), x, self._watch)
+        self.made += found.evaluations
+        return End(problem, found, reach)
 
     def finish(self, problem: RobotProblem[Any], end: End) -> End:
         """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""
-        end = self.from_end(end.reweight(), end, CLOSE).of(problem)
+        end = self.from_end(end.reweight(), end, _CLOSE).of(problem)
         for _ in range(_TURNS):
             weighed = end.reweight()
             end = self.from_end(weighed, end, (_FINE, _LAST / end.solution.residual.size))
@@ -174,12 +177,12 @@ class Descents:
     def _descend(
         self, counted: Counted, x: FloatArray, reach: FloatArray, aim: tuple[float, float], evaluations: int
     ) -> End:
-        def watch(step: Step) -> None:
-            self.progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
-
         problem = counted.problem
         assert isinstance(problem, RobotProblem)
         (tolerance, worth), exact = aim, problem.floor / float(np.max(problem.sigma))
-        found = solve(counted, LevenbergMarquardt(tolerance, evaluations, reach, worth, exact), x, watch)
+        found = solve(counted, LevenbergMarquardt(tolerance, evaluations, reach, worth, exact), x, self._watch)
         self.made += found.evaluations
         return End(problem, found, reach)
+
+    def _watch(self, step: Step) -> None:
+        self.progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")

@@ -18,7 +18,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
 from jointid.common.text import pluralise
-from jointid.estimation.robots.descents import CLOSE, Descents, End
+from jointid.estimation.robots.descents import Descents, End
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters, name_in_robot
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns
@@ -27,7 +27,6 @@ from jointid.models.robots.robot import Robot
 from jointid.simulation.robot_numbers import NumberOf, law_places, values_of_joint
 from jointid.simulation.robots import RobotRun, motion_at
 
-_FEW = 20  # evaluations of a descent from one of the starts
 _REACH, _FACTOR = math.log(3.0), 2.0  # of a step: of a parameter on a logarithmic scale, and over the start of a law's
 _DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 
@@ -124,8 +123,7 @@ def _descend(descents: Descents, problem: RobotProblem[Any], values: Mapping[str
     """Descend close to the minimum that a start leads to."""
     parameters = problem.parameters
     begin = np.array([values[name] for name in parameters.names])
-    x = parameters.to_search_variables(begin)
-    return descents.from_values(problem.roughly(), x, _reach(parameters, begin), CLOSE, _FEW)
+    return descents.follow(problem.roughly(), begin, _reach(parameters, begin))
 
 
 def _reach(parameters: RobotParameters, values: FloatArray) -> FloatArray:
