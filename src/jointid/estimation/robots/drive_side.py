@@ -267,7 +267,9 @@ def identify_flexible_drive_side(
         MethodError: as of `identify_flexible_robot`.
     """
     require_springs(robot, frequencies)
-    robot.require_lines("The drive side of a robot takes")
+    instead = 'identify the robot by "didim"'
+    robot.require_linear_friction("The drive side of a robot takes", instead)
+    robot.require_linear_springs("The drive side of a robot takes", instead)
     stiff, known = robot.rigid, known or {}
     parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True, whole=False), known)
     logs = each_log(records)

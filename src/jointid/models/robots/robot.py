@@ -213,9 +213,11 @@ class RobotJoint:
     @property
     def values(self) -> dict[str, float]:
         """Its numbers by the names of a joint's parameters; what its link weighs is not among them."""
-        motor, own = "" if self.spring is None else "motor_", (self.viscous, self.viscous_back)
-        back = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
-        found = _friction_values(motor, *own, self.coulomb, back, self.stribeck_force, self.stribeck_speed or 0.0)
+        motor = "" if self.spring is None else "motor_"
+        back = self.viscous if self.viscous_backwards is None else self.viscous_backwards
+        held = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
+        rise = self.stribeck_force, self.stribeck_speed or 0.0
+        found = _friction_values(motor, self.viscous, back, self.coulomb, held, *rise)
         if self.spring is not None:
             viscous, coulomb = self.spring.viscous, self.spring.coulomb
             found |= _friction_values("load_", viscous, viscous, coulomb, coulomb, 0.0, 0.0)
@@ -231,15 +233,15 @@ class RobotJoint:
         return self.viscous_backwards is not None or self.coulomb_backwards is not None
 
     @property
-    def viscous_back(self) -> float:
-        """Viscous friction backwards."""
-        return self.viscous if self.viscous_backwards is None else self.viscous_backwards
+    def motor(self) -> dict[str, float]:
+        """Numbers of the motor's side, by the names of a rigid joint's parameters, and those of the spring."""
+        return {name.removeprefix("motor_"): value for name, value in self.values.items()}
 
     @property
-    def coulomb_both(self) -> tuple[float, float]:
-        """Coulomb friction the same in both directions, and the offset beside it: the same torques, at rest too."""
-        back = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
-        return 0.5 * (self.coulomb + back), self.offset + 0.5 * (self.coulomb - back)
+    def constant_torque(self) -> float:
+        """Constant part of the motor's torque, with half of what Coulomb friction has more forwards than backwards."""
+        _, _, forwards, backwards = self.law.directions(self.motor)
+        return self.offset + 0.5 * (forwards - backwards)
 
 
 def _friction_values(
@@ -364,19 +366,29 @@ class Robot:
         """The robot whose springs do not give."""
         return replace(self, joints=tuple(joint.rigid for joint in self.joints))
 
-    def require_lines(self, taker: str) -> None:
-        """Raise a `MethodError` if a law is smooth, a spring is in pieces, or one has numbers beside those of lines.
+    def require_linear_friction(self, taker: str, instead: str) -> None:
+        """Raise a `MethodError` if a friction is not linear in its parameters on a known motion.
+
+        One that rises towards standstill is, below a speed that is known.
 
         Args:
-            taker: who takes laws for lines, as "IDIM of a robot takes".
+            taker: who takes no other friction, as "IDIM of a robot takes".
+            instead: what else may be done.
         """
         for joint in self.joints:
-            sprung = joint.spring is not None and not joint.spring.law.linear
-            if sprung or joint.law.stepped or joint.numbers:
-                law = joint.spring.law if joint.spring is not None and sprung else joint.law
+            if joint.law.stepped:
                 raise MethodError(
-                    f'{taker} friction and springs for lines; received the law "{law.name}" of {joint.name}: leave it '
-                    "out, or simulate the robot with it."
+                    f"{taker} friction that is linear in its parameters on the measured motion; received the law "
+                    f'"{joint.law.name}" of {joint.name}: declare another friction, or {instead}.'
+                )
+
+    def require_linear_springs(self, taker: str, instead: str) -> None:
+        """Raise a `MethodError` if a spring is not linear; see `require_linear_friction`."""
+        for joint in self.joints:
+            if joint.spring is not None and not joint.spring.law.linear:
+                raise MethodError(
+                    f'{taker} linear springs; received the law "{joint.spring.law.name}" of {joint.name}: declare a '
+                    f"linear one, or {instead}."
                 )
 
     def torque_unit(self, number: int) -> str:
