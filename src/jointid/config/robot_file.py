@@ -488,7 +488,6 @@ class RobotFile:
         Raises:
             RecordError, MethodError: see `jointid.identify`.
         """
-        self.robot.require_lines("An identification of a robot takes")
         return identify(
             records, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
             progress=progress,
