@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
@@ -20,12 +19,12 @@ from pydantic import Field, ValidationError
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
-from jointid.common.messages import Progress, Says, ignore_progress
+from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
+from jointid.common.messages import Says
 from jointid.common.parameters import Parameter
 from jointid.common.settings import settings_of
 from jointid.common.units import Kind
-from jointid.config.contents import JointFile
+from jointid.config.contents import FeedForward, File, JointFile, name_axes
 from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.schema import (
     ControllerTable,
@@ -40,30 +39,23 @@ from jointid.config.schema import (
     TransmissionTable,
     keys_of,
 )
-from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Run, Source
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
-from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import ROBOT
-from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.models.limits import ROBOT_LIMITS, AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
-from jointid.records.formats import Table as RecordedTable
-from jointid.records.formats import read_table
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
-from jointid.records.writing import write_columns
 from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop, add_feed_forward
+from jointid.simulation.robots import RobotLoop
 
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
 
-FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
 NumbersByName = Annotated[dict[str, Number], Says("a table of numbers by names")]
 
@@ -250,32 +242,24 @@ def _fill_placeholders(table: ChannelTable, name: str, number: int) -> ChannelTa
     return table.model_copy(update=texts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotFile:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotFile(File[tuple[Record, ...]]):
     """A robot file: the robot, and what is recorded of each of its joints.
 
     Attributes:
         model: the robot, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
-        filtering: how signals are filtered.
-        method: how the robot is identified: by IDIM, by DIDIM from torques and references, or on the drive side.
-        feed_forward: what the drives are given beside the controllers' torque.
         stated_limits: what each joint may do in a test that is planned, as its table says.
         in_motion: whether the records begin while the robot moves.
         unmodelled: sentences on what the joints have and the model of a robot has not, which every verb refuses.
-        path: of the robot file.
         raw: its tables.
     """
 
     model: Robot
     joints: tuple[JointFile, ...]
-    filtering: Filtering
-    method: RobotMethod
-    feed_forward: FeedForward
     stated_limits: tuple[LimitsTable, ...]
     in_motion: bool
     unmodelled: tuple[str, ...]
-    path: Path
     raw: Mapping[str, Any] = field(repr=False)
 
     @classmethod
@@ -301,17 +285,34 @@ class RobotFile:
         except JointidError as error:
             raise JointFileError(f"joints: {error}") from error
         return cls(
-            robot,
-            files,
-            said.filtering.build(),
-            method,
-            said.robot.feed_forward,
-            tuple(one.limits or LimitsTable() for one in said.joints),
-            said.robot.in_motion,
-            tuple(unmodelled),
-            path,
-            tables,
+            model=robot,
+            joints=files,
+            method=method,
+            filtering=said.filtering.build(),
+            parameters=_parameters(files),
+            source=files[0].source,
+            feed_forward=said.robot.feed_forward,
+            stated_limits=tuple(one.limits or LimitsTable() for one in said.joints),
+            in_motion=said.robot.in_motion,
+            unmodelled=tuple(unmodelled),
+            path=path,
+            raw=tables,
         )
+
+    @property
+    def axes(self) -> tuple[JointFile, ...]:
+        """The joint file of each joint."""
+        return self.joints
+
+    def _of_axes(self, records: tuple[Record, ...]) -> tuple[Record, ...]:
+        return records
+
+    def _by_axes(self, record: tuple[Record, ...]) -> tuple[Record, ...]:
+        return record
+
+    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
+        """Return the files that are read: the model, and the record that the file names or that takes its place."""
+        return (self.path.parent / self.raw["robot"]["model"], *self.joints[0].inputs(record))
 
     @property
     def robot(self) -> Robot:
@@ -364,51 +365,6 @@ class RobotFile:
                 parameters[parameter.name] = replace(known, start=start)
         return replace(file, parameters=parameters)
 
-    def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
-        """Read the record of every joint, from one reading of the file.
-
-        Args:
-            path: of the record, instead of the one that the file names.
-
-        Raises:
-            RecordError: the file does not hold what the robot file says; each sentence names its joint.
-        """
-        return self._of_each(path, JointFile.record_of)
-
-    def _of_each(
-        self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, RecordedTable, str], Record]
-    ) -> tuple[Record, ...]:
-        path = self.joints[0].record_path(path)
-        table = read_table(path, **self.joints[0].source.options)
-        found, faults = list[Record](), dict[Fault, list[str]]()
-        for file in self.joints:
-            try:
-                found.append(cut(file, table, Path(path).stem))
-            except RecordError as error:
-                for fault in error.faults:
-                    faults.setdefault(fault, []).append(str(file.name))
-        if faults:
-            raise RecordError(_by_joints(faults, len(self.joints)))
-        return tuple(found)
-
-    @property
-    def runs(self) -> tuple[Run, ...]:
-        """Records that the file lists: none, as those of a robot are named one by one."""
-        return ()
-
-    @property
-    def source(self) -> Source:
-        """The file of the record, and how it is read."""
-        return self.joints[0].source
-
-    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
-        """Return the files that are read: the model, and the record that the file names or that takes its place."""
-        return (self.path.parent / self.raw["robot"]["model"], *self.joints[0].inputs(record))
-
-    def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
-        """Return the path of the record; see `JointFile.record_path`."""
-        return self.joints[0].record_path(path)
-
     @property
     def loop(self) -> RobotLoop:
         """The robot under its controllers.
@@ -425,125 +381,12 @@ class RobotFile:
         controllers = tuple(file.controller for file in self.joints if file.controller is not None)
         return RobotLoop(self.robot, controllers, self.in_motion)
 
-    def driving(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
-        """Read what drives a simulation: references, and the feed-forward that the file asks to compute.
-
-        Args:
-            path: of the record, instead of the one that the file names.
-
-        Raises:
-            RecordError: see `records`.
-            MethodError: the feed-forward needs references of one rate.
-        """
-        return self._fed_forward(self._of_each(path, JointFile.driving_of))
-
-    def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
-        injected = [
-            str(file.name) for file, record in zip(self.joints, found, strict=True) if record.injected is not None
-        ]
-        if self.feed_forward == "logged" and len(injected) < len(found):
-            raise RecordError(
-                'robot.feed_forward is "logged", and not every joint has an injected channel; declare one for each in '
-                "[record.channels]."
-            )
-        if self.feed_forward in ("gravity", "inverse-model") and injected:
-            raise RecordError(
-                f'robot.feed_forward is "{self.feed_forward}", and {", ".join(injected)} has an injected channel too; '
-                'expected one of both: leave the channel out, or take "logged".'
-            )
-        if self.feed_forward in ("gravity", "inverse-model"):
-            return add_feed_forward(self.loop, found, self.feed_forward)
-        return found
-
-    def record(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> tuple[Record, ...]:
-        """Read the records for `identify`, with a computed feed-forward if the method simulates.
-
-        Args:
-            path: of the record, instead of the one that the file names.
-            judged: whether the declared controllers are held against the torques as well. These are the controllers'
-                and the feed-forward's, so a computed one is added where every joint has a controller and a reference.
-
-        Raises:
-            RecordError, MethodError: see `records`, `driving`.
-        """
-        found = self.records(path)
-        controlled = all(file.controller is not None for file in self.joints)
-        whole = controlled and all(record.reference is not None for record in found)
-        return self._fed_forward(found) if self._simulates or (judged and whole) else found
-
-    def identify(
-        self,
-        records: Sequence[Record] | Sequence[Sequence[Record]],
-        progress: Progress = ignore_progress,
-        *,
-        checks: bool = True,
-    ) -> Estimate:
-        """Identify the robot by the method and the filtering of the file.
-
-        Args:
-            records: of each joint, as `record` reads them; or those of several logs, identified in one fit.
-            progress: is called with the state of a search.
-            checks: whether to check the estimate.
-
-        Raises:
-            RecordError, MethodError: see `jointid.identify`.
-        """
-        self.robot.require_lines("An identification of a robot takes")
-        return identify(
-            records, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
-            progress=progress,
-        )  # fmt: skip
-
-    def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
-        """Identify the robot from several records in one fit.
-
-        Args:
-            paths: of the records.
-            progress: is called with the state of a search.
-
-        Raises:
-            RecordError, MethodError: see `jointid.identify`.
-        """
-        return self.identify([self.record(path) for path in paths], progress)
-
     @property
     def setup(self) -> Robot | RobotLoop | RobotDriveSide:
         """The robot as its method takes it: alone, under its controllers, or along its motors' motion."""
         if isinstance(self.method, DriveSideFit):
             return RobotDriveSide(self.robot)
-        return self.loop if self._simulates else self.robot
-
-    @property
-    def parameters(self) -> dict[str, Parameter]:
-        """Values and bounds that the identification keeps, by the names of a robot's parameters."""
-        found = dict[str, Parameter]()
-        for file in self.joints:
-            known = {parameter.name: parameter for parameter in file.joint.parameters}
-            for name, stated in file.parameters.items():
-                own = name.removeprefix("motor_")
-                own = _OF_ROBOT.get(name, own)
-                if stated != replace(known[name], start=stated.start):
-                    # A start is a number of the robot that is built, and no start of a search.
-                    found[f"{file.name}.{own}"] = replace(stated, start=None) if stated.free else stated
-        return found
-
-    @property
-    def _simulates(self) -> bool:
-        """True if the method simulates the robot under its controllers."""
-        return isinstance(self.method, DIDIM) or (isinstance(self.method, IDIM) and self.method.estimator == "iv")
-
-    def write(self, records: Sequence[Record], path: str | os.PathLike[str]) -> None:
-        """Write one record of each joint into a file that `records` reads; channels without a column as JOINT.CHANNEL.
-
-        Raises:
-            RecordError: the file cannot be written, or would not be read back.
-        """
-        table: dict[str, FloatArray] = {}
-        for file, record in zip(self.joints, records, strict=True):
-            for name, values in file.columns_to_write(record).items():
-                own = f"{file.name}.{name}" if name in record.channels and name not in file.column_names else name
-                table[own] = values
-        write_columns(table, path, **self.joints[0].source.options)
+        return self.loop if self.simulates else self.robot
 
     def tables(self) -> dict[str, Any]:
         """Return the tables that say the same, with the numbers of this robot's joints."""
@@ -639,15 +482,22 @@ def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointF
         shared = Fault(f"{name} is one column of several joints; give each one of its own, as with {{axis}}.")
         faults.setdefault(shared, []).extend(joints)
     if faults:
-        raise JointFileError(_by_joints(faults, len(robot)))
+        raise JointFileError(name_axes(faults, len(robot)))
     return tuple(files)
 
 
-def _by_joints(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:
-    """Return sentences, each after the names of its joints where it is not of all."""
-    return [
-        f if len(names) == count else Fault(f"{', '.join(names)}: {f}", f.place, f.code) for f, names in faults.items()
-    ]
+def _parameters(axes: Sequence[JointFile]) -> dict[str, Parameter]:
+    """Return values and bounds that the identification keeps, by the names of a robot's parameters."""
+    found = dict[str, Parameter]()
+    for axis in axes:
+        known = {parameter.name: parameter for parameter in axis.joint.parameters}
+        for name, stated in axis.parameters.items():
+            own = name.removeprefix("motor_")
+            own = _OF_ROBOT.get(name, own)
+            if stated != replace(known[name], start=stated.start):
+                # A start is a number of the robot that is built, and no start of a search.
+                found[f"{axis.name}.{own}"] = replace(stated, start=None) if stated.free else stated
+    return found
 
 
 _NUMBERS = [one.name for one in settings_of(RobotJoint) if one.name not in ("spring", "coupling")]
