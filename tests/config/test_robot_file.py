@@ -11,6 +11,8 @@ from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.config import contents, dumps, load, load_to_learn, loads, save
 from jointid.config.loading import parse_toml
 from jointid.config.robot_file import RobotFile, RobotFileTable
+from jointid.config.schema import keys_of
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.controllers import PD
@@ -143,7 +145,9 @@ def test_joints_that_are_not_those_of_the_model(folder: Path) -> None:
 def test_every_key_of_its_own_is_on_the_page() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
     tables = RobotFileTable.model_json_schema()["$defs"]
-    for name in ("RobotTable", "RobotMethodTable", "RobotJointTable", "JointSpringTable"):
+    for method in (IDIM, DIDIM, DriveSideFit):
+        assert all(f"`{key}`" in page for key in keys_of(method, "robot"))
+    for name in ("RobotTable", "RobotJointTable", "JointSpringTable"):
         for key in tables[name].get("anyOf", [tables[name]])[-1]["properties"]:
             assert f"`{key}`" in page, key
     for table in RobotFileTable.model_fields:
@@ -168,7 +172,7 @@ def test_every_key_of_its_own_is_on_the_page() -> None:
         (
             "[[joints]]",
             '[method]\nestimator = "ols"\nname = "didim"\n[[joints]]',
-            "a setting of another method than didim",
+            r'method\.estimator is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim"',
         ),
     ],
 )
@@ -219,7 +223,7 @@ def test_a_feed_forward_that_was_logged_is_there(folder: Path) -> None:
 
 def test_remedies_name_the_tables_of_a_robot_file(folder: Path) -> None:
     text = TEXT.replace("viscous = 3.0\n", "parameters = { stiffness = 1e4 }\n")
-    with pytest.raises(JointFileError, match=r'^joints\.1\.parameters\.stiffness .* set joints\.model = "flexible"'):
+    with pytest.raises(JointFileError, match=r'^joints\.1\.parameters\.stiffness .* set joints\.1\.model = "flexible"'):
         RobotFile.of(parse_toml(text), folder / "robot.toml")
 
 

@@ -12,10 +12,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
@@ -24,6 +24,7 @@ from jointid.common.messages import Says
 from jointid.common.parameters import Parameter
 from jointid.common.settings import settings_of
 from jointid.common.units import Kind
+from jointid.config.consistency import foreign_settings
 from jointid.config.contents import FeedForward, File, JointFile, name_axes
 from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.schema import (
@@ -37,14 +38,10 @@ from jointid.config.schema import (
     ParameterTable,
     RippleTable,
     TransmissionTable,
-    keys_of,
 )
 from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
-from jointid.estimation.methods.registry import ROBOT
 from jointid.models.joints import FlexibleJoint
 from jointid.models.limits import ROBOT_LIMITS, AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
@@ -57,7 +54,14 @@ _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
 
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
-NumbersByName = Annotated[dict[str, Number], Says("a table of numbers by names")]
+
+
+def _at_zero(value: object) -> object:
+    """Return a list of joints as a table of their positions."""
+    return {name: 0.0 for name in value if isinstance(name, str)} if isinstance(value, list) else value
+
+
+Positions = Annotated[dict[str, Number], BeforeValidator(_at_zero), Says("a table of numbers, or a list of joints")]
 
 
 class RobotTable(Table):
@@ -70,6 +74,11 @@ class RobotTable(Table):
         description="roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
     )
     feed_forward: FeedForward = Field("none", description="what the drives are given beside the controllers' torque")
+    locked: Positions = Field(
+        default_factory=dict,
+        description="by the names of joints of the model that stand still and that no log has, their positions [rad or "
+        "m]; or a list of such joints, which stand at 0",
+    )
     in_motion: bool = Field(False, description="whether the records begin while the robot moves, as its references do")
 
     def faults(self) -> Iterator[tuple[str, str]]:
@@ -97,13 +106,7 @@ class JointSpringTable(Table):
             yield "stiffness", self.lacks("stiffness")
 
 
-class _OneOfJoints(JointTable):
-    """One of [[joints]] as [joint] of a joint file."""
-
-    heading: ClassVar = "joints"
-
-
-@keys_from(RobotJoint, without=("spring",), types={"coupling": (NumbersByName, dict)})
+@keys_from(RobotJoint, without=("spring",))
 class RobotJointTable(JointTable):
     """[[joints]]: one joint, in the order in which they are reported; what is left out is as the model says it."""
 
@@ -126,6 +129,9 @@ class RobotJointTable(JointTable):
     )
     channels: ChannelsTable | None = Field(None, description="its channels, where they are not as [record.channels]")
     limits: LimitsTable | None = Field(None, description="what it may do in a test that is planned")
+    method: MethodTable | None = Field(
+        None, description="how it is identified alone, by --axis, as [method] of a joint file"
+    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield nothing: what a joint may not be is seen beside what the model says of it."""
@@ -142,44 +148,7 @@ class RobotJointTable(JointTable):
         if self.spring is not None:
             said["spring"] = self.spring.law
         own = self.given_values(*said, "spring")
-        return _OneOfJoints.model_construct(
-            **said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields}
-        )
-
-
-RobotMethod: TypeAlias = IDIM | DIDIM | DriveSideFit
-_METHODS: dict[str, type[RobotMethod]] = {"idim": IDIM, "didim": DIDIM, "drive_side": DriveSideFit}
-
-
-@keys_from(
-    *_METHODS.values(), systems=ROBOT, types={"fixed": (NumbersByName, dict), "frequencies": (NumbersByName, dict)}
-)
-class RobotMethodTable(Table):
-    """[method]: how the robot is identified; some keys are for some methods only."""
-
-    name: Literal["idim", "didim", "drive_side"] | None = Field(
-        None,
-        description="idim, from motor positions and torques, didim, from torques and references, or drive_side, of "
-        "flexible joints from motor positions and torques; without it idim where [record.channels] or a joint has a "
-        "motor_position, and drive_side where a joint has a spring, too",
-    )
-
-    def chosen(self, measured: bool, flexible: bool) -> str:
-        """Return the method that is named, or, of records with motor positions or without, the one they are for."""
-        return self.name or ("didim" if not measured else "drive_side" if flexible else "idim")
-
-    def method(self, name: str) -> RobotMethod:
-        """Return the method of that name with these settings.
-
-        Raises:
-            JointFileError: a key is of another method.
-        """
-        given, own = self.settings("name"), keys_of(_METHODS[name], "robot")
-        for key in given:
-            if key not in own:
-                rest = f" is a setting of another method than {name}; leave it out."
-                raise JointFileError(fault_at(("method", key), rest, "unknown"))
-        return _METHODS[name](**given)
+        return JointTable.model_construct(**said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields})
 
 
 class RobotFileTable(Table):
@@ -189,7 +158,7 @@ class RobotFileTable(Table):
     record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
     drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
     filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
-    method: RobotMethodTable = Field(default_factory=RobotMethodTable, description="how the robot is identified")
+    method: MethodTable = Field(default_factory=MethodTable, description="how the robot is identified")
     joints: Annotated[list[RobotJointTable], Field(min_length=1), Says("one [[joints]] table for each joint")] = Field(
         description="the joints"
     )
@@ -197,19 +166,22 @@ class RobotFileTable(Table):
     @property
     def method_name(self) -> str:
         """Name of the given method, or of the default one for the channels."""
+        if self.method.name is not None:
+            return self.method.name
         # A joint without a controller leaves one method only.
         measured = self.record.channels.motor_position is not None or any(
             one.controller is None or (one.channels is not None and one.channels.motor_position is not None)
             for one in self.joints
         )
-        return self.method.chosen(measured, any(one.flexible for one in self.joints))
+        return "didim" if not measured else "drive_side" if any(one.flexible for one in self.joints) else "idim"
 
-    def table(self, number: int, kind: Kind) -> FileTable:
+    def table(self, number: int, kind: Kind, *, alone: bool = False) -> FileTable:
         """Return the joint file of one joint: the tables that all share, channels by its name and place, its own.
 
         Args:
             number: of the joint, from 0.
             kind: of the joint.
+            alone: whether it is identified alone, by its own method.
         """
         own = self.joints[number]
         channels = self.record.channels.given_values() | ({} if own.channels is None else own.channels.given_values())
@@ -217,16 +189,19 @@ class RobotFileTable(Table):
         record = self.record.model_copy(update={"channels": ChannelsTable().model_copy(update=named)})
         axis = {} if self.drive.profile is None or "axis" in self.drive.model_fields_set else {"axis": number + 1}
         # What a joint of a robot is identified by is not its own method, but says which channels must be there.
-        method = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
-        return FileTable.model_construct(
+        name = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
+        method = own.method if alone and own.method is not None else MethodTable()
+        said = ("method",) if alone and own.method is not None else ()
+        table = FileTable.model_construct(
             joint=own.table(kind),
             record=record,
             drive=self.drive.model_copy(update=axis),
-            method=MethodTable.model_construct(name=method),
+            method=method.model_copy(update={"name": method.name or name}),
             filtering=self.filtering,
             limits=own.limits or LimitsTable(),
             **{name: getattr(own, name) for name in _OF_JOINT_FILE if name in own.model_fields_set},
         )
+        return table.as_axis(number, (*said, *(() if own.channels is None else own.channels.model_fields_set)))
 
 
 _OF_JOINT_FILE = ("transmission", "gravity", "ripple", "controller", "parameters")
@@ -274,7 +249,11 @@ class RobotFile(File[tuple[Record, ...]]):
             JointFileError: with one sentence for each fault, of the file or of the model that it names.
         """
         said = read_robot_tables(tables)
-        bare, method = _robot(said, path.parent), said.method.method(said.method_name)
+        name = said.method_name
+        foreign = foreign_settings(said.method, name, "robot", lambda *keys: messages.dot_path(keys))
+        if faults := [fault_at(("method", key), rest) for key, rest in foreign]:
+            raise JointFileError(faults)
+        bare, method = _robot(said, path.parent), said.method.method(name, "robot")
         files = _joint_files(said, bare, path)
         each = list(zip(said.joints, bare.joints, files, strict=True))
         unmodelled = [
@@ -343,8 +322,9 @@ class RobotFile(File[tuple[Record, ...]]):
     def joint_file(self, name: str) -> JointFile:
         """Return the joint file of one joint, identified alone, as if no other joint moved.
 
-        The method has its default settings. Gravity is what `joints.gravity` says. Numbers of the [[joints]] table are
-        starts of the parameters; but the rotor's inertia is none of a rigid joint's, which includes the links.
+        The method is that of `joints.method`, or that of the robot with default settings. Gravity is what
+        `joints.gravity` says. Numbers of the [[joints]] table are starts of the parameters; that of a
+        rigid joint's inertia is the rotor's with the links that it moves, all other joints at 0.
 
         Args:
             name: of the joint.
@@ -356,9 +336,13 @@ class RobotFile(File[tuple[Record, ...]]):
         if name not in names:
             raise MethodError(f"The axis{messages.no_choice(name, names)}")
         number = names.index(name)
-        file, own = self.joints[number], read_robot_tables(self.raw).joints[number]
+        said = read_robot_tables(self.raw)
+        own, kind = said.joints[number], self.model.links[number].kind
+        file = JointFile.of_table(said.table(number, kind, alone=True), self.path)
         parameters = dict(file.parameters)
-        for parameter, start in _stated_starts(own, file):
+        whole = self.model.axis_inertia(number) + self.model.joints[number].rotor_inertia
+        rigid = [(parameter, whole) for parameter in file.joint.parameters if parameter.name == "inertia"]
+        for parameter, start in (*rigid, *_stated_starts(own, file)):
             known = parameters.get(parameter.name, parameter)
             unsaid = parameter.name not in parameters or known.start is None
             if unsaid and known.lower <= start <= known.upper:
@@ -417,7 +401,10 @@ def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
 
 def _robot(said: RobotFileTable, folder: Path) -> Robot:
     """Return the model with what the file says of its joints."""
-    model, names = load_robot(folder / said.robot.model), [one.name for one in said.joints]
+    names = [one.name for one in said.joints]
+    if both := [name for name in names if name in said.robot.locked]:
+        raise JointFileError(f"robot.locked names {', '.join(both)} of [[joints]], which move; leave one of both out.")
+    model = load_robot(folder / said.robot.model, said.robot.locked)
     unknown = [
         f"joints.{k + 1}.name{messages.no_choice(n, model.names)}" for k, n in enumerate(names) if n not in model.names
     ]
@@ -427,7 +414,8 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     missing = [name for name in model.names if name not in names]
     if missing and not unknown:
         unknown = [
-            f"joints lacks {', '.join(missing)}; expected every joint of {said.robot.model}: add [[joints]] tables."
+            f"joints lacks {', '.join(missing)}; expected every joint of {said.robot.model}: add [[joints]] tables, or "
+            f"name joints that stand still in robot.locked, as locked = {{ {missing[-1]} = 0.0 }}."
         ]
     if unknown:
         raise JointFileError(unknown)
@@ -469,11 +457,8 @@ def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointF
             files.append(JointFile.of_table(said.table(number, link.kind), path))
         except JointFileError as error:
             for fault in error.faults:
-                if fault.place and fault.place[0] in _OF_JOINT_FILE:
-                    rest = fault.removeprefix(messages.dot_path(fault.place))
-                    faults[fault_at(("joints", number, *fault.place), rest, fault.code)] = list(robot.names)
-                else:
-                    faults.setdefault(fault, []).append(own.name)
+                of_axis = fault.place[:1] == ("joints",)
+                faults[fault] = list(robot.names) if of_axis else [*faults.get(fault, ()), own.name]
     for file in files:
         if file.joint.transmission is not None and file.joint.transmission.side == "motor":
             side = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
