@@ -134,12 +134,26 @@ def test_a_fault_of_one_joint_names_it(folder: Path) -> None:
 def test_joints_that_are_not_those_of_the_model(folder: Path) -> None:
     tables = parse_toml(TEXT)
     tables["joints"] = tables["joints"][:2]
-    with pytest.raises(JointFileError, match=r"joints lacks joint2; expected every joint of arm\.xml"):
+    with pytest.raises(
+        JointFileError,
+        match=r"joints lacks joint2; expected every joint of arm\.xml: .* locked = \{ joint2 = 0\.0 \}",
+    ):
         RobotFile.of(tables, folder / "robot.toml")
     tables = parse_toml(TEXT)
     tables["joints"].reverse()
     with pytest.raises(JointFileError, match="write them as joint0, joint1, joint2"):
         RobotFile.of(tables, folder / "robot.toml")
+
+
+def test_joints_that_the_log_lacks_stand_still(folder: Path) -> None:
+    text = TEXT[: TEXT.rindex("[[joints]]")]
+    assert loads(text.replace("[robot]", "[robot]\nlocked = { joint2 = 0.3 }"), folder).robot.names == (
+        "joint0",
+        "joint1",
+    )
+    both = text.replace("[robot]", '[robot]\nlocked = ["joint1", "joint2"]')
+    with pytest.raises(JointFileError, match=r"robot\.locked names joint1 of \[\[joints\]\], which move"):
+        loads(both, folder)
 
 
 def test_every_key_of_its_own_is_on_the_page() -> None:

@@ -415,7 +415,7 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     if missing and not unknown:
         unknown = [
             f"joints lacks {', '.join(missing)}; expected every joint of {said.robot.model}: add [[joints]] tables, or "
-            f"name joints that stand still in robot.locked, as locked = {{ {missing[-1]} = 0.0 }}."
+            f"name joints that stand still in robot.locked, as locked = {{ {' = 0.0, '.join(missing)} = 0.0 }}."
         ]
     if unknown:
         raise JointFileError(unknown)

@@ -178,7 +178,7 @@ def _follow_ties(
         if moving := sorted(name for name in tied if name and name not in still):
             faults.append(
                 f"{called}: <{element}> ties {', '.join(moving)}; expected joints that move on their own: name those "
-                f"that stand still in robot.locked, as locked = {{ {moving[-1]} = 0.0 }}."
+                f"that stand still in robot.locked, as locked = {{ {other if other in moving else moving[-1]} = 0.0 }}."
             )
     if faults:
         raise JointFileError(dict.fromkeys(faults))
