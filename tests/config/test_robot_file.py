@@ -241,6 +241,27 @@ def test_remedies_name_the_tables_of_a_robot_file(folder: Path) -> None:
         RobotFile.of(parse_toml(text), folder / "robot.toml")
 
 
+@pytest.mark.parametrize(
+    ("said", "sentence"),
+    [
+        (
+            "parameters = { harmonic_1_cos = 1.0 }",
+            r"^joints\.1\.parameters\.harmonic_1_cos .* set joints\.1\.ripple\.period",
+        ),
+        ("parameters = { load_weight = 1.0 }", r"^joints\.1\.parameters\.load_weight "),
+        (
+            'channels.motor_position = { column = "q0", unit = "mm" }',
+            r"^joints\.1\.channels\.motor_position\.unit is .*, or make the joint prismatic in the robot.s model\.$",
+        ),
+    ],
+)
+def test_places_of_a_joint_are_those_of_the_robot_file(folder: Path, said: str, sentence: str) -> None:
+    with pytest.raises(JointFileError, match=sentence) as caught:
+        loads(TEXT.replace("viscous = 3.0", said), folder)
+    (fault,) = caught.value.faults
+    assert fault.place[:2] == ("joints", 0) and "joint.kind" not in fault
+
+
 def test_other_commands_say_that_it_is_a_robot_file(folder: Path) -> None:
     with pytest.raises(MethodError, match=r"Learning a controller takes one joint, and .*is a robot file"):
         load_to_learn(folder / "robot.toml")

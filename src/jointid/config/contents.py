@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, Self, TypeAlias, TypeVa
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import Fault, JointFileError, MethodError, RecordError
+from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.units import Kind
@@ -229,6 +229,10 @@ class File(ABC, Generic[R]):
             given, settings.pop("model", self.setup), self.method, filtering=self.filtering,
             parameters=self.parameters, checks=checks, unchecked=unchecked, progress=progress, **settings,
         )  # fmt: skip
+
+    def explain(self, error: JointidError, record: R, progress: Progress = ignore_progress) -> JointidError:
+        """Return the error of a failed identification, with its cause where one is known."""
+        return error
 
     def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
         """Identify from several records in one fit.
@@ -489,6 +493,12 @@ class JointFile(File[Record]):
 
     def _reader(self, columns: Mapping[str, Column]) -> RecordReader:
         return RecordReader(columns, **self._reading, **self._clock)
+
+    def explain(self, error: JointidError, record: Record, progress: Progress = ignore_progress) -> JointidError:
+        """Return the error of a failed identification, with its cause before it or in its place."""
+        from jointid.diagnostics.find_causes import explain_failure
+
+        return explain_failure(error, record, self.loop, progress, self.declared_numbers)
 
     def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
         """Identify from several records in one fit, each under the controller and with the load of its own."""

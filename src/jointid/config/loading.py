@@ -22,7 +22,7 @@ from jointid.common.settings import settings_of
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.config.consistency import choose_method
-from jointid.config.contents import JointFile
+from jointid.config.contents import File, JointFile
 from jointid.config.drive_gains import keys_of_controller, table_at
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.serialise import controller_table
@@ -115,7 +115,7 @@ def _select(file: JointFile | RobotFile, axis: str | None) -> JointFile | RobotF
     return file.joint_file(axis)
 
 
-def require_joint(file: JointFile | RobotFile, what: str) -> JointFile:
+def require_joint(file: File[Any], what: str) -> JointFile:
     """Return a file that is a joint's.
 
     Args:
@@ -288,14 +288,13 @@ def dumps(file: JointFile | RobotFile) -> str:
         JointFileError: a joint file cannot say this, or would be refused; `faults` has a sentence for each reason.
     """
     tables = file.tables()
-    if not isinstance(file, JointFile):
-        return tomli_w.dumps(tables)
-    read_back = JointFile.of(tables)
-    if read_back.joint.torque_unit != file.joint.torque_unit:
-        raise JointFileError(
-            f"The joint's torque is in {file.joint.force_unit}, but its channel's in {read_back.joint.force_unit}; "
-            "give both in one unit."
-        )
+    read_back = type(file).of(tables, file.path)
+    for axis, again in zip(file.axes, read_back.axes, strict=True):
+        if again.joint.torque_unit != axis.joint.torque_unit:
+            raise JointFileError(
+                f"The joint's torque is in {axis.joint.force_unit}, but its channel's in {again.joint.force_unit}; "
+                "give both in one unit."
+            )
     return tomli_w.dumps(tables)
 
 

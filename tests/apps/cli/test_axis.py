@@ -116,7 +116,7 @@ def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
     assert load(robot, changed, axis="base").method == ji.IDIM(estimator="robust")
     assert load(robot, changed).method == ji.IDIM()
     assert load(robot, axis="base", method="didim").method == ji.DIDIM()
-    foreign = r"joints\.1\.method\.frequency is for DIDIM, but the method is IDIM: .* use joints\.1\.method\.name = "
+    foreign = r"joints\.1\.method\.frequency is for DIDIM of a flexible joint, but .* set joints\.1\.model = "
     with pytest.raises(JointFileError, match=foreign):
         load(robot, ["method.frequency=30.0"], axis="base")
     with pytest.raises(JointFileError, match=r"method\.fixed is for IDIM of a robot, but the joint is rigid: leave it"):
