@@ -49,7 +49,7 @@ from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import ROBOT
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
-from jointid.models.limits import ROBOT_LIMITS, AxisLimits
+from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
 from jointid.records.formats import Table as RecordedTable
@@ -260,7 +260,6 @@ class RobotFile:
         filtering: how signals are filtered.
         method: how the robot is identified: by IDIM, by DIDIM from torques and references, or on the drive side.
         feed_forward: what the drives are given beside the controllers' torque.
-        stated_limits: what each joint may do in a test that is planned, as its table says.
         in_motion: whether the records begin while the robot moves.
         unmodelled: sentences on what the joints have and the model of a robot has not, which every verb refuses.
         path: of the robot file.
@@ -272,7 +271,6 @@ class RobotFile:
     filtering: Filtering
     method: RobotMethod
     feed_forward: FeedForward
-    stated_limits: tuple[LimitsTable, ...]
     in_motion: bool
     unmodelled: tuple[str, ...]
     path: Path
@@ -306,7 +304,6 @@ class RobotFile:
             said.filtering.build(),
             method,
             said.robot.feed_forward,
-            tuple(one.limits or LimitsTable() for one in said.joints),
             said.robot.in_motion,
             tuple(unmodelled),
             path,
@@ -326,18 +323,8 @@ class RobotFile:
 
     @property
     def limits(self) -> tuple[AxisLimits, ...]:
-        """Limits of each joint in a test that is planned.
-
-        Raises:
-            MethodError: a limit is given that the plan of a robot's motion does not keep.
-        """
-        for number, table in enumerate(self.stated_limits):
-            for name in table.model_fields_set - set(ROBOT_LIMITS):
-                raise MethodError(
-                    f"joints.{number + 1}.limits.{name} is not kept by the plan of a robot's motion; expected "
-                    f"{', '.join(sorted(ROBOT_LIMITS))}: leave it out."
-                )
-        return tuple(table.build() for table in self.stated_limits)
+        """Limits of each joint in a test that is planned."""
+        return tuple(file.limits for file in self.joints)
 
     def joint_file(self, name: str) -> JointFile:
         """Return the joint file of one joint, identified alone, as if no other joint moved.
