@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointid.diagnostics.identify import identify
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.zeros import find_zeros
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.records.record import Record
@@ -38,6 +40,15 @@ def test_zeros_are_found_with_their_errors(zeros: dict[int, float]) -> None:
         one = found[ARM.names[k]]
         assert abs(one.zero - zero) < 3.0 * one.stderr and one.stderr < 0.02
         assert one.residual < 0.8 * one.residual_without
+
+
+def test_a_zero_is_suspected_by_the_estimate_and_can_be_declared() -> None:
+    records = shifted(list(records_of(ARM, 2, noise=0.1)), {1: -1.6})
+    estimate = identify(records, ARM, IDIM())
+    assert "the torques fit an encoder of joint2 that reads 0 where" in estimate.sentence
+    declared = identify(records, ARM.turn(np.array([0.0, -1.6, 0.0, 0.0, 0.0, 0.0])), IDIM())
+    assert max(declared.fit.axis_errors.values()) < 0.1 * max(estimate.fit.axis_errors.values())
+    assert "encoder" not in declared.sentence
 
 
 def test_right_zeros_are_left_alone() -> None:

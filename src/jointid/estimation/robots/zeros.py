@@ -51,6 +51,13 @@ class EncoderZero:
     residual: float
     residual_without: float
 
+    def __str__(self) -> str:
+        return (
+            f"the torques fit an encoder of {self.joint} that reads 0 where the joint of the model is at "
+            f"{self.zero:.4g} +- {2.0 * self.stderr:.2g} rad: the model then leaves {100 * self.residual:.3g} instead "
+            f"of {100 * self.residual_without:.3g} % of the torques"
+        )
+
 
 def find_zeros(robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering) -> tuple[EncoderZero, ...]:
     """Find revolute joints whose encoder zero is not the model's.
