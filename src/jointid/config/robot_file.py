@@ -120,6 +120,9 @@ class RobotJointTable(JointTable):
     spring: JointSpringTable | None = Field(  # type: ignore[assignment]
         None, description="between motor and link; without it the joint is rigid"
     )
+    zero: Number = Field(
+        0.0, description="position of the model's joint where its logged position is 0 [rad or m]; the model is turned"
+    )
     transmission: TransmissionTable | None = Field(None, description="its gear, as [transmission] of a joint file")
     gravity: GravityTable | None = Field(None, description="as [gravity] of a joint file")
     ripple: RippleTable | None = Field(None, description="as [ripple] of a joint file")
@@ -406,7 +409,7 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
         ]
     if unknown:
         raise JointFileError(unknown)
-    ordered = reorder_joints(model, names)
+    ordered = reorder_joints(model, names).turn(np.array([float(one.zero) for one in said.joints]))
     if list(ordered.names) != names:
         raise JointFileError(
             f"joints lists {', '.join(names)}; expected each joint after the one that carries it: write them as "

@@ -21,6 +21,7 @@ from jointid.diagnostics.model_free import LawOnPosition, compare_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.robots.zeros import EncoderZero, find_zeros
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -164,7 +165,11 @@ def diagnose_robot(
         for k, name in enumerate(robot.names)
     )  # fmt: skip
     better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
-    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better)
+    zeros: tuple[EncoderZero, ...] = ()
+    # DIDIM and the drive side take a model with wrong zeros for another robot: their search ends elsewhere.
+    if estimate.settings.method == "idim" and not all(one.is_small for one in axes):
+        zeros = find_zeros(robot, [records], estimate.settings.filtering)
+    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better, zeros)
 
 
 def _diagnose_axis(

@@ -17,6 +17,7 @@ from jointid.diagnostics.axis_parameters import AxisParameter, Told
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.model_free import LawOnPosition
+from jointid.estimation.robots.zeros import EncoderZero
 from jointid.uncertainty.residual_tests import Coupling, Whiteness
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
@@ -84,6 +85,11 @@ class AxisDiagnosis:
     def coloured(self) -> bool:
         """True if what is left is little, but surely no white noise."""
         return self.explained and self.whiteness is not None and self.whiteness.p_value <= _SURE
+
+    @property
+    def is_small(self) -> bool:
+        """True if what is left is little, and is not surely coloured."""
+        return self.left < _LEFT and not self.coloured
 
     @property
     def law_holds(self) -> bool | None:
@@ -186,6 +192,7 @@ class Diagnosis(Documented):
         axes: the diagnosis of each: one of a joint.
         torques: of the record, beside the estimate's.
         feed_forward: "gravity" or "inverse-model" where the controllers leave much less with it; None otherwise.
+        zeros: encoder zeros that are not the model's, with which the model leaves less.
     """
 
     name: str
@@ -193,6 +200,7 @@ class Diagnosis(Documented):
     axes: tuple[AxisDiagnosis, ...]
     torques: AxisTorques
     feed_forward: str | None = None
+    zeros: tuple[EncoderZero, ...] = ()
 
     @property
     def explained(self) -> bool:
@@ -235,6 +243,10 @@ class Diagnosis(Documented):
                 f'With robot.feed_forward = "{self.feed_forward}" the controllers leave much less of the torques: '
                 "declare it."
             )
+        found += [
+            f"{one.joint}: {one}. Check the encoder's zero, and give zero = {one.zero:.4g} in its table."
+            for one in self.zeros
+        ]
         found += [*self._other_laws(), *(one for axis in self.axes for one in axis.sentences)]
         unknown = []
         for one in self.axes:

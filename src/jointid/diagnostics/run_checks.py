@@ -96,8 +96,10 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         Status.PASSED,
         (Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little"),),
     )
-    if bad := [joint.name for joint in found.axes if not joint.explained]:
-        said = f"what the model leaves of the torque of {join(bad)} is no noise"
+    bad = [joint.name for joint in found.axes if not joint.explained]
+    if bad or found.zeros:
+        rest = [f"what the model leaves of the torque of {join(bad)} is no noise"] if bad else []
+        said = "; ".join([*rest, *map(str, found.zeros)])
         residual = Verdict(Subject.REPEATABLE, Status.FAILED, (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),))
     none = "no motor position and reference of a declared controller were logged"
     loop = skip_test(Subject.LOOP, found.untested_clause or none, found.untested)

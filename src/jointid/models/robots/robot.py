@@ -82,6 +82,15 @@ class Link:
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
     inertial: FloatArray = field(default_factory=lambda: np.zeros(10))
 
+    def turn(self, zero: float) -> Link:
+        """Return the link with its joint's zero at a position of this one, rad or m; its frame moves with it."""
+        if self.kind == "prismatic":
+            return replace(self, origin=self.origin + zero * self.rotation @ self.axis)
+        x, y, z = self.axis
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # Rodrigues' formula
+        turned = np.eye(3) + np.sin(zero) * cross + (1.0 - np.cos(zero)) * cross @ cross
+        return replace(self, rotation=self.rotation @ turned)
+
 
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
@@ -339,6 +348,14 @@ class Robot:
         return replace(
             self, links=tuple(replace(link, inertial=row) for link, row in zip(self.links, rows, strict=True))
         )
+
+    def turn(self, zeros: FloatArray) -> Robot:
+        """Return the robot with other zeros of its joints.
+
+        Args:
+            zeros: (n,) positions of the joints of this robot, rad or m, where those of the robot returned are 0.
+        """
+        return replace(self, links=tuple(link.turn(float(z)) for link, z in zip(self.links, zeros, strict=True)))
 
     def of_joints(self, name: str) -> FloatArray:
         """Return an attribute of all joints, (n,): rotor_inertia, viscous, coulomb or offset."""
