@@ -48,6 +48,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import ROBOT
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.numbers import name_in_robot
 from jointid.models.joints import FlexibleJoint
 from jointid.models.limits import ROBOT_LIMITS, AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
@@ -518,12 +519,14 @@ class RobotFile:
         found = dict[str, Parameter]()
         for file in self.joints:
             known = {parameter.name: parameter for parameter in file.joint.parameters}
+            lines = {parameter.name for parameter in file.joint.linear.parameters}
             for name, stated in file.parameters.items():
-                own = name.removeprefix("motor_")
-                own = _OF_ROBOT.get(name, own)
-                if stated != replace(known[name], start=stated.start):
-                    # A start is a number of the robot that is built, and no start of a search.
-                    found[f"{file.name}.{own}"] = replace(stated, start=None) if stated.free else stated
+                own = name_in_robot(str(file.name), _OF_ROBOT.get(name, name))
+                if name not in lines:
+                    found[own] = stated
+                elif stated != replace(known[name], start=stated.start):
+                    # A start of lines is a number of the robot that is built, and no start of a search.
+                    found[own] = replace(stated, start=None) if stated.free else stated
         return found
 
     @property
@@ -653,12 +656,7 @@ _NUMBERS = [one.name for one in settings_of(RobotJoint) if one.name not in ("spr
 _AS_MOTOR = {"inertia": "rotor_inertia", "viscous_forwards": "viscous", "coulomb_forwards": "coulomb"}
 """Parameters of a joint that have another name as a number of a robot's motor."""
 
-_OF_ROBOT = {
-    "load_viscous": "link_viscous",
-    "load_coulomb": "link_coulomb",
-    "inertia": "rotor_inertia",
-    "motor_inertia": "rotor_inertia",
-}
+_OF_ROBOT = {"inertia": "rotor_inertia", "motor_inertia": "rotor_inertia"}
 """Parameters of a joint that have another name among the parameters of a robot."""
 
 _OF_SPRING = {name: name.removeprefix("load_") for name in ("stiffness", "damping", "load_viscous", "load_coulomb")}
