@@ -60,7 +60,7 @@ SURROUNDINGS = (
 """What the methods that simulate the loop say of their setting ``free``."""
 
 OFFSETS = "whether a constant torque of each motor is identified, too"
-EVALUATIONS = "simulations with derivatives at most, of each search of springs"
+EVALUATIONS = "simulations with derivatives at most, of each search of springs or of laws that are not linear"
 FREQUENCIES = (
     "by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of springs "
     "begins; without them they are searched"
