@@ -42,6 +42,7 @@ from jointid.config.schema import (
 from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
 from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.robots.numbers import name_in_robot
 from jointid.models.joints import FlexibleJoint
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
@@ -466,12 +467,14 @@ def _parameters(axes: Sequence[JointFile]) -> dict[str, Parameter]:
     found = dict[str, Parameter]()
     for axis in axes:
         known = {parameter.name: parameter for parameter in axis.joint.parameters}
+        lines = {parameter.name for parameter in axis.joint.linear.parameters}
         for name, stated in axis.parameters.items():
-            own = name.removeprefix("motor_")
-            own = _OF_ROBOT.get(name, own)
-            if stated != replace(known[name], start=stated.start):
-                # A start is a number of the robot that is built, and no start of a search.
-                found[f"{axis.name}.{own}"] = replace(stated, start=None) if stated.free else stated
+            own = name_in_robot(str(axis.name), _OF_ROBOT.get(name, name))
+            if name not in lines:
+                found[own] = stated
+            elif stated != replace(known[name], start=stated.start):
+                # A start of lines is a number of the robot that is built, and no start of a search.
+                found[own] = replace(stated, start=None) if stated.free else stated
     return found
 
 
@@ -479,12 +482,7 @@ _NUMBERS = [one.name for one in settings_of(RobotJoint) if one.name not in ("spr
 _AS_MOTOR = {"inertia": "rotor_inertia", "viscous_forwards": "viscous", "coulomb_forwards": "coulomb"}
 """Parameters of a joint that have another name as a number of a robot's motor."""
 
-_OF_ROBOT = {
-    "load_viscous": "link_viscous",
-    "load_coulomb": "link_coulomb",
-    "inertia": "rotor_inertia",
-    "motor_inertia": "rotor_inertia",
-}
+_OF_ROBOT = {"inertia": "rotor_inertia", "motor_inertia": "rotor_inertia"}
 """Parameters of a joint that have another name among the parameters of a robot."""
 
 _OF_SPRING = {name: name.removeprefix("load_") for name in ("stiffness", "damping", "load_viscous", "load_coulomb")}

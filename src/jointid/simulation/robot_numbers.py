@@ -202,7 +202,7 @@ def values_of_joint(numbers: RobotNumbers, joint: int) -> dict[str, float]:
 def law_places(numbers: RobotNumbers) -> list[tuple[NumberPlace, Parameter]]:
     """Return what the laws have beside lines, in the order of the joints: of the motors, the springs and the links.
 
-    Each with its parameter in the law.
+    Each with its parameter in the law. A side of a joint whose friction rises below no speed has no rise.
     """
     found = []
     for i, (friction, spring) in enumerate(numbers.laws):
@@ -210,7 +210,10 @@ def law_places(numbers: RobotNumbers) -> list[tuple[NumberPlace, Parameter]]:
         for row, prefix in sides:
             for p in friction.parameters(prefix):
                 column = _BESIDE_LINES.get(p.name.removeprefix(prefix))
-                found += [] if column is None else [(NumberPlace(NumberOf.MASS, row, column), p)]
+                rises = (
+                    column not in (MassNumbers.RISE, MassNumbers.SPEED) or numbers.masses[row, MassNumbers.SPEED] > 0.0
+                )
+                found += [] if column is None or not rises else [(NumberPlace(NumberOf.MASS, row, column), p)]
         for p in () if spring is None else spring.parameters:
             at = SPRING_NUMBERS.index(p.name)
             found += [] if at < 2 else [(NumberPlace(NumberOf.SPRING, i, at), p)]

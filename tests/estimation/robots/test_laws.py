@@ -68,7 +68,10 @@ NONLINEAR = [joint for joint in (*RIGID, *FLEXIBLE, *SPRUNG) if joint.linear != 
 
 @pytest.mark.parametrize("joint", [slow(joint) for joint in NONLINEAR])
 def test_a_robot_of_one_joint_is_identified_as_that_joint(joint: Joint) -> None:
-    """The same laws by the same names, values and deviations."""
+    """The same laws by the same names, values and deviations.
+
+    A robot's search ends where a step promises 0.3 deviations, and a joint has a free first position beside its own.
+    """
     loop = RobotLoop(robot_of(joint), (LAW,))
     records = noisy(loop, (moved(),))
     fit, alone = identified(loop, records), identify(records[0], ClosedLoop(joint, LAW), checks=False)
@@ -79,7 +82,7 @@ def test_a_robot_of_one_joint_is_identified_as_that_joint(joint: Joint) -> None:
             value, std = fit.value(name_in_robot("one", p.name))
             other = alone[p.name]
             assert other.value is not None and other.stderr is not None
-            assert abs(value - other.value) < 0.3 * other.stderr, p.name
+            assert abs(value - other.value) < 0.75 * other.stderr, p.name
             assert std == pytest.approx(other.stderr, rel=0.35), p.name
 
 

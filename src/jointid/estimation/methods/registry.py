@@ -61,7 +61,7 @@ SURROUNDINGS = (
 """What the methods that simulate the loop say of their setting ``free``."""
 
 OFFSETS = "of a robot: whether a constant torque of each motor is identified, too"
-EVALUATIONS = "of a robot: simulations with derivatives at most, of each search of springs"
+EVALUATIONS = "of a robot: simulations with derivatives at most, of each search of springs or of nonlinear laws"
 FREQUENCIES = (
     "of a robot: by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of "
     "springs begins; without them they are searched"

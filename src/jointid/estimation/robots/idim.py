@@ -280,12 +280,13 @@ def _by_symbol(robot: Robot, known: Mapping[str, Parameter]) -> dict[str, Parame
     """
     symbols = {f"{robot.joints[term.joint].name}.{_NAMES[term.number]}": term.symbol for term in friction_terms(robot)}
     for name in known:
-        if name not in symbols:
+        if name not in symbols and (".link_viscous" in name or ".link_coulomb" in name):
             raise MethodError(
                 f"{name} is of the link's side, and to IDIM a joint is rigid, with the friction of both sides: leave "
                 "it out."
             )
-    return {symbols[name]: parameter for name, parameter in known.items()}
+    # A spring's numbers, and a speed below which friction rises, are none of its parameters.
+    return {symbols[name]: parameter for name, parameter in known.items() if name in symbols}
 
 
 def _violated_bounds(names: Sequence[str], values: FloatArray, limits: Mapping[str, Parameter]) -> dict[str, float]:

@@ -372,10 +372,11 @@ def payload_of_torques(empty: EstimateParts, loaded: EstimateParts, *, same_fric
 def payload_columns(parameters: RobotParameters) -> FloatArray:
     """Return the derivatives of the parameters by a payload on the last link, (parameters, 10)."""
     columns = np.empty((len(parameters.places), len(SYMBOLS)))
+    without = parameters.group(parameters.base)
     for k in range(len(SYMBOLS)):
-        inertials = np.zeros_like(parameters.base.inertials)
-        inertials[-1, k] = 1.0
-        columns[:, k] = parameters.group(replace(parameters.base, inertials=inertials))
+        inertials = parameters.base.inertials.copy()
+        inertials[-1, k] += 1.0
+        columns[:, k] = parameters.group(replace(parameters.base, inertials=inertials)) - without
     return columns
 
 
