@@ -53,7 +53,6 @@ from jointid.models.limits import ROBOT_LIMITS, AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
 from jointid.records.formats import Table as RecordedTable
-from jointid.records.formats import read_table
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
@@ -379,7 +378,7 @@ class RobotFile:
         self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, RecordedTable, str], Record]
     ) -> tuple[Record, ...]:
         path = self.joints[0].record_path(path)
-        table = read_table(path, **self.joints[0].source.options)
+        table = self.source.read(path, self.path.parent)
         found, faults = list[Record](), dict[Fault, list[str]]()
         for file in self.joints:
             try:

@@ -115,7 +115,7 @@ class Rough:
         if self.within is not None:
             deviations = np.array([0.005 * self.within * abs(values[name]) for name in free])
             covariance = np.diag(deviations**2)
-        named = record is not None or file.source.file is not None
+        named = record is not None or file.source.first is not None
         present = file.record(record) if named else None
         fixed = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if p.name not in free}
         return design(
