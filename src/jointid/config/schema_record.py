@@ -36,17 +36,6 @@ class Source:
     """The file of the record, and how it is read; see `jointid.records.reading`."""
 
     file: str | None = setting(None, "path of the record, from the joint file's folder", accept=format_of)
-    files: tuple[str, ...] = setting(
-        (),
-        "paths of a record in several files, such as positions and torques apart; they are joined on their clocks, and "
-        "a column whose name an earlier file has is called FILE: NAME",
-    )
-    offsets: tuple[float, ...] = setting(
-        (),
-        "what to add to the clock of each of the files; without it found where they do not share a clock, by a channel "
-        "that two of them hold",
-        unit="s",
-    )
     time: str | None = setting(
         None, "name of the time column; without it, and without a sample time, the column called t or time"
     )
@@ -63,6 +52,17 @@ class Source:
     resample: Resampling | None = setting(
         None,
         "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
+    )
+    files: tuple[str, ...] = setting(
+        (),
+        "paths of a record in several files, such as positions and torques apart; they are joined on their clocks, and "
+        "a column whose name an earlier file has is called FILE: NAME",
+    )
+    offsets: tuple[float, ...] = setting(
+        (),
+        "what to add to the clock of each of the files; without it found where they do not share a clock, by a channel "
+        "that two of them hold",
+        unit="s",
     )
 
     @property

@@ -53,7 +53,7 @@ class Npz:
                 raise RecordError(f"{path.name} has {len(members)} arrays (at most {WIDEST} are read); log fewer.")
             for member in members:
                 name = member.filename.removesuffix(_SUFFIX)
-                array = _read_array(archive, member) if name != member.filename else "it is no array"
+                array = _read_array(path, archive, member) if name != member.filename else "it is no array"
                 if isinstance(array, str):
                     passed[name] = array
                 elif array.size == 1 and not array.dtype.names and array.dtype.kind in "fiub":
@@ -84,7 +84,7 @@ class Npz:
         return name.encode("utf-8", "replace").decode("utf-8").replace("\0", "_").replace("\\", "_") or "_"
 
 
-def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any] | str:
+def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any] | str:
     """Return an array, or why it is none; what it declares is checked before it is unpacked."""
     with archive.open(member) as file:
         try:
@@ -95,6 +95,7 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray
             return "it holds objects"
         if not all(type(size) is int and size >= 0 for size in shape):
             return "its header is no array's"
+        require_size(path, math.prod(shape))
         size = math.prod(shape) * dtype.itemsize
         if size > member.file_size:
             return f"it declares {format_size(size)} and holds {format_size(member.file_size)}"

@@ -132,7 +132,8 @@ class Filtering:
         if left <= needed:
             raise RecordError(
                 f"The record has {samples} samples, of which {left} are left between the borders of {first} and "
-                f"{last}, and the filter needs more than {needed}; log faster or longer, or give smaller filtering.borders."
+                f"{last}, and the filter needs more than {needed}; log faster or longer, or give smaller "
+                "filtering.borders."
             )
         return slice(first, samples - last)
 
