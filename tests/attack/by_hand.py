@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import sqlite3
 import struct
 import sys
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,9 +25,10 @@ _HUGE = (10**9, 2**31 - 1, 2**32 - 1, 2**48, 2**63 - 1)
 
 def make_hostile(folder: Path) -> Iterator[Sample]:
     """Yield all of them."""
-    for make in (_texts, _arrays, _mats, _hdf5, _bags, _tables, _joints, _answers, _pages):
+    for make in (_texts, _arrays, _packed, _mats, _hdf5, _bags, _tables, _joints, _answers, _pages):
         for name, content in make(folder):
-            reader = "joint" if name.endswith(".toml") else "answer" if name.endswith((".json", ".html")) else "record"
+            is_answer = name.endswith((".json", ".html")) and make is not _packed
+            reader = "joint" if name.endswith(".toml") else "answer" if is_answer else "record"
             yield Sample(reader, name, content.encode() if isinstance(content, str) else content)
 
 
@@ -148,6 +151,40 @@ def _arrays(_: Path) -> Iterator[tuple[str, bytes]]:
     for count in (1, 10**9):
         header = f"{{'descr': [{fields}], 'fortran_order': False, 'shape': ({count},), }}\n"
         yield f"40000 fields, {count} rows.npy", _npy(header, bytes(320_000), b"\x02\x00")
+
+
+def _packed(_: Path) -> Iterator[tuple[str, bytes]]:
+    """Archives and packed texts that unpack to far more than they are, and JSON without an end."""
+    for name, text in (("blanks", b" " * 2**26), ("rows", b"t,i\n" + b"0,1\n" * 2**19), ("one line", b"1" * 2**26)):
+        yield f"{name}.csv.gz", gzip.compress(text, 9)
+        yield f"{name}.json.gz", gzip.compress(text, 9)
+    for depth in (100, 10_000, 1_000_000):
+        yield f"{depth} lists.json", b"[" * depth + b"]" * depth
+        yield f"{depth} records.json", b'{"a":' * depth + b"1" + b"}" * depth
+        yield f"{depth} lists on a line.jsonl", b"1\n" + b"[" * depth + b"]" * depth
+    for number, text in enumerate(
+        (b"[1e999, 1]", b'{"a": [1, 1e400]}', b"[" + b"9" * 5000 + b", 1]", b'[{"a": 1, "a": 2}]', b'{"a": "\xff"}',
+         b"[]",
+         b"null", b"[[1, 2], [3]]", b'[{"a": 1}, 5]', b'{"": [1, 2], "b.c": [1], "b": {"c": [2, 3]}}')
+    ):  # fmt: skip
+        yield f"value {number}.json", text
+    for number, (header, rest, declared) in enumerate(
+        (
+            ("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000,), }", b"", None),
+            ("{'descr': '|O', 'fortran_order': False, 'shape': (2,), }", b"cos\nsystem\n(S'true'\ntR.", None),
+            ("{'descr': '|u1', 'fortran_order': False, 'shape': (268435456,), }", bytes(2**28), None),
+            ("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 3), }", bytes(240), None),
+            ("{'descr': '<f8', 'fortran_order': False, 'shape': (30,), }", bytes(240), 10**12),
+        )
+    ):
+        image = io.BytesIO()
+        with zipfile.ZipFile(image, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("q.npy", _npy(header, rest))
+        content = image.getvalue()
+        if declared is not None:  # in the central directory
+            place = content.index(b"PK\x01\x02") + 24
+            content = content[:place] + struct.pack("<I", declared % 2**32) + content[place + 4 :]
+        yield f"archive {number}.npz", content
 
 
 def _element(kind: int, data: bytes) -> bytes:

@@ -282,7 +282,8 @@ FAULTS = [
     (
         "[record]\nfile = 'run.xyz'\n" + SMALLEST,
         'record.file: run.xyz has the suffix ".xyz", which names no known format (CSV: .csv, .txt, .tsv, .dat; '
-        "MAT: .mat; NPY: .npy; HDF5: .h5, .hdf5, .hdf; Parquet: .parquet, .pq; TDMS: .tdms; ROS 2 bag: .mcap, .db3).",
+        "MAT: .mat; NPY: .npy; NPZ: .npz; JSON: .json, .jsonl, .ndjson; "
+        "HDF5: .h5, .hdf5, .hdf; Parquet: .parquet, .pq; TDMS: .tdms; ROS 2 bag: .mcap, .db3).",
     ),
     (
         "[record]\nfile = 'run.mat'\ndecimal = ','\n" + SMALLEST,

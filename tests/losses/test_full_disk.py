@@ -15,7 +15,10 @@ pytestmark = [pytest.mark.hostile, pytest.mark.skipif(sys.platform != "linux", r
 OLD = b"what was there"
 SIZES = max(COUNT // 4, 3)
 WRITERS = {
-    **{suffix: f"data convert table.csv o{suffix}" for suffix in (".csv", ".mat", ".npy", ".h5", ".parquet", ".tdms")},
+    **{
+        suffix: f"data convert table.csv o{suffix}"
+        for suffix in (".csv", ".mat", ".npy", ".npz", ".json", ".h5", ".parquet", ".tdms")
+    },
     ".mat 7.3": "data convert table.csv o.mat --mat-version 7.3",
     ".mcap": "data convert table.csv o.mcap",
     ".db3": "data convert table.csv o.db3",

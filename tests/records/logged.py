@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -37,6 +38,15 @@ def npy(path: Path) -> None:
     rows = np.zeros(ROWS, dtype=[("t", "<f8"), ("q", "<f8"), ("tau", "<f8")])
     rows["t"], rows["q"], rows["tau"] = TIME, POSITION, TORQUE
     np.save(path, rows, allow_pickle=False)
+
+
+def npz(path: Path) -> None:
+    np.savez_compressed(path, t=TIME, q=POSITION[None], tau=TORQUE, kp=2.5, state=np.array(["idle", "run"]))
+
+
+def jsonl(path: Path) -> None:
+    records = zip(TIME.tolist(), POSITION.tolist(), TORQUE.tolist(), strict=True)
+    path.write_text("".join(json.dumps({"t": t, "q": [q, 0], "i": {"tau": i}}) + "\n" for t, q, i in records))
 
 
 def hdf5(path: Path) -> None:
@@ -140,6 +150,8 @@ LOGGED: Mapping[str, Logged] = {
     "csv": Logged(".csv", csv, ("t", "q", "tau")),
     "mat": Logged(".mat", mat, ("t", "q", "tau")),
     "npy": Logged(".npy", npy, ("t", "q", "tau")),
+    "npz": Logged(".npz", npz, ("t", "q", "tau")),
+    "jsonl": Logged(".jsonl", jsonl, ("t", "q[0]", "i.tau")),
     "hdf5": Logged(".h5", hdf5, ("t", "axis/q", "axis/tau")),
     "mat73": Logged(".mat", mat73, ("t", "rec.q", "rec.tau")),
     "parquet": Logged(".parquet", parquet, ("t", "q", "tau")),

@@ -16,7 +16,7 @@ from jointid.records.writing import convert
 from tests.records.logged import LOGGED
 
 ROOT = Path(__file__).resolve().parents[2]
-TARGETS = [".h5", ".parquet", ".tdms", ".mcap", ".db3", ".csv", ".npy", ".mat"]
+TARGETS = [".h5", ".parquet", ".tdms", ".mcap", ".db3", ".csv", ".npy", ".mat", ".npz", ".json"]
 
 
 @pytest.mark.parametrize("name", LOGGED)
@@ -36,7 +36,7 @@ def test_every_format_becomes_every_other(name: str, suffix: str, tmp_path: Path
     notes = " ".join(conversion.notes)
     assert ("no place for single numbers" in notes) == bool(before.scalars and not after.scalars)
     assert ("no place for units" in notes) == bool(
-        set(before.units) and suffix in (".csv", ".npy", ".mat", ".mcap", ".db3")
+        set(before.units) and suffix in (".csv", ".npy", ".mat", ".mcap", ".db3", ".npz", ".json")
     )
     assert ("whose time" in notes) == bool(before.clocks and suffix not in (".mcap", ".db3"))
     assert ("Renamed" in notes) == any(old != new for old, new in conversion.columns.items())

@@ -21,7 +21,7 @@ from jointid.records.resampling import Resampling
 from tests.records.logged import LOGGED, POSITION, ROWS, TIME, TORQUE, Logged
 from tests.records.spoiled import spoiled
 
-BINARY = [name for name in LOGGED if name not in ("csv", "npy", "mat")]
+BINARY = [name for name in LOGGED if name not in ("csv", "npy", "mat", "jsonl")]
 PACKAGES = {"hdf5": "h5py", "mat73": "h5py", "parquet": "pyarrow", "tdms": "nptdms", "mcap": "rosbags"}
 
 
@@ -75,7 +75,7 @@ def test_a_long_record_is_read_in_pieces(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.concatenate(joined), TORQUE)
 
 
-@pytest.mark.parametrize("name", ["mat", "mcap", "db3"])
+@pytest.mark.parametrize("name", ["mat", "mcap", "db3", "npz", "jsonl"])
 def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
     with pytest.raises(RecordError, match="cannot be read in chunks"):
@@ -99,7 +99,7 @@ def test_topics_of_different_clocks_make_one_record_where_it_is_asked_for(tmp_pa
 # --------------------------
 
 WRITTEN = [(".h5", {}), (".mat", {}), (".mat", {"version": "7.3"}), (".parquet", {}), (".tdms", {}), (".mcap", {}),
-           (".db3", {}), (".npy", {}), (".csv", {})]  # fmt: skip
+           (".db3", {}), (".npy", {}), (".npz", {}), (".json", {}), (".csv", {})]  # fmt: skip
 values = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=2, max_size=5)
 
 
@@ -204,7 +204,7 @@ def test_a_thousand_columns_of_npy_come_back_and_more_than_are_read_are_refused(
     assert list(read_table(path).columns)[::999] == ["channel 0", "channel 999"]
     with pytest.raises(RecordError, match=r"names of 4000 columns take \d+ characters.*write a \.parquet file"):
         write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(4000)}))
-    np.save(path, np.zeros((2, 10_001), dtype="u1"))
+    np.save(path, np.zeros((10_002, 10_001), dtype="u1"))
     with pytest.raises(RecordError, match=r"wide\.npy has 10001 columns \(at most 10000 are read\)"):
         read_table(path)
     with path.open("wb") as file:  # a byte each in the file, and eight in memory

@@ -12,6 +12,7 @@ import pytest
 
 from jointid.common.errors import RecordError
 from jointid.records.formats import Hdf5, Table, hdf5, read_blocks, read_table, write_table
+from jointid.records.formats.table import join_tables
 from tests.records.logged import matlab_dataset, matlab_header
 from tests.records.spoiled import spoiled
 
@@ -53,7 +54,8 @@ def test_what_is_no_number_is_passed_over(tmp_path: Path) -> None:
         file["picture"] = np.zeros((1200, 1100), dtype="u1")
     table = read_table(path)
     assert list(table.columns) == ["q"]
-    assert set(table.passed) == {"empty", "cube", "picture"}
+    assert set(table.passed) == {"text", "phasor", "none", "empty", "cube", "picture"}
+    assert table.passed["text"] == "it holds text"
     with pytest.raises(RecordError, match=r'no column "cube" \(it has 3 dimensions\); it has "q"'):
         table.take(["cube"])
 
@@ -174,7 +176,10 @@ def test_matlabs_own_layout_is_read_as_version_7_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.columns["square[1]"], square[:, 1])
     np.testing.assert_array_equal(table.columns["axis[1].q"], range(4))
     assert dict(table.scalars) == {"position_gain": 160.18}
-    assert not table.passed
+    assert table.passed == {
+        "cell": "a cell array", "none": "it is empty", "phasor": "it holds complex numbers",
+        "remark": "it holds text", "sparse": "a sparse matrix",
+    }  # fmt: skip
 
 
 def test_what_is_written_has_matlabs_header_and_classes(tmp_path: Path) -> None:
@@ -225,3 +230,16 @@ def test_chunks_of_many_datasets_are_kept_only_while_there_is_room(
         table = contents.read(100, 50)
         assert (sorted(contents.kept), contents.caches) == (["/a", "/b"], 2 * 2**21)
     np.testing.assert_array_equal(table.columns["c"], np.arange(100.0, 150.0))
+
+
+def test_sides_of_one_number_do_not_count(tmp_path: Path) -> None:
+    path, matrix = tmp_path / "run.h5", np.arange(21.0).reshape(3, 7)
+    with h5py.File(path, "w") as file:
+        file["plain"], file["telemetry"], file["one"] = matrix, matrix[:, None, :], matrix[None, :1, :]
+        file["packed"] = file.create_dataset("p", data=matrix[None], chunks=(1, 2, 3), compression="gzip")
+    for table in (read_table(path), join_tables([block.table() for block in read_blocks(path, 2)])):
+        for name in ("plain", "telemetry", "packed"):
+            found = [table.columns[f"{name}[{channel}]"] for channel in range(3)]
+            np.testing.assert_array_equal(found, matrix)
+        np.testing.assert_array_equal(table.columns["one"], matrix[0])
+        assert not table.passed

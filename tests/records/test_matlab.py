@@ -90,8 +90,22 @@ def test_what_is_no_real_number_is_passed_over(tmp_path: Path) -> None:
     }
     table = read_variables(tmp_path / "run.mat", {"q": np.arange(3.0), **others})
     assert list(table.columns) == ["q"]
+    assert table.passed == {
+        "text": "it holds text", "cell": "a cell array", "phasor": "it holds complex numbers", "none": "it is empty",
+        "cube": "it has 3 dimensions",
+    }  # fmt: skip
     with pytest.raises(RecordError, match=r"run\.mat holds no array of real numbers"):
         read_variables(tmp_path / "run.mat", others)
+
+
+def test_sides_of_one_number_do_not_count(tmp_path: Path) -> None:
+    matrix = np.arange(21.0).reshape(3, 7)
+    arrays = {"telemetry": matrix[:, None, :], "one": matrix[None, :1, :], "upright": matrix.T[None]}
+    table = read_variables(tmp_path / "run.mat", {**arrays, "rec": {"data": matrix[:, None, :]}})
+    for name in ("telemetry", "upright", "rec.data"):
+        np.testing.assert_array_equal([table.columns[f"{name}[{channel}]"] for channel in range(3)], matrix)
+    np.testing.assert_array_equal(table.columns["one"], matrix[0])
+    assert not table.passed
 
 
 def test_version_4_is_read(tmp_path: Path) -> None:

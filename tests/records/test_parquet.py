@@ -43,7 +43,9 @@ def test_every_kind_of_number_is_a_column(tmp_path: Path) -> None:
         "joint.q": [1, 2.5, nan], "wrench[0]": [1, 3, 5], "wrench[1]": [2, 4, 6], "word": [7, 7, 9],
     }  # fmt: skip
     assert dict(table.units) == {"when": "s", "held": "s"}
-    assert table.passed == {"lists": "its rows are lists of any length"}
+    assert table.passed == {
+        "text": "it holds text", "joint.name": "it holds text", "lists": "its rows are lists of any length",
+    }  # fmt: skip
     pieces = [block.table().columns["when"] for block in read_blocks(path, 1)]
     assert np.concatenate(pieces).tolist() == [0, 0.0015, 0.003]
 

@@ -11,6 +11,7 @@ from jointid.common.errors import RecordError
 from jointid.records.chunks import InMemory, Log
 from jointid.records.columns import Column
 from jointid.records.formats import Table, read_blocks, read_table, write_table
+from jointid.records.formats.table import join_tables
 from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, Record
 
@@ -164,9 +165,12 @@ def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
     ("header", "said"),
     [
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, 0), }", r"holds float64 of shape \(4, 0\)"),
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, -2), }", "a matrix of numbers in C order"),
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-4, 2), }", "should hold -4 rows"),
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (2, 1000000000000), }", "a matrix of numbers in C order"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, -2), }", "or a matrix of numbers whose"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-4, 2), }", "or a matrix of numbers whose"),
+        (
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 1000000000000), }",
+            "should hold 1000000000000 samples and has 4",
+        ),
         ("{'descr': '<f8, (', 'fortran_order': False, 'shape': (4, 2), }", r"is no \.npy file"),
         ("{1: 2, 'a': 3}", r"is no \.npy file"),
         ("(" * 50, r"is no \.npy file"),
@@ -191,13 +195,47 @@ def test_numpy_files_may_have_names_in_any_letters(tmp_path: Path) -> None:
         read_table(made)
 
 
+SHAPED = {
+    "rows": lambda m: m, "by columns": np.asfortranarray, "on its side": lambda m: np.ascontiguousarray(m.T),
+    "on its side, by columns": lambda m: m.T, "3 x 1 x N": lambda m: np.ascontiguousarray(m.T)[:, None, :],
+    "1 x N x 3": lambda m: m[None], "narrow": lambda m: m.astype(np.int16), "truth": lambda m: (m > 7).astype(bool),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHAPED)
+def test_the_samples_of_a_numpy_matrix_run_along_its_longer_side(name: str, tmp_path: Path) -> None:
+    made, matrix = tmp_path / "log.npy", np.arange(33.0).reshape(11, 3)
+    np.save(made, SHAPED[name](matrix))
+    expected = matrix > 7 if name == "truth" else matrix
+    table = read_table(made)
+    assert list(table.columns) == ["1", "2", "3"]
+    np.testing.assert_array_equal(np.stack(list(table.columns.values()), axis=1), expected)
+    pieces = join_tables([block.table() for block in read_blocks(made, 4)])
+    np.testing.assert_array_equal(np.stack(list(pieces.columns.values()), axis=1), expected)
+
+
+def test_numpy_vectors_instants_and_fields_of_arrays(tmp_path: Path) -> None:
+    made = tmp_path / "log.npy"
+    np.save(made, np.arange(5.0)[None])
+    assert read_table(made).columns["1"].tolist() == [0, 1, 2, 3, 4]
+    rows = np.zeros(3, dtype=[("t", "M8[us]"), ("q", "f4", (2,)), ("state", "U4"), ("d", "m8[ms]")])
+    rows["t"] = np.datetime64("2031-05-06T00:00:00.000250") + np.arange(3) * np.timedelta64(4, "ms")
+    rows["q"], rows["d"] = [[1, 2], [3, 4], [5, 6]], [5, 6, 7]
+    np.save(made, rows)
+    for table in (read_table(made), join_tables([block.table() for block in read_blocks(made, 2)])):
+        assert {name: values.tolist() for name, values in table.columns.items()} == {
+            "t": [0, 0.004, 0.008], "q[0]": [1, 3, 5], "q[1]": [2, 4, 6], "d": [0.005, 0.006, 0.007]
+        }  # fmt: skip
+        assert table.passed == {"state": "it holds text"}
+
+
 def test_numpy_files_hold_numbers_and_nothing_else(tmp_path: Path) -> None:
     made = tmp_path / "log.npy"
     matrix = np.arange(12.0, dtype=np.float32).reshape(4, 3)
     np.save(made, matrix)
     assert list(read_table(made).columns) == ["1", "2", "3"]
     np.testing.assert_array_equal(read_table(made).columns["2"], matrix[:, 1])
-    for refused in (np.array([{}, []], dtype=object), np.arange(3.0), np.asfortranarray(matrix), matrix > 1):
+    for refused in (np.array([{}, []], dtype=object), np.ones((3, 3, 3)), matrix * 1j, np.array(["a", "b"])):
         np.save(made, refused, allow_pickle=True)
         with pytest.raises(RecordError, match="expected a record array of numbers"):
             read_table(made)
@@ -206,5 +244,5 @@ def test_numpy_files_hold_numbers_and_nothing_else(tmp_path: Path) -> None:
         read_table(made)
     np.save(made, matrix)
     made.write_bytes(made.read_bytes()[:-5])
-    with pytest.raises(RecordError, match="should hold 4 rows and has 3"):
+    with pytest.raises(RecordError, match="should hold 4 samples and has 3"):
         read_table(made)

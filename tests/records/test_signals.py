@@ -214,3 +214,14 @@ def test_pulses_are_seeded_and_as_wide_as_they_say() -> None:
 def test_an_impossible_excitation_is_refused() -> None:
     with pytest.raises(MethodError, match="positive speeds"):
         trapezoids((0.1, -0.1), 1.0, 0.1, T)
+
+
+@pytest.mark.parametrize(("samples", "left"), [(80, 0), (124, 24)])
+def test_borders_that_leave_too_few_samples_say_what_the_record_has(samples: int, left: int) -> None:
+    assert Filtering(borders=(50, 50)).inside(125) == slice(50, 75)
+    with pytest.raises(RecordError) as error:
+        Filtering(borders=(50, 50)).inside(samples)
+    assert str(error.value) == (
+        f"The record has {samples} samples, of which {left} are left between the borders of 50 and 50, and the filter "
+        "needs more than 24; log faster or longer, or give smaller filtering.borders."
+    )

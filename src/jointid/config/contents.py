@@ -45,7 +45,7 @@ from jointid.records.checks import check_record
 from jointid.records.chunks import Log
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive
-from jointid.records.formats import Table, read_table
+from jointid.records.formats import Table
 from jointid.records.reading import RecordReader
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -167,7 +167,7 @@ class File(ABC, Generic[R]):
     ) -> tuple[Record, ...]:
         """Read a table once, and cut it into the record of each axis."""
         path = self.record_path(path)
-        table = read_table(path, **self.source.options)
+        table = self.source.read(path, self.path.parent)
         found, faults = list[Record](), dict[Fault, list[str]]()
         for axis in self.axes:
             try:
@@ -259,13 +259,13 @@ class File(ABC, Generic[R]):
         """
         if path is not None:
             return path
-        if self.source.file is None:
+        if self.source.first is None:
             raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
-        return self.path.parent / self.source.file
+        return self.path.parent / self.source.first
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
         """Return the files that are read: the records that the file names, unless another one takes their place."""
-        named = [run.file for run in self.runs] if self.runs else [self.source.file]
+        named = [run.file for run in self.runs] if self.runs else [*self.source.files, self.source.file]
         return tuple(self.path.parent / name for name in named if name) if record is None else (record,)
 
     def write(self, record: R, path: str | os.PathLike[str]) -> None:
@@ -471,7 +471,7 @@ class JointFile(File[Record]):
             table: as the file of the record has it.
             name: of the record.
         """
-        record = self._reader(self._columns).build_record(table, name)
+        record = self._reader(self._columns, table).build_record(table, name)
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
@@ -487,12 +487,12 @@ class JointFile(File[Record]):
         """Return the signals that drive a simulation from a table; see `driving`."""
         seen = ("torque", "motor_position", "load_position")
         columns = {name: replace(c, optional=True) if name in seen else c for name, c in self._columns.items()}
-        record = self._reader(columns).build_record(table, name)
+        record = self._reader(columns, table).build_record(table, name)
         record.require(("reference",), "a simulation")
         return record
 
-    def _reader(self, columns: Mapping[str, Column]) -> RecordReader:
-        return RecordReader(columns, **self._reading, **self._clock)
+    def _reader(self, columns: Mapping[str, Column], table: Table) -> RecordReader:
+        return RecordReader(columns, **{**self._reading, **self._clock, **self.source.reading(table)})
 
     def explain(self, error: JointidError, record: Record, progress: Progress = ignore_progress) -> JointidError:
         """Return the error of a failed identification, with its cause before it or in its place."""
@@ -558,6 +558,10 @@ class JointFile(File[Record]):
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.
         """
+        if self.source.files and path is None:
+            raise RecordError(
+                "A record in several files is not read in chunks; join them to one file, or leave --window out."
+            )
         return Log(self.record_path(path), self._columns, self._reading | self._clock, self.source.options)
 
     def columns_to_write(self, record: Record) -> dict[str, FloatArray]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -16,7 +18,9 @@ from jointid.config.table import Flag, Table, Text, accept_by, keys_from, refusa
 from jointid.records.clock import CLOCK_TOLERANCE
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
-from jointid.records.formats import Csv, format_of
+from jointid.records.formats import Csv, format_of, read_table
+from jointid.records.formats import Table as RecordedTable
+from jointid.records.joining import choose_resampling, read_joined
 from jointid.records.record import Channel, Injection
 from jointid.records.resampling import Resampling
 
@@ -49,6 +53,43 @@ class Source:
         None,
         "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
     )
+    files: tuple[str, ...] = setting(
+        (),
+        "paths of a record in several files, such as positions and torques apart; they are joined on their clocks, and "
+        "a column whose name an earlier file has is called FILE: NAME",
+    )
+    offsets: tuple[float, ...] = setting(
+        (),
+        "what to add to the clock of each of the files; without it found where they do not share a clock, by a channel "
+        "that two of them hold",
+        unit="s",
+    )
+
+    @property
+    def first(self) -> str | None:
+        """Path of the record, or of its first file."""
+        return self.files[0] if self.files else self.file
+
+    def read(self, path: str | os.PathLike[str], folder: Path) -> RecordedTable:
+        """Read the table of a record; the path of the first file stands for all of them."""
+        if not self.files or Path(path) != folder / self.files[0]:
+            return read_table(path, **self.options)
+        paths = [folder / file for file in self.files]
+        return read_joined(
+            paths,
+            offsets=self.offsets,
+            time=self.time,
+            time_unit=self.time_unit,
+            sample_time=self.sample_time,
+            **self.options,
+        )
+
+    def reading(self, table: RecordedTable) -> dict[str, Any]:
+        """Return how a table is read, where it was joined: every column has its clock."""
+        if not (self.files and table.clocks):
+            return {}
+        joined = {"time": None, "time_unit": None, "sample_time": None}
+        return joined if self.resample else joined | {"resample": choose_resampling(table)}
 
 
 @add_settings_to_docstring
@@ -150,6 +191,14 @@ class RecordTable(Table):
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the fault of an option that the file's format does not have."""
+        if self.file is not None and self.files:
+            yield "files", f' stands beside file = "{self.file}"; keep one of them.'
+        for file in self.files or ():
+            if refused := refusal(partial(format_of, file, **self.options())):
+                yield "files", refused
+        if self.offsets and len(self.offsets) != len(self.files or ()):
+            said = f"{len(self.offsets)} numbers for {len(self.files or ())} files"
+            yield "offsets", f" has {said}; give one for each file, or none."
         if self.file is not None and (refused := refusal(partial(format_of, self.file, **self.options()))):
             yield "file", refused
 

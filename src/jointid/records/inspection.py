@@ -22,7 +22,7 @@ from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_tables
 
 _ROWS = 65536  # that are in memory at once, where the format allows it
-_TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamp|stamp|zeit)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+_TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamps?|stamps?|zeit)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
 _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits

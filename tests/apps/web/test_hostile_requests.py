@@ -232,7 +232,7 @@ def attacks() -> Iterator[bytes]:
         yield request("POST", f"{root}/record", body=file_form(name, b"rubbish"), kind=MULTIPART)
     for content in CONTENTS:
         yield request("POST", f"{root}/record", body=file_form("a.csv", content), kind=MULTIPART)
-    for suffix in (".mat", ".npy", ".h5", ".parquet", ".mcap", ".tdms", ".db3"):
+    for suffix in (".mat", ".npy", ".npz", ".json", ".h5", ".parquet", ".mcap", ".tdms", ".db3"):
         yield request("POST", f"{root}/record", body=file_form(f"a{suffix}", b"\x00rubbish"), kind=MULTIPART)
     for text in JOINT_FILES:
         yield request("POST", f"{root}/jointfile", body=file_form("a.toml", text), kind=MULTIPART)

@@ -126,7 +126,7 @@ class Rough:
         if self.within is not None:
             deviations = np.array([0.005 * self.within * abs(values[name]) for name in free])
             covariance = np.diag(deviations**2)
-        named = record is not None or file.source.file is not None
+        named = record is not None or file.source.first is not None
         present = file.record(record) if named else None
         fixed = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if p.name not in free}
         return design(
@@ -239,7 +239,7 @@ def _plan_robot(file: RobotFile, options: Options, asked: dict[str, Any], motion
         "filtering": file.filtering,
     }  # fmt: skip
     enough = motion is not None or all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
-    if options.record is not None or file.source.file is not None or not enough:
+    if options.record is not None or file.source.first is not None or not enough:
         try:
             records = file.record(options.record)
             estimate = file.identify(records, options.progress, checks=False)

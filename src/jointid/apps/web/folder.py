@@ -274,7 +274,7 @@ class Folder:
 
 def name_in_run(name: str) -> str:
     """Return the name of a record in a run's folder: the one it came with, unless ours has it, or it is too long."""
-    unfit = name.lower() in _OF_A_RUN or len(name.encode()) > _LONGEST
+    unfit = name.lower() in _OF_A_RUN or name.lower().endswith(".json") or len(name.encode()) > _LONGEST
     return f"record{Path(name).suffix}" if unfit else name
 
 

@@ -124,7 +124,7 @@ def inverse_model(
     columns = through_window(np.concatenate([regressor, further], axis=2), filtering)
     rows = np.zeros((len(columns), size))
     rows[0] = window_torque(torque, delay) if respected else torque.values
-    inside = slice(filtering.borders[0], size - filtering.borders[1])
+    inside = filtering.inside(size)
     return InverseModel(rows, columns, inside, motor, load)
 
 

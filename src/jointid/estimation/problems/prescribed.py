@@ -73,8 +73,7 @@ class PrescribedProblem(RecordProblem):
     @property
     def inside(self) -> slice:
         """The samples that are compared."""
-        before, after = self.filtering.borders
-        return slice(before, self.measured.size - after)
+        return self.filtering.inside(self.measured.size)
 
     def predict(self, x: FloatArray) -> FloatArray:
         """Return the prediction of `measured`, (samples,)."""

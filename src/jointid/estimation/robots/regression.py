@@ -129,8 +129,7 @@ class RobotMotion:
     @property
     def inside(self) -> slice:
         """The samples that no border of the filters reaches."""
-        first, last = self.filtering.borders
-        return slice(first, len(self.torque) - last)
+        return self.filtering.inside(len(self.torque))
 
     @property
     def whole_rows(self) -> NDArray[np.bool_]:

@@ -13,8 +13,10 @@ from jointid.common.errors import RecordError
 from jointid.common.files import beside
 from jointid.records.formats.csv import Csv
 from jointid.records.formats.hdf5 import Hdf5
+from jointid.records.formats.json import Json
 from jointid.records.formats.matlab import Matlab
 from jointid.records.formats.npy import Npy
+from jointid.records.formats.npz import Npz
 from jointid.records.formats.parquet import Parquet
 from jointid.records.formats.reader_process import MEMORY, read_apart, read_blocks_apart
 from jointid.records.formats.rosbag import RosBag
@@ -23,14 +25,14 @@ from jointid.records.formats.tdms import Tdms
 from jointid.records.formats.text import is_packed
 
 __all__ = [
-    "FORMATS", "Block", "Csv", "Format", "Hdf5", "Holds", "Matlab", "Npy", "Parquet", "RosBag", "Streamed", "Table",
-    "Tdms", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
+    "FORMATS", "Block", "Csv", "Format", "Hdf5", "Holds", "Json", "Matlab", "Npy", "Npz", "Parquet", "RosBag",
+    "Streamed", "Table", "Tdms", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
 ]  # fmt: skip
 
-FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Hdf5(), Parquet(), Tdms(), RosBag())
+FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Npz(), Json(), Hdf5(), Parquet(), Tdms(), RosBag())
 """Every format there is."""
 
-_TEXTS = (Csv,)  # that are read packed, too
+_TEXTS = (Csv, Json)  # that are read packed, too
 _LONG = 2**26  # bytes of a text that is read in chunks
 _SHORT = 2**21  # bytes of a text that takes less time than a process would to start
 

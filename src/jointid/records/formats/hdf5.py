@@ -17,6 +17,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
+from jointid.records.formats.arrays import REAL as NUMBERS
+from jointid.records.formats.arrays import find_sides, skip_reason
 from jointid.records.formats.table import (
     PIECES,
     WHOLE,
@@ -32,9 +34,6 @@ from jointid.records.formats.table import (
 )
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-NUMBERS = "fiub"
-"""Kinds of NumPy's types that are real numbers."""
-
 PACKING = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 """Datasets are written packed and with a checksum, so that damage is noticed."""
 
@@ -47,7 +46,6 @@ _CACHE_SLOTS, _CACHE_ORDER = 521, 0.75  # the library's own
 # Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
 # stands for 1032 at most, and each of these may be a number.
 _PACKED_MOST, _ANY_FILE = 10_000, 2**29  # bytes of numbers that a byte of a file, and any file, may declare
-_WIDEST = 1000  # columns of a matrix; one that is wider is a picture
 _MEMBERS = 100_000  # of all groups of a file
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
 
@@ -59,9 +57,9 @@ Member: TypeAlias = Any
 class Hdf5:
     """HDF5: one-dimensional datasets are columns "group/dataset", single numbers scalars.
 
-    A matrix gives columns "name[0]", "name[1]", ... with samples along the longer side; a dataset of records gives
-    "name.field". The attribute "units" or "unit" is the unit. External and soft links, virtual or external storage,
-    text, complex numbers and arrays of more dimensions are skipped.
+    A matrix gives columns "name[0]", "name[1]", ... with samples along the longer side; sides of one number do not
+    count. A dataset of records gives "name.field". The attribute "units" or "unit" is the unit. External and soft
+    links, virtual or external storage, text, complex numbers and arrays of more dimensions are passed over.
     """
 
     name: ClassVar[str] = "HDF5"
@@ -137,7 +135,7 @@ class DatasetColumns(NamedTuple):
 
     Attributes:
         fields: of the columns in a dataset of records, else empty.
-        turned: True if the samples run along the second dimension.
+        along: the dimension along which the samples run.
         unit: of all of them, None without one.
     """
 
@@ -145,7 +143,7 @@ class DatasetColumns(NamedTuple):
     names: tuple[str, ...]
     rows: int
     fields: tuple[str, ...] = ()
-    turned: bool = False
+    along: int = 0
     unit: str | None = None
 
     def values(self, dataset: Member, first: int, last: int) -> list[FloatArray]:
@@ -153,10 +151,9 @@ class DatasetColumns(NamedTuple):
         if self.fields:
             records = dataset.fields(list(self.fields))[first:last]
             return [records[name].astype(np.float64) for name in self.fields]
-        if dataset.ndim == 1:
-            return [dataset[first:last].astype(np.float64)]
-        matrix = dataset[:, first:last].T if self.turned else dataset[first:last, :]
-        return list(np.ascontiguousarray(matrix.T, dtype=np.float64))
+        part = dataset[(slice(None),) * self.along + (slice(first, last),)]
+        channels = np.moveaxis(part, self.along, -1).reshape(len(self.names), -1)
+        return list(np.ascontiguousarray(channels, dtype=np.float64))
 
 
 @dataclass(slots=True)
@@ -213,24 +210,25 @@ class Contents:
         """
         shape, dtype = dataset.shape, dataset.dtype
         fields = tuple(field for field in dtype.names or () if dtype[field].kind in NUMBERS)
-        if shape is None or not (dtype.kind in NUMBERS or (fields and len(shape) == 1 and not matlab)):
+        if shape is None:
+            self.passed[name] = "it is empty"
             return
-        why = refusal_reason(dataset)
-        if why is None and 0 in shape:
-            why = "it is empty"
-        elif why is None and len(shape) > 2:
-            why = f"it has {len(shape)} dimensions"
-        elif why is None and len(shape) == 2 and min(shape) > _WIDEST:
-            why = f"it is a matrix of {shape[0]} x {shape[1]}"
-        if why is not None:
-            self.passed[name] = why
+        sides = find_sides(shape, square_turned=matlab)
+        is_read = dtype.kind in NUMBERS or (fields and len(shape) == 1 and not matlab)
+        why = refusal_reason(dataset) if is_read else _name_kind(dtype)
+        if why is not None or isinstance(sides, str):
+            self.passed[name] = why or str(sides)
         elif fields:
             names = tuple(f"{name}.{field}" for field in fields)
             self.signals.append(DatasetColumns(dataset.name, names, shape[0], fields))
         elif not shape or (math.prod(shape) == 1 and (matlab or len(shape) > 1)):
             self.scalars[name] = float(np.asarray(dataset[()]).item())
         else:
-            self.signals.append(_dataset_columns(dataset, name, matlab))
+            along = [place for place, size in enumerate(shape) if size != 1]
+            place = along[sides.turned] if len(along) > sides.turned else 0
+            self.signals.append(
+                DatasetColumns(dataset.name, sides.names(name), sides.rows, along=place, unit=_unit(dataset))
+            )
 
     def read(self, first: int, count: int) -> Table:
         """Read `count` rows from `first` on, of sufficiently long columns."""
@@ -254,9 +252,8 @@ class Contents:
             return self.kept[signal.place]
         dataset = self.file[signal.place]
         room = math.prod(dataset.chunks) * dataset.dtype.itemsize if dataset.chunks else 0
-        if dataset.chunks and dataset.ndim == 2:  # the chunks at one sample
-            across = 0 if signal.turned else 1
-            room *= math.ceil(dataset.shape[across] / dataset.chunks[across])
+        for place, size in enumerate(dataset.chunks or ()):  # the chunks at one sample
+            room *= 1 if place == signal.along else math.ceil(dataset.shape[place] / size)
         if room <= _USUAL_CACHE or self.caches + room > _CACHES:
             return dataset
         dataset.id.close()  # one that is open keeps the cache that it has
@@ -319,16 +316,14 @@ def refusal_reason(dataset: Member) -> str | None:
     return None
 
 
-def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns:
-    shape = dataset.shape
-    signal = DatasetColumns(dataset.name, (name,), shape[0], unit=_unit(dataset))
-    if len(shape) == 1:
-        return signal
-    # Of a square matrix the samples are its rows, which MATLAB stores as columns.
-    turned = shape[1] > shape[0] or (matlab and shape[1] == shape[0])
-    rows, width = (shape[1], shape[0]) if turned else shape
-    names = (name,) if width == 1 else tuple(f"{name}[{index}]" for index in range(width))
-    return signal._replace(names=names, rows=rows, turned=turned)
+def _name_kind(dtype: np.dtype[Any]) -> str:
+    """Say what a dataset holds that is no number; text of any length is an object of h5py."""
+    h5py = extra("h5py", "logs", "HDF5")
+    if h5py.check_string_dtype(dtype) is not None:
+        return "it holds text"
+    if dtype.kind == "c" or dtype.names in (("real", "imag"), ("r", "i")):
+        return "it holds complex numbers"
+    return skip_reason(dtype) or "it holds no numbers"
 
 
 def _unit(dataset: Member) -> str | None:

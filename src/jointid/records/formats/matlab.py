@@ -23,6 +23,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
+from jointid.records.formats.arrays import REAL, find_columns, skip_reason
 from jointid.records.formats.hdf5 import PACKING, SIGNATURE, Contents, Member, open_contents, refusal_reason
 from jointid.records.formats.table import (
     PIECES,
@@ -30,6 +31,7 @@ from jointid.records.formats.table import (
     Holds,
     NotStreamedError,
     Table,
+    describe_skips,
     explain_damage,
     require_unique_names,
     split_rows,
@@ -46,17 +48,18 @@ _NAME_73 = "a MAT file of version 7.3"
 _HEADER_73 = 512  # bytes before the HDF5
 _VERSION_73 = 0x0200
 _NUMERIC_73 = {"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))}
+_CLASSES_73 = {"char": "it holds text", "cell": "a cell array"}
 _ELEMENTS = 10_000  # of an array of structures
 _DEEPEST = 64  # structures within structures
-_NUMBERS = "biuf"  # kinds of NumPy's types that hold real numbers
+_OF_SCIPY = ("__header__", "__version__", "__globals__", "__function_workspace__")
 
 
 @dataclass(frozen=True, slots=True)
 class Matlab:
     """MAT files: vectors are columns, 1 x 1 arrays scalars; a structure's field is called "structure.field".
 
-    A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side. What is not a
-    real number (text, cells, objects, complex arrays) is passed over.
+    A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side, and sides of one
+    number do not count. What is not a real number (text, cells, objects, complex arrays) is passed over.
 
     Attributes:
         version: of what is written, "7" or "7.3"; a file is read whichever it has.
@@ -80,21 +83,26 @@ class Matlab:
         if _is_hdf5(path):
             with open_contents(path, _NAME_73, _scan) as contents:
                 return contents.read(0, contents.rows)
+        columns, scalars, passed = dict[str, FloatArray](), dict[str, float](), dict[str, str]()
         with explain_damage(path, "a MAT file", "save it again with -v7 in MATLAB"):
-            found = _load_matrices(path)
-        scalars = {name: float(array.item()) for name, array in found if array.size == 1}
-        pairs = list[tuple[str, FloatArray]]()
-        for name, array in found:
-            if array.size > 1 and 1 in array.shape:
-                pairs.append((name, array.ravel()))
-            elif array.size > 1:  # the samples run along the longer side
-                samples_first = array if array.shape[0] >= array.shape[1] else array.T
-                pairs += [(f"{name}[{index}]", column) for index, column in enumerate(samples_first.T)]
-        require_unique_names(path, [name for name, _ in pairs] + [name for name, array in found if array.size == 1])
-        columns = dict(pairs)
+            for name, array in _load_arrays(path):
+                if isinstance(array, str):
+                    passed[name] = array
+                    continue
+                found: dict[str, FloatArray] = {}
+                if array.size == 1:
+                    found[name] = array
+                else:
+                    find_columns(name, array, found, passed)
+                require_unique_names(path, [*columns, *scalars, *found])
+                columns |= found if array.size != 1 else {}
+                scalars |= {name: float(array.item())} if array.size == 1 else {}
         if not (columns or scalars):
-            raise RecordError(f"{path.name} holds no array of real numbers; save the signals as numeric variables.")
-        return Table(columns, scalars, path.name)
+            raise RecordError(
+                f"{path.name} holds no array of real numbers{describe_skips(passed)}; save the signals as numeric "
+                "variables."
+            )
+        return Table(columns, scalars, path.name, passed=passed)
 
     def write(self, path: Path, table: Table) -> None:
         """Write columns as n x 1, scalars as 1 x 1 variables; a column of one sample is read as a scalar."""
@@ -144,8 +152,8 @@ def _quote(names: list[str]) -> str:
     return ", ".join(f'"{name}"' for name in names)
 
 
-def _load_matrices(path: Path) -> list[tuple[str, FloatArray]]:
-    """Return the path and the values, shape (rows, columns), of every matrix of real numbers."""
+def _load_arrays(path: Path) -> list[tuple[str, FloatArray | str]]:
+    """Return the path and the values of every array of real numbers, and of others why they are passed over."""
     from scipy.io.matlab import MatReadWarning, loadmat
 
     with warnings.catch_warnings():
@@ -155,24 +163,27 @@ def _load_matrices(path: Path) -> list[tuple[str, FloatArray]]:
             variables = loadmat(path)
         except MatReadWarning as warning:
             raise RecordError(f"{path.name} has two variables of one name; rename one of them.") from warning
-    return [pair for name, value in variables.items() for pair in _find_matrices(name, value)]
+    named = ((name, value) for name, value in variables.items() if name not in _OF_SCIPY)
+    return [pair for name, value in named for pair in _find_arrays(name, value)]
 
 
-def _find_matrices(path: str, value: Any) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the matrices of real numbers in a variable: "name", "structure.field" or "structures[0].field".
+def _find_arrays(path: str, value: Any) -> Iterator[tuple[str, FloatArray | str]]:
+    """Yield the arrays in a variable: "name", "structure.field" or "structures[0].field".
 
-    Text, cells, objects, complex, sparse and empty arrays, and those of more than two dimensions are passed over.
+    Of text, cells, objects, and complex, sparse and empty arrays the reason to pass them over is yielded.
     """
-    if type(value) is not np.ndarray or path == "__function_workspace__":  # MATLAB's objects are subclasses
-        return
-    if value.dtype.names is not None:
+    if type(value) is not np.ndarray:  # MATLAB's objects are subclasses
+        yield path, "a sparse matrix" if hasattr(value, "tocsr") else "an object of MATLAB"
+    elif value.dtype.names is not None:
         elements = value.ravel(order="F")
         for index, element in enumerate(elements):
             prefix = path if elements.size == 1 else f"{path}[{index}]"
             for field in value.dtype.names:
-                yield from _find_matrices(f"{prefix}.{field}", element[field])
-    elif value.dtype.kind in _NUMBERS and value.ndim == 2 and value.size:
-        yield path, value.astype(np.float64)
+                yield from _find_arrays(f"{prefix}.{field}", element[field])
+    elif value.dtype.kind not in REAL:
+        yield path, "a cell array" if value.dtype.kind == "O" else skip_reason(value.dtype) or "it holds no numbers"
+    else:
+        yield path, value.astype(np.float64) if value.size else "it is empty"
 
 
 def _scan(contents: Contents) -> None:
@@ -185,10 +196,16 @@ def _scan(contents: Contents) -> None:
 def _note_variable(contents: Contents, path: str, member: Member, deep: int) -> None:
     h5py = extra("h5py", "logs", "Reading MAT files of version 7.3")
     if isinstance(member, h5py.Dataset):
-        if _matlab_class(member) in _NUMERIC_73 and "MATLAB_empty" not in member.attrs:
+        kind = _matlab_class(member)
+        if "MATLAB_empty" in member.attrs:
+            contents.passed[path] = "it is empty"
+        elif kind in _NUMERIC_73:
             contents.take(member, path, matlab=True)
+        else:
+            contents.passed[path] = _CLASSES_73.get(kind, "an object of MATLAB")
         return
     if not isinstance(member, h5py.Group) or "MATLAB_sparse" in member.attrs or deep >= _DEEPEST:
+        contents.passed[path] = "a structure that is too deep" if deep >= _DEEPEST else "a sparse matrix"
         return
     for name, field in contents.members(member, f"{path}."):
         is_references = isinstance(field, h5py.Dataset) and h5py.check_ref_dtype(field.dtype) is h5py.Reference

@@ -5,9 +5,10 @@ Rows are at known offsets, which makes chunks fast.
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from tokenize import TokenError
 from types import SimpleNamespace
@@ -15,7 +16,9 @@ from typing import IO, Any, ClassVar
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.records.formats.arrays import skip_reason, to_numbers
 from jointid.records.formats.table import WIDEST, Block, Holds, Table, require_place, require_size, split_rows
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
@@ -24,9 +27,9 @@ _HEADER, _REST = 2**16, 2**8  # characters of the header, for more than a thousa
 
 @dataclass(frozen=True, slots=True)
 class Npy:
-    """NumPy's .npy: a record array or a matrix with one row per sample.
+    """NumPy's .npy: a record array, or a matrix whose longer side are the samples.
 
-    Matrix columns are numbered from "1".
+    Matrix columns are numbered from "1". Sides of one number do not count. Fields of text are passed over.
     """
 
     name: ClassVar[str] = "NPY"
@@ -67,56 +70,119 @@ class Npy:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Offset, type and count of the rows of a file."""
+    """Offset, type and count of the samples of a file.
+
+    Attributes:
+        row: of a sample, or of a number where each channel follows the one before.
+        names: of the columns.
+        planes: how many channels follow one another; 1 where the numbers of a sample are together.
+        passed: see `Table`.
+    """
 
     path: Path
     begin: int
     row: np.dtype[Any]
     rows: int
+    names: tuple[str, ...]
+    planes: int = 1
+    passed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def columns(self) -> int:
-        return len(self.row.names or ())
+        return len(self.names)
 
     def read(self, first: int, count: int) -> Table:
+        found: dict[str, FloatArray] = {}
+        for plane in range(self.planes):
+            values, origin = self._load(plane, first, count), self._load(plane, 0, 1)
+            if self.row.names is None:
+                numbers = to_numbers(values, origin).reshape(count, -1)
+                found |= zip(self.names[plane:] if self.planes > 1 else self.names, numbers.T, strict=False)
+            for name in self.row.names or ():
+                if name not in self.passed:
+                    numbers = to_numbers(values[name], origin[name]).reshape(count, -1)
+                    found |= zip(_field_names(name, values[name].shape[1:]), numbers.T, strict=True)
+        return Table(found, source=self.path.name, passed=self.passed)
+
+    def _load(self, plane: int, first: int, count: int) -> np.ndarray[Any, Any]:
         # Not mapped into memory: what is mapped counts as memory in use until somebody else asks for it.
         with self.path.open("rb") as file:
-            file.seek(self.begin + first * self.row.itemsize)
-            array = np.fromfile(file, dtype=self.row, count=count)
-        return Table({name: array[name] for name in self.row.names or ()}, source=self.path.name)
+            file.seek(self.begin + (plane * self.rows + first) * self.row.itemsize)
+            return np.fromfile(file, dtype=self.row, count=count)
+
+
+def _field_names(name: str, shape: tuple[int, ...]) -> list[str]:
+    width = math.prod(shape)
+    return [name] if not shape else [f"{name}[{index}]" for index in range(width)]
 
 
 def _read_layout(path: Path) -> _Layout:
-    """Read the layout; refuse files that cannot be read by rows."""
+    """Read the layout; refuse files that hold no numbers."""
     size = path.stat().st_size
     with path.open("rb") as file:
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what Python's parser says of a damaged header on the side
-                shape, by_column, dtype = _read_header(file)
-        except (ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError) as error:
+            shape, by_column, dtype = read_header(file)
+        except HEADER_ERRORS as error:
             said = str(error).partition("\n")[0] or type(error).__name__  # NumPy's advice is for programmers
             raise RecordError(f"{path.name} is no .npy file ({said}); write it by numpy.save.") from None
         begin = file.tell()
-    wide = shape[1] * dtype.itemsize if len(shape) == 2 else 0
-    if 0 < wide <= size and shape[1] > WIDEST:
+    layout = _lay_out(path, begin, shape, by_column, dtype)
+    if layout is None:
         raise RecordError(
-            f"{path.name} has {shape[1]} columns (at most {WIDEST} are read); is it a matrix that lies on its side? "
-            "Write a row for each sample."
+            f"{path.name} holds {dtype} of shape {shape}; expected a record array of numbers, or a matrix of numbers "
+            "whose longer side are the samples."
         )
-    if dtype.names is None and 0 < wide <= size and not by_column and dtype.kind in "fiu":
-        row = np.dtype([(str(i), dtype) for i in range(1, shape[1] + 1)])
-    elif dtype.names and len(shape) == 1 and all(dtype[name].kind in "fiu" for name in dtype.names):
-        row = dtype
-    else:
+    if layout.columns > WIDEST:
         raise RecordError(
-            f"{path.name} holds {dtype} of shape {shape}; expected a record array of numbers, or a matrix of "
-            "numbers in C order with a row for each sample."
+            f"{path.name} has {layout.columns} columns (at most {WIDEST} are read); log fewer channels, or write them "
+            "to several files."
         )
-    rows = (size - begin) // row.itemsize
-    if rows < shape[0] or shape[0] <= 0:
-        raise RecordError(f"{path.name} should hold {shape[0]} rows and has {rows}; log or copy it again.")
-    return _Layout(path, begin, row, int(shape[0]))
+    stored = (size - begin) // (layout.row.itemsize * layout.planes)
+    if stored < layout.rows:
+        raise RecordError(f"{path.name} should hold {layout.rows} samples and has {stored}; log or copy it again.")
+    return layout
+
+
+def _lay_out(path: Path, begin: int, shape: tuple[int, ...], by_column: bool, dtype: np.dtype[Any]) -> _Layout | None:
+    """Return the layout of the array of a header; None without numbers."""
+    if not all(type(size) is int and size > 0 for size in shape) or dtype.hasobject or dtype.itemsize == 0:
+        return None
+    sides = [size for size in shape if size != 1]
+    if dtype.names:
+        names, passed = list[str](), dict[str, str]()
+        for name in dtype.names:
+            base, inner = dtype[name].subdtype or (dtype[name], ())
+            if why := skip_reason(base):
+                passed[name] = why
+            elif math.prod(inner) > WIDEST:
+                passed[name] = f"its rows are arrays of {math.prod(inner)} numbers"
+            else:
+                names += _field_names(name, inner)
+        readable = len(sides) < 2 and names
+        return _Layout(path, begin, dtype, math.prod(sides), tuple(names), 1, passed) if readable else None
+    if skip_reason(dtype) or len(sides) > 2:
+        return None
+    # A matrix by columns lies in the file as its transpose does by rows.
+    rows, width, turned = max(sides, default=1), math.prod(sides) // max(sides, default=1), sides != sorted(sides)[::-1]
+    numbered = tuple(str(number) for number in range(1, min(width, WIDEST + 1) + 1))
+    if width > 1 and (turned != by_column or width > WIDEST):
+        return _Layout(path, begin, dtype, rows, numbered, width)
+    return _Layout(path, begin, np.dtype((dtype, (width,))) if width > 1 else dtype, rows, numbered)
+
+
+HEADER_ERRORS = (ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError)
+"""What reading a damaged header raises."""
+
+
+def read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read shape, column-major flag and element type.
+
+    Raises:
+        ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError: invalid header.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what Python's parser says of a damaged header on the side
+        return _read_header(file)
 
 
 def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

@@ -170,8 +170,8 @@ class _Decoder:
             yield name, self._instants(name, array)
         elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
             yield name, _to_floats(array)
-        elif types.is_list(kind) or types.is_large_list(kind):
-            self.passed[name] = _ANY_LENGTH
+        else:
+            self.passed[name] = _ANY_LENGTH if types.is_list(kind) or types.is_large_list(kind) else _skip_reason(kind)
 
     def _instants(self, name: str, array: Arrow) -> FloatArray:
         """Convert instants to seconds since the first, or durations to seconds."""
@@ -202,7 +202,8 @@ def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
     types = extra("pyarrow.types", "logs", "Reading Parquet")
     schema = file.schema_arrow
     lists = [entry.name for entry in schema if types.is_list(entry.type) or types.is_large_list(entry.type)]
-    decoding = _Decoder(passed=dict.fromkeys(lists, _ANY_LENGTH))
+    passed = {entry.name: _skip_reason(entry.type) for entry in schema if not _may_be_numbers(entry.type)}
+    decoding = _Decoder(passed=passed | dict.fromkeys(lists, _ANY_LENGTH))
     require_unique_names(path, list(schema.names))
     stated = {entry.name: (entry.metadata or {}) for entry in schema}
     texts = {name: (each.get(_UNITS[0]) or each.get(_UNITS[1]) or b"") for name, each in stated.items()}
@@ -218,6 +219,10 @@ def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
             raise RecordError(f"{path.name} holds no column of numbers; log the signals as numbers.")
         if batch.num_rows:
             yield Table(dict(pairs), scalars, path.name, units, decoding.passed)
+
+
+def _skip_reason(kind: Arrow) -> str:
+    return "it holds text" if "string" in str(kind) else f"it holds {str(kind).partition('<')[0]}"
 
 
 def _may_be_numbers(kind: Arrow) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
+from jointid.records.formats.arrays import REAL, skip_reason
 from jointid.records.formats.table import (
     PIECES,
     Block,
@@ -24,6 +25,7 @@ from jointid.records.formats.table import (
     split_rows,
 )
 
+_READ = REAL + "M"  # kinds of NumPy's types of channels that are read
 _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
 _UNITS = ("unit_string", "unit", "units", "Unit")
 _STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
@@ -122,6 +124,7 @@ class _Contents:
     path: Path
     channels: list[_Channel]
     scalars: dict[str, float]
+    passed: dict[str, str]
     slabs: dict[str, tuple[int, FloatArray]] = field(default_factory=dict)
 
     @property
@@ -135,7 +138,7 @@ class _Contents:
             columns = {c.name: self._values(c, first, min(last, c.rows)) for c in self.channels if c.rows > first}
         units = {c.name: c.unit for c in self.channels if c.unit}
         clocks = {c.name: c.clock for c in self.channels if c.clock}
-        return Table(columns, self.scalars, self.path.name, units, clocks=clocks)
+        return Table(columns, self.scalars, self.path.name, units, self.passed, clocks)
 
     def _values(self, channel: _Channel, first: int, last: int) -> FloatArray:
         """Read rows of a column, and cache some further ones."""
@@ -164,7 +167,13 @@ def _open(path: Path) -> Iterator[_Contents]:
                 for name, value in properties.items()
                 if isinstance(value, int | float | np.number) and not isinstance(value, bool)
             }
-            contents = _Contents(path, list(_list_channels(file)), scalars)
+            passed = {
+                f"{group.name}/{channel.name}": skip_reason(np.dtype(channel.dtype)) or "it is empty"
+                for group in file.groups()
+                for channel in group.channels()
+                if not (len(channel) and np.dtype(channel.dtype).kind in _READ)
+            }
+            contents = _Contents(path, list(_list_channels(file)), scalars, passed)
         require_unique_names(path, [channel.name for channel in contents.channels])
         if not contents.channels:
             raise RecordError(f"{path.name} holds no channel of numbers; log the signals as numbers.")
@@ -187,7 +196,7 @@ def _list_channels(file: Nptdms) -> Iterator[_Channel]:
                 f"{prefix}{channel.name}", len(channel), channel, _read_unit(channel), late=late.get(channel.path, 0.0)
             )
             for channel in group.channels()
-            if len(channel) and np.dtype(channel.dtype).kind in "fiubM"
+            if len(channel) and np.dtype(channel.dtype).kind in _READ
         ]
         timed = [c for c in channels if float(c.channel.properties.get(_STEP, 0.0)) > 0]
         clocks = {(c.rows, c.channel.properties[_STEP], c.channel.properties.get(_OFFSET, 0.0), c.late) for c in timed}

@@ -121,6 +121,22 @@ class Filtering:
             )
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
+    def inside(self, samples: int) -> slice:
+        """Return the samples between the borders.
+
+        Raises:
+            RecordError: too few of them are left to be filtered.
+        """
+        first, last = self.borders
+        left, needed = max(samples - first - last, 0), 3 * _ORDER
+        if left <= needed:
+            raise RecordError(
+                f"The record has {samples} samples, of which {left} are left between the borders of {first} and "
+                f"{last}, and the filter needs more than {needed}; log faster or longer, or give smaller "
+                "filtering.borders."
+            )
+        return slice(first, samples - last)
+
     def decimate(self, values: FloatArray, sample_time: float) -> FloatArray:
         """Low-pass forwards and backwards, and decimate; the filtering must be resolved (`resolve`).
 

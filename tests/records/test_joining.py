@@ -1,0 +1,135 @@
+"""A record in several files: joined on their clocks, or by a channel that two of them hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import JointFileError, RecordError
+from jointid.config import load, loads
+from jointid.records.joining import choose_resampling, read_joined
+from jointid.records.record import Record
+
+JOINT = """[joint]
+kind = "revolute"
+[record]
+files = ["positions.csv", "torques.csv"]
+[record.channels]
+torque = { column = "tau", unit = "N m" }
+motor_position = { column = "q", unit = "rad" }
+[method]
+name = "idim"
+"""
+RATE, BEGIN = 0.002, 0.3137
+
+
+def angle(t: np.ndarray) -> np.ndarray:
+    return np.sin(2 * t + 1.5 * np.sin(0.9 * t**1.3)) + 0.3 * np.cos(7.1 * t)
+
+
+def moment(t: np.ndarray) -> np.ndarray:
+    return np.cos(3 * t) + 0.2 * t
+
+
+def write(path: Path, names: str, *columns: np.ndarray) -> None:
+    np.savetxt(path, np.column_stack(columns), "%.12g", ",", header=names, comments="")
+
+
+def files(folder: Path, *, epoch: float = 0.0, own: bool = False, shared: bool = False, stamped: bool = True) -> None:
+    """Write positions at 500 Hz, and torques at 1 kHz that begin `BEGIN` later; `own` counts each from 0."""
+    t = np.arange(3000) * RATE
+    late = BEGIN + np.arange(5000) * RATE / 2
+    clocks = [t + epoch, late + epoch - (BEGIN + epoch) * own]
+    write(folder / "positions.csv", "t,q" if stamped else "q", *([clocks[0]] if stamped else []), angle(t))
+    second = [moment(late), *([angle(late)] if shared else [])]
+    names = ("t,tau" if stamped else "tau") + (",q" if shared else "")
+    write(folder / "torques.csv", names, *([clocks[1]] if stamped else []), *second)
+
+
+def read_joint(folder: Path, text: str = JOINT) -> Record:
+    (folder / "joint.toml").write_text(text)
+    return load(folder / "joint.toml").record()
+
+
+@pytest.mark.parametrize("case", ["clock", "epoch", "own zero", "no stamps", "stated"])
+def test_two_files_become_one_record(case: str, tmp_path: Path) -> None:
+    stamped = case not in ("no stamps",)
+    own = case in ("own zero", "stated")
+    files(
+        tmp_path, epoch=1000.0 * (case == "epoch"), own=own, shared=case in ("own zero", "no stamps"), stamped=stamped
+    )
+    text = JOINT
+    if case == "stated":
+        text = text.replace("[record]", f"[record]\noffsets = [0, {BEGIN}]")
+    if case == "no stamps":
+        # Files of one rate: a common sample_time is what they have.
+        late = BEGIN + np.arange(2600) * RATE
+        write(tmp_path / "torques.csv", "tau,q", moment(late), angle(late))
+        text = text.replace("[record]", f"[record]\nsample_time = {RATE}")
+    record = read_joint(tmp_path, text)
+    assert record.torque is not None and record.motor_position is not None
+    assert record.torque.sample_time == pytest.approx(RATE if case == "no stamps" else RATE / 2, rel=1e-9)
+    assert len(record.torque) == len(record.motor_position) > 2500
+    at = record.begin + record.motor_position.time
+    np.testing.assert_allclose(record.motor_position.values, angle(at), atol=1e-4)  # lines between samples
+    held = np.abs(record.torque.values - moment(at))
+    assert held.max() < 3.5 * (record.torque.sample_time + 1e-4)  # held for a sample at most
+    assert record.resampled is not None
+    assert record.resampled.methods["torque"] == "hold" and record.resampled.methods["motor_position"] == "linear"
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_the_offset_of_a_shared_channel_is_found_to_a_part_of_a_sample(own: bool, tmp_path: Path) -> None:
+    files(tmp_path, epoch=0.0 if own else 2e5, own=own, shared=True)
+    if not own:  # clocks that have nothing in common
+        table = np.loadtxt(tmp_path / "torques.csv", delimiter=",", skiprows=1)
+        write(tmp_path / "torques.csv", "t,tau,q", table[:, 0] - 1e5, table[:, 1], table[:, 2])
+    table = read_joined([tmp_path / "positions.csv", tmp_path / "torques.csv"])
+    late = table.columns["time of torques"][0] - table.columns["time of positions"][0]
+    assert late == pytest.approx(BEGIN, abs=0.01 * RATE)
+    assert table.clocks["torques: q"] == "time of torques" and table.clocks["q"] == "time of positions"
+    rules = choose_resampling(table)
+    assert rules is not None and rules.sample_time == pytest.approx(RATE / 2)
+
+
+def test_files_of_one_clock_are_not_resampled(tmp_path: Path) -> None:
+    t = np.arange(500) * RATE
+    write(tmp_path / "positions.csv", "t,q", t, angle(t))
+    write(tmp_path / "torques.csv", "t,tau", t, moment(t))
+    record = read_joint(tmp_path)
+    assert record.resampled is None and record.torque is not None
+    np.testing.assert_allclose(record.torque.values, moment(t), rtol=1e-11)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_an_offset_that_cannot_be_found_is_to_be_stated(shared: bool, tmp_path: Path) -> None:
+    t = np.arange(3000) * RATE
+    write(tmp_path / "positions.csv", "t,q", t, np.sin(20 * np.pi * t))  # every period is alike
+    write(
+        tmp_path / "torques.csv",
+        "t,tau,q" if shared else "t,tau",
+        t + 500,
+        moment(t),
+        *[np.sin(20 * np.pi * t)] * shared,
+    )
+    with pytest.raises(RecordError) as error:
+        read_joint(tmp_path)
+    sentence = str(error.value)
+    assert sentence.startswith("positions.csv and torques.csv have no clock in common")
+    assert sentence.endswith("give record.offsets: the seconds to add to the clock of each file.")
+    assert ("a channel that both hold (q) does not tell their offset" in sentence) == shared
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("files = [", 'file = "run.csv"\nfiles = [', 'stands beside file = "run.csv"; keep one of them'),
+        ("files = [", "offsets = [0]\nfiles = [", "has 1 numbers for 2 files; give one for each file, or none"),
+        ('"torques.csv"', '"torques.xyz"', 'has the suffix ".xyz"'),
+    ],
+)
+def test_files_that_contradict_are_one_sentence(old: str, new: str, said: str) -> None:
+    with pytest.raises(JointFileError, match=said):
+        loads(JOINT.replace(old, new))
