@@ -104,6 +104,9 @@ def load_joint(
         JointFileError: see `load`.
         MethodError: it is a robot file, and no axis is named.
     """
+    path = Path(path)
+    if axis is None and "robot" in parse_toml(read_text(path)):  # before the changes and choices of one joint
+        raise _robot_error(path, what)
     return require_joint(load(path, changes, axis=axis, **choices), what)
 
 
@@ -119,7 +122,11 @@ def require_joint(file: File[Any], what: str) -> JointFile:
     """
     if isinstance(file, JointFile):
         return file
-    raise MethodError(f"{what} takes one joint, and {file.path} is a robot file; name one of its joints by --axis.")
+    raise _robot_error(file.path, what)
+
+
+def _robot_error(path: Path, what: str) -> MethodError:
+    return MethodError(f"{what} takes one joint, and {path} is a robot file; name one of its joints by --axis.")
 
 
 def read_text(path: Path) -> str:
