@@ -350,7 +350,9 @@ def test_a_robot_takes_the_laws_of_its_joints_and_their_numbers(folder: Path) ->
     }  # fmt: skip
     again = loads(dumps(file), folder)
     assert again.robot.joints == file.robot.joints and again.joints == file.joints
-    with pytest.raises(MethodError, match=r'takes friction and springs for lines; received the law "hysteretic" of j'):
+    with pytest.raises(
+        MethodError, match=r'The drive side .* received the law "presliding" of joint0: declare another'
+    ):
         file.identify(file.record())
 
 

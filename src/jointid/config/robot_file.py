@@ -43,7 +43,7 @@ from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.joints import FlexibleJoint
-from jointid.models.limits import ROBOT_LIMITS, AxisLimits
+from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
 from jointid.records.record import Record
@@ -224,7 +224,6 @@ class RobotFile(File[tuple[Record, ...]]):
     Attributes:
         model: the robot, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
-        stated_limits: what each joint may do in a test that is planned, as its table says.
         in_motion: whether the records begin while the robot moves.
         unmodelled: sentences on what the joints have and the model of a robot has not, which every verb refuses.
         raw: its tables.
@@ -232,7 +231,6 @@ class RobotFile(File[tuple[Record, ...]]):
 
     model: Robot
     joints: tuple[JointFile, ...]
-    stated_limits: tuple[LimitsTable, ...]
     in_motion: bool
     unmodelled: tuple[str, ...]
     raw: Mapping[str, Any] = field(repr=False)
@@ -271,7 +269,6 @@ class RobotFile(File[tuple[Record, ...]]):
             parameters=_parameters(files),
             source=files[0].source,
             feed_forward=said.robot.feed_forward,
-            stated_limits=tuple(one.limits or LimitsTable() for one in said.joints),
             in_motion=said.robot.in_motion,
             unmodelled=tuple(unmodelled),
             path=path,
@@ -306,18 +303,8 @@ class RobotFile(File[tuple[Record, ...]]):
 
     @property
     def limits(self) -> tuple[AxisLimits, ...]:
-        """Limits of each joint in a test that is planned.
-
-        Raises:
-            MethodError: a limit is given that the plan of a robot's motion does not keep.
-        """
-        for number, table in enumerate(self.stated_limits):
-            for name in table.model_fields_set - set(ROBOT_LIMITS):
-                raise MethodError(
-                    f"joints.{number + 1}.limits.{name} is not kept by the plan of a robot's motion; expected "
-                    f"{', '.join(sorted(ROBOT_LIMITS))}: leave it out."
-                )
-        return tuple(table.build() for table in self.stated_limits)
+        """Limits of each joint in a test that is planned."""
+        return tuple(file.limits for file in self.joints)
 
     def joint_file(self, name: str) -> JointFile:
         """Return the joint file of one joint, identified alone, as if no other joint moved.
