@@ -75,7 +75,12 @@ def load(
     """
     path = Path(path)
     choices = {"method": method, "filtering": filtering, "friction": friction}
-    return _select(_file(parse_toml(read_text(path)), path, changes, axis, **choices), axis)
+    file = _file(parse_toml(read_text(path)), path, changes, axis, **choices)
+    if axis is None:
+        return file
+    if isinstance(file, JointFile):
+        raise MethodError(f"{file.path} is a joint file, which has no axis {axis}; leave --axis out.")
+    return file.joint_file(axis)
 
 
 def load_joint(
@@ -100,19 +105,9 @@ def load_joint(
         MethodError: it is a robot file, and no axis is named.
     """
     path = Path(path)
-    tables = parse_toml(read_text(path))
-    if "robot" in tables and axis is None:
+    if axis is None and "robot" in parse_toml(read_text(path)):  # before the changes and choices of one joint
         raise _robot_error(path, what)
-    return require_joint(_select(_file(tables, path, changes, axis, **choices), axis), what)
-
-
-def _select(file: JointFile | RobotFile, axis: str | None) -> JointFile | RobotFile:
-    """Return a file, or the joint file of the axis that is named."""
-    if axis is None:
-        return file
-    if isinstance(file, JointFile):
-        raise MethodError(f"{file.path} is a joint file, which has no axis {axis}; leave --axis out.")
-    return file.joint_file(axis)
+    return require_joint(load(path, changes, axis=axis, **choices), what)
 
 
 def require_joint(file: File[Any], what: str) -> JointFile:
