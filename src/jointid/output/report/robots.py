@@ -13,7 +13,7 @@ from jointid.common.text import interval, number
 from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.robots.diagnose import RobotDiagnosis
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
-from jointid.diagnostics.robots.validation import RobotValidation
+from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
 from jointid.output.report.pages import Repetition, pictures_of
@@ -38,7 +38,7 @@ class RobotReportData:
 
     estimate: Estimate
     diagnosis: RobotDiagnosis
-    validation: RobotValidation | None = None
+    validation: Validation | None = None
     absent: dict[str, str] = field(default_factory=dict)
 
 
@@ -72,7 +72,7 @@ def robot_blocks(
     yield from picture("torque")
     if given.validation is not None:
         yield Heading("A record that the estimate has not seen")
-        yield from given.validation.to_document().blocks[1:]
+        yield from given.validation.to_document().blocks
     yield from next_test(design, given.absent)
     yield Heading("Appendix")
     yield Paragraph("What stands behind that: what is left of the torques, the sums, and how to repeat it.")
@@ -101,7 +101,7 @@ def _result(given: RobotReportData) -> Iterator[Block]:
     """Yield the verdict, what it rests on, and how the robot was identified."""
     found = given.diagnosis
     if given.validation is not None:
-        yield given.validation.to_document().blocks[0]
+        yield given.validation.verdict
         yield Paragraph(found.answer)
     else:
         yield Paragraph(found.answer, lead=True, tone="open" if found.explained else "bad")
