@@ -44,18 +44,6 @@ from jointid.estimation.result.estimate import (
     law_fingerprint,
     relative_error,
 )
-from jointid.estimation.robots.consistent import can_be_near, consistent_robot
-from jointid.estimation.robots.idim import InverseModelRobot
-from jointid.estimation.robots.numbers import robot_parameters
-from jointid.estimation.robots.problem import RobotLoopProblem
-from jointid.estimation.robots.regression import (
-    base_columns,
-    base_rows,
-    motion_of_robot,
-    relative_errors,
-    require_one_log,
-)
-from jointid.estimation.robots.simulated import SimulatedRobot, errors_of, nominal_numbers, problem_of
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.disturbances import EncoderOffset, effect_parameters
 from jointid.models.joints import ClosedLoop
@@ -67,8 +55,6 @@ from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.prescribed import PARTS, DriveSide, OpenLoop
-from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import motion_at
 from jointid.simulation.simulated import require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
@@ -455,7 +441,6 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     if isinstance(estimate, Estimate) and estimate.robot is not None:
         if not isinstance(record, Sequence):
             raise MethodError("The estimate of a robot is validated on a record of each joint; give them in order.")
-        require_one_log(record)
         robot, records = estimate.robot.model, record
         found = _predict_robot(estimate, records)
         method, source, prints = estimate.settings.method, estimate.data.record, estimate.data.fingerprints
@@ -476,6 +461,8 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     own = fingerprint(np.concatenate(torques)) in prints
     anew, nominal, bodies = None if own else found.with_free(), None, None
     if not own and isinstance(estimate, Estimate) and found.errors_of is not None:
+        from jointid.estimation.robots.consistent import can_be_near, consistent_robot
+
         part = estimate.require_robot()
         nominal = found.errors_of(None) if part.model.has_masses else None
         if can_be_near(part.model) and all(spring.shown for spring in part.springs):
@@ -651,9 +638,15 @@ def _search(problem: Any, start: FloatArray) -> FloatArray | None:
 
 
 def _predict_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
+    from jointid.estimation.robots.idim import InverseModelRobot
+    from jointid.estimation.robots.numbers import robot_parameters
+    from jointid.estimation.robots.regression import base_columns, base_rows, motion_of_robot, relative_errors
+    from jointid.estimation.robots.simulated import SimulatedRobot, errors_of, nominal_numbers, problem_of
+    from jointid.simulation.robot_numbers import RobotNumbers
+    from jointid.simulation.robots import motion_at
+
     part, filtering = estimate.require_robot(), estimate.settings.filtering
     robot, coupling = part.model, part.model.coupling.T
-
     if isinstance(part, InverseModelRobot):
         motion = motion_of_robot(robot, records, filtering)
         columns = base_columns(robot, part.base, motion)
@@ -673,9 +666,9 @@ def _predict_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
     problem: Any = problem_of(part.setup, records, robot_parameters(robot), filtering)
     run = problem.run_of(numbers)
     if run is None:
-        what = "references" if isinstance(problem, RobotLoopProblem) else "motor positions"
+        what = "references" if part.has_controllers else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
-    if isinstance(problem, RobotLoopProblem):
+    if part.has_controllers:
         moved, channels = motion_at(run, problem.experiment.clock.log_index), ("torque", "reference")
         path = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
     else:
@@ -693,7 +686,7 @@ def _predict_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
     return _Predicted(
         channels, problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
         problem.by_joint(error), problem.by_joint(problem.filtered_torque), path, fit_anew,
-        None if isinstance(problem, RobotLoopProblem) else problem.motion.moving,
+        None if part.has_controllers else problem.motion.moving,
         errors_of=lambda near: errors_of(
             problem,
             nominal_numbers(robot, numbers) if near is None else replace(RobotNumbers.of(near), log=numbers.log),
