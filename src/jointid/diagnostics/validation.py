@@ -259,14 +259,6 @@ class Validation(Documented):
         return f"{self.answer}."
 
     @property
-    def verdict(self) -> Paragraph:
-        """The sentence as the lead of a document."""
-        tone: Literal["good", "open", "bad"] = "bad"
-        if self.answer.code in (Prediction.PREDICTED, Prediction.OWN_RECORD):
-            tone = "good" if self.answer.code is Prediction.PREDICTED else "open"
-        return Paragraph(self.sentence, lead=True, tone=tone)
-
-    @property
     def comparison(self) -> Paragraph | None:
         """Estimate and bodies beside the nominal robot, in words; None without one."""
         mine, nominal, bodies = self.filtered_error, self.nominal_error, self.body_error
@@ -283,15 +275,12 @@ class Validation(Documented):
         elif mine < nominal:
             said = f"The estimate predicts this record better than the nominal model: {left} against {other}."
         else:
-            said = (
-                f"The estimate predicts this record worse than the nominal model, {left} against {other}: do not use "
-                "it in its place."
-            )
+            said = f"The estimate predicts this record worse than the nominal model, {left} against {other}"
+            said += ": do not use it in its place."
         if bodies is not None:
-            said += (
-                " Bodies near the nominal ones that fit the estimate predict "
-                f"{'better' if self.bodies_better else 'worse'} than these: {_format_share(bodies)}."
-            )
+            how = "better" if self.bodies_better else "worse"
+            said += f" Bodies near the nominal ones that fit the estimate predict {how} than these: "
+            said += f"{_format_share(bodies)}."
         useful = min(mine, mine if bodies is None else bodies) < (1.0 + _ALIKE) * nominal
         return Paragraph(said, lead=True, tone="good" if useful else "bad")
 
@@ -326,24 +315,18 @@ class Validation(Documented):
             "drive_side": "simulated along the motor position",
             "open_loop": "simulated under the torque",
         }.get(self.method, "computed from the measured position")
-        raw, filtered = 100 * self.relative_error, 100 * self.filtered_error
+        test = f"{self.test} test on {self.record}, of the {what} identified from {self.identified_from}"
+        left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
+        error = f"{100 * self.relative_error:.4f} % raw ({left_out}), {100 * self.filtered_error:.4f} % filtered"
         facts = [
-            (
-                "test",
-                f"{self.test} test on {self.record}, of the {what} identified from {self.identified_from}; "
-                f"{self.compared} {how}",
-            ),
+            ("test", f"{test}; {self.compared} {how}"),
             *common_facts(self.resampled, first.transmission),
-            (
-                f"{self.compared} error",
-                f"{raw:.4f} % raw ({self.borders[0]} + {self.borders[1]} samples at the ends left out), "
-                f"{filtered:.4f} % filtered",
-            ),
+            (f"{self.compared} error", error),
         ]
         if self.tracking_error is not None:
             off = f"{100 * self.tracking_error:.4f} % away from the measured tracking error"
-            if first.tracking_rms is not None and not first.name:
-                off += f", {number(first.tracking_rms, 3)} {first.position_unit} rms"
+            each = (f"{number(a.tracking_rms, 3)} {a.position_unit}" for a in self.axes if a.tracking_rms is not None)
+            off += f", {', '.join(each)} rms"
             facts.append(("tracking error", off))
         said = (
             f"{100 * np.mean([axis.outside_band for axis in self.axes]):.0f} % of {first.autocorrelation.size - 1} "
@@ -589,9 +572,7 @@ def _simulate_prescribed(identified: IdentifiedJoint, record: Record) -> _Predic
     x = np.zeros(0) if found is None else found.x
     predicted, _, finished = problem.simulate(x, ())
     if not finished:
-        raise MethodError(
-            "The joint that was identified cannot be simulated along this record; check its motor position and torque."
-        )
+        raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
     if isinstance(problem, DriveSideProblem):
         position, velocity = problem.motion.position[::PARTS], problem.motion.velocity[::PARTS]
     else:

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from jointid.common.charts import Chart
-from jointid.common.document import Block, Facts, Heading, Listing, Paragraph, Table
+from jointid.common.document import Block, Facts, Heading, Listing, Paragraph, Table, Tone
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
 from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.robots.diagnose import RobotDiagnosis
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
-from jointid.diagnostics.validation import Validation
+from jointid.diagnostics.validation import Prediction, Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
 from jointid.output.report.pages import Repetition, pictures_of
@@ -101,7 +101,8 @@ def _result(given: RobotReportData) -> Iterator[Block]:
     """Yield the verdict, what it rests on, and how the robot was identified."""
     found = given.diagnosis
     if given.validation is not None:
-        yield given.validation.verdict
+        tone: Tone = "good" if given.validation.answer.code is Prediction.PREDICTED else "bad"
+        yield Paragraph(given.validation.sentence, lead=True, tone=tone)
         yield Paragraph(found.answer)
     else:
         yield Paragraph(found.answer, lead=True, tone="open" if found.explained else "bad")
