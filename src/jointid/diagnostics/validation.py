@@ -57,7 +57,7 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.prescribed import PARTS, DriveSide, OpenLoop
 from jointid.simulation.simulated import require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.verdict import POOR_FIT
 
 if TYPE_CHECKING:
@@ -601,7 +601,7 @@ def _predict_by(
 
     def fit_anew() -> FloatArray | None:
         found = _search(free, free.vector(problem.values(x)))
-        return None if found is None else found[np.newaxis]
+        return None if found is None else found.residual[np.newaxis]
 
     return _Predicted(
         channels, problem.sample_time, problem.filtering.borders, measured[:, np.newaxis], predicted[:, np.newaxis],
@@ -609,11 +609,11 @@ def _predict_by(
     )  # fmt: skip
 
 
-def _search(problem: Any, start: FloatArray) -> FloatArray | None:
-    """Return the residual of a search, (rows,); None if it fails."""
+def _search(problem: Any, start: FloatArray) -> Solution | None:
+    """Return the solution of a search; None if it fails."""
     try:
         with np.errstate(all="ignore"):  # a loop that runs away
-            return solve(problem, _SEARCH, start).residual
+            return solve(problem, _SEARCH, start)
     except (JointidError, np.linalg.LinAlgError):
         return None
 
@@ -660,9 +660,15 @@ def _predict_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
     def fit_anew() -> FloatArray | None:
         parameters = problem.parameters
         base = replace(parameters.base, log=numbers.log)
-        free = replace(problem, parameters=replace(parameters, base=base)).reweight(error, 0)
-        found = _search(free, parameters.to_search_variables(parameters.group(run.numbers)))
-        return None if found is None else problem.by_joint(found) * free.sigma[:, np.newaxis]
+        free, left = replace(problem, parameters=replace(parameters, base=base)), error
+        x = parameters.to_search_variables(parameters.group(run.numbers))
+        for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
+            free = free.reweight(left, 0)
+            found = _search(free, x)
+            if found is None:
+                return None
+            x, left = found.x, found.residual / free.weights(error.size)
+        return np.asarray(problem.by_joint(left))
 
     return _Predicted(
         channels, problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
