@@ -80,8 +80,7 @@ def test_its_masses_are_those_of_the_nominal_model(file: RobotFile, data_dir: Pa
 def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str, second: str, cells: str) -> None:
     records = {name: file.records(data_dir / "kr300" / f"rec_{name}.mat") for name in "AB"}
     found = validate(identified(file.robot, records[first]), records[second])
-    assert found.body_errors is not None
-    errors = np.concatenate([found.joint_errors, found.nominal_errors, found.body_errors])
+    errors = np.array([[a.filtered_error, a.nominal_error, a.body_error] for a in found.axes], dtype=float).T.ravel()
     said = [float(text) for text in re.findall(r"[\d.]+", cells)]
     assert said == pytest.approx(100 * errors, rel=0.05, abs=0.3)
 

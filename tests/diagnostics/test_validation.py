@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import Prediction
+from tests.estimation.robots.test_rigid_robots import recorded
+from tests.robots_plants import two
 
 RATE = 1e-3
 LAW = ji.controller.Cascade(position_gain=40.0, velocity_gain=2000.0)
@@ -47,8 +50,8 @@ def test_the_same_axis_is_predicted_and_a_changed_one_is_not() -> None:
 
 def test_its_own_record_is_no_test_of_it() -> None:
     assert answer(identified()[1])[0] is Prediction.OWN_RECORD
-    poor = replace(ji.validate(*identified()), filtered_error=0.4)
-    assert poor.answer.code is Prediction.OWN_RECORD
+    own = ji.validate(*identified())
+    assert replace(own, axes=(replace(own.axes[0], filtered_error=0.4),)).answer.code is Prediction.OWN_RECORD
 
 
 def test_each_of_several_records_is_an_own_one() -> None:
@@ -66,7 +69,8 @@ def test_a_joint_is_asked_about_one_record() -> None:
 
 
 def test_without_a_joint_to_compare_with_nothing_is_promised() -> None:
-    alone = replace(ji.validate(identified()[0], made(0.13, 2)), attainable_error=None)
+    found = ji.validate(identified()[0], made(0.13, 2))
+    alone = replace(found, axes=(replace(found.axes[0], attainable_error=None),))
     assert alone.answer.code is Prediction.NOT_COMPARED
     assert "could not be found" in alone.sentence
 
@@ -81,8 +85,27 @@ def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
 
 
 @pytest.mark.parametrize("inertia", [30.0, 33.0])
-def test_by_measured_positions_too(inertia: float) -> None:
-    joint = ji.RigidJoint("prismatic")
-    estimate = ji.identify(made(0.1, 1), joint)
+@pytest.mark.parametrize("setup", [LOOP.joint, ji.DriveSide(LOOP.joint), ji.OpenLoop(LOOP.joint)])
+def test_by_measured_positions_too(setup: Any, inertia: float) -> None:
+    estimate = ji.identify(made(0.1, 1), setup)
     code = ji.validate(estimate, made(0.13, 2, inertia=inertia)).answer.code
     assert code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)
+
+
+@pytest.mark.parametrize("by_torques", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
+    twin = two()
+    first, second = twin.robot.joints
+    assert second.coulomb is not None
+    changed = replace(twin.robot, joints=(first, replace(second, coulomb=1.5 * second.coulomb)))
+    one, other = (twin.records(6.0, seed) for seed in (1, 4))
+    estimate = ji.identify(recorded(twin.loop(), one, 0.02)[0], twin.loop() if by_torques else twin.robot, checks=False)
+    same = ji.validate(estimate, recorded(twin.loop(), other, 0.02)[0])
+    assert same.answer.code is Prediction.PREDICTED
+    assert all(axis.tracking_rms is None or axis.tracking_rms < 1e-3 for axis in same.axes)
+    assert (same.tracking_error is not None) is by_torques
+    there = ji.validate(estimate, recorded(replace(twin.loop(), robot=changed), other, 0.02)[0])
+    assert there.answer.code is Prediction.ANOTHER_JOINT
+    assert "of the filtered torque of joint2, and one identified from it" in there.sentence
+    assert there.axes[0].prediction is Prediction.PREDICTED
+    assert there.axes[1].attainable_error == pytest.approx(same.axes[1].filtered_error, rel=0.3)

@@ -10,7 +10,7 @@ import pytest
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import ignore_progress
-from jointid.diagnostics.validation import validate
+from jointid.diagnostics.validation import Prediction, validate
 from jointid.estimation.descent import History
 from jointid.estimation.methods import didim, stiffness_search
 from jointid.estimation.methods.didim import DIDIM
@@ -72,6 +72,16 @@ def test_an_idim_estimate_is_validated_on_both_rows() -> None:
     estimate = identify(axis.record, axis.loop, IDIM())
     assert validate(estimate, axis.record).filtered_error == pytest.approx(estimate.fit.filtered_error, rel=1e-9)
     assert validate(estimate, other.record).filtered_error == pytest.approx(0.08, abs=0.005)
+
+
+def test_a_load_encoder_may_count_from_elsewhere_in_another_record() -> None:
+    axis, other = twin(noise="white", seed=1), twin(noise="white", seed=2).record
+    estimate, load = identify(axis.record, axis.loop, IDIM()), other.load_position
+    assert load is not None
+    moved = replace(other, load_position=replace(load, values=load.values + 0.3))
+    there, elsewhere = validate(estimate, other), validate(estimate, moved)
+    assert there.answer.code is elsewhere.answer.code is Prediction.PREDICTED
+    assert elsewhere.filtered_error == pytest.approx(there.filtered_error, rel=1e-6)
 
 
 def torque_only(axis: Twin) -> Record:

@@ -147,7 +147,7 @@ def test_a_validation_is_a_data_frame_over_time() -> None:
     pytest.importorskip("pandas")
     made = results()["validation"]
     frame = made.to_dataframe()
-    np.testing.assert_array_equal(frame["error"], made.measured - made.predicted)
+    np.testing.assert_array_equal(frame["error"], made.axes[0].measured - made.axes[0].predicted)
     assert frame.index[1] == made.sample_time
 
 

@@ -221,8 +221,8 @@ def _find_motion(
 ) -> tuple[Motion | None, MotionSource]:
     """Return the motor's motion at the samples of the torque, and its source."""
     size = estimate.fit.measured.size
-    if validation is not None and validation.motor.position.size >= size:
-        motor = validation.motor
+    if validation is not None and validation.axes[0].motor.position.size >= size:
+        motor = validation.axes[0].motor
         source: MotionSource = "simulated" if validation.method == "didim" else "measured"
         return Motion(motor.position[:size], motor.velocity[:size], motor.acceleration[:size]), source
     channel = record.motor_position or record.reference

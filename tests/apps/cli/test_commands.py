@@ -167,7 +167,7 @@ def test_identify_validate_simulate_on_the_real_axis(
     check = tmp_path / "check.json"
     assert run("validate", EMPS, "--estimate", out, "--record", pulses, "--json", check, "-q") == 0
     cross = json.loads(check.read_text(encoding="utf-8"))
-    assert (cross["schema"], cross["test"]) == ("jointid.validation/1", "cross")
+    assert (cross["schema"], cross["test"]) == ("jointid.validation/2", "cross")
     assert cross["relative_error_percent"] <= 5.5
     assert run("validate", EMPS, "--estimate", out, "--record", emps_path, "--json", check, "-q") == 0
     assert json.loads(check.read_text(encoding="utf-8"))["test"] == "direct"

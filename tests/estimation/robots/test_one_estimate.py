@@ -110,7 +110,6 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
         lambda found: found.report(logged()[1][0]),
         lambda found: found.plot.response(),
         lambda found: found.plot.spectrum(),
-        lambda found: found.plot.residual(two().records(6.0)),
         lambda found: found.identified,
     ],
 )
@@ -175,8 +174,6 @@ def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
         ji.robots.identify_drive_gains(loop, records, records, {"m": 1.0})  # type: ignore[arg-type]
     with pytest.raises(MethodError, match=r"has the reference of each joint; received 1 for 2 joints"):
         ji.design(loop, motion=records[:1])
-    with pytest.raises(MethodError, match=r"of a robot use Report\.of"):
-        ji.figures.residual(ji.validate(estimate(), recorded(loop, two().records(6.0, seed=2), 0.01)[0]))  # type: ignore[arg-type]
 
 
 def test_a_robot_needs_a_record_of_each_joint() -> None:

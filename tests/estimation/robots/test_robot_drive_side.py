@@ -11,6 +11,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
+from jointid.diagnostics.validation import Prediction
 from jointid.estimation.robots.drive_side import identify_flexible_drive_side
 from jointid.estimation.robots.flexible import FlexibleRobotFit
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
@@ -182,7 +183,8 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert estimate.params["log_delay"].unit == "s"
     held = ji.validate(estimate, logged(twin, seed=4))
     assert held.better
-    assert np.all(held.joint_errors < 0.03)
+    assert held.answer.code is Prediction.PREDICTED
+    assert all(axis.filtered_error < 0.03 for axis in held.axes)
     told = ji.diagnose(estimate, logged(twin))
     assert told.explained
     assert "log_delay" not in {one.name for joint in told.axes for one in joint.parameters}
@@ -202,7 +204,7 @@ def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
     assert np.all(axis_errors(estimate) < 0.015)
     assert np.all(estimate.require_robot().nominal_errors < 1.1 * axis_errors(estimate))
     held = ji.validate(estimate, logged(twin, duration=7.0, seed=4, first=1500))
-    assert np.all(held.joint_errors < 0.02)
+    assert all(axis.filtered_error < 0.02 for axis in held.axes)
 
 
 def test_a_robot_that_does_not_hold_is_not_praised() -> None:

@@ -220,22 +220,20 @@ def validate(
     friction = None if estimate is None else answers.read_friction(estimate)
     file = options.load(joint, outputs, friction=friction)
     if not isinstance(file, JointFile):
-        _refuse_options(
-            "A robot is identified from the record that its file names, and its torques are drawn by report --figures",
-            {"--estimate": estimate, "--figure": figure, "--residuals": residuals},
-        )
+        _refuse_options("A robot is identified from the record that its file names", {"--estimate": estimate})
         if options.record is None:
             raise MethodError(
                 "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
                 "record that the robot file names."
             )
-        deliver(run(file.identify(file.record(), options.progress), file.record(options.record)), options.json)
-        return
-    estimate = _require_estimate(estimate)
-    identified = answers.read_identified_joint(estimate, file.joint, file.loop)
-    record = options.load_joint(joint, friction=friction, method=identified.method).record(options.record)
-    ready(options.progress)
-    deliver(run(identified, record), options.json, (figure, figures.torque), (residuals, figures.residual))
+        found = run(file.identify(file.record(), options.progress), file.record(options.record))
+    else:
+        estimate = _require_estimate(estimate)
+        identified = answers.read_identified_joint(estimate, file.joint, file.loop)
+        record = options.load_joint(joint, friction=friction, method=identified.method).record(options.record)
+        ready(options.progress)
+        found = run(identified, record)
+    deliver(found, options.json, (figure, figures.torque), (residuals, figures.residual))
 
 
 def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:

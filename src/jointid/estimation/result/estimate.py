@@ -38,7 +38,7 @@ class IdentifiedJoint:
         method: its name, as in a joint file.
         joint: the model.
         loop: the closed loop, for DIDIM.
-        values: every parameter of the joint, and of its effects, by name.
+        values: every parameter of the joint, of its effects, and on the drive side the log's ``current_lag``, by name.
         filtering: resolved, as it was identified with.
         delay: seconds from the logged torque to the torque that acts.
         record: name of the record or records that it was identified from.
@@ -146,9 +146,10 @@ class Estimate(EstimateParts, Documented):
                 "identify the joint as rigid."
             )
         settings, data = self.settings, self.data
+        log = {p.name: p.value for p in self.params.rows if p.name == "current_lag" and p.value is not None}
         law = "" if settings.loop is None else law_fingerprint(settings.loop)
         return IdentifiedJoint(
-            settings.method, settings.joint, settings.loop, self.values, settings.filtering, settings.delay,
+            settings.method, settings.joint, settings.loop, {**self.values, **log}, settings.filtering, settings.delay,
             data.record, data.fingerprints, law, settings.effects,
         )  # fmt: skip
 

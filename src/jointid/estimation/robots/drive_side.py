@@ -104,8 +104,8 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         """Return the torque of a run as the log shows it, (samples, n)."""
         return self.show_in_log(run, run.torque)
 
-    def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
-        """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated.
+    def run_of(self, numbers: RobotNumbers) -> RobotDriveSideRun | None:
+        """Simulate a robot with these numbers; None if it cannot be simulated.
 
         Where its links are at the first sample is of the record: it is fitted, of any robot alike.
         """
@@ -133,7 +133,7 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
             else:
                 break
             run, error = tried, left
-        return error
+        return run
 
     def slopes(self, run: RobotDriveSideRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""

@@ -166,7 +166,7 @@ def identify_simulated_robot(
         values=np.array([*fit.values, *(one.start for one in parameters.fixed)], dtype=np.float64),
         covariance=fit.covariance.with_fixed(len(parameters.fixed)),
         nominal=parameters.group_all(RobotNumbers.of(robot)),
-        nominal_errors=_errors(problem, nominal),
+        nominal_errors=errors_of(problem, nominal),
         formulas=(*parameters.formulas(robot), *(one.name for one in parameters.fixed)),
         springs=springs,
         fit=fit,
@@ -263,14 +263,8 @@ def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
     return replace(numbers, masses=masses, log=found.log)
 
 
-def simulated_errors(
-    setup: RobotLoop | RobotDriveSide, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
-) -> FloatArray:
+def errors_of(problem: RobotProblem[Any], numbers: RobotNumbers) -> FloatArray:
     """Return the residual share of each joint's torque, (n,); infinite if it cannot be simulated."""
-    return _errors(problem_of(setup, records, robot_parameters(setup.robot), filtering), numbers)
-
-
-def _errors(problem: RobotProblem[Any], numbers: RobotNumbers) -> FloatArray:
     error = problem.error_of(numbers)
     return np.full(problem.sigma.size, np.inf) if error is None else problem.norms(error) / problem.sizes
 

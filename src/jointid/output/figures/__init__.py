@@ -55,22 +55,20 @@ def torque_chart(answer: Estimate | Validation) -> Chart:
         return charts.torques_chart(AxisSignals.of_robot(answer.checks.diagnosis))
     if isinstance(answer, Estimate):
         title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
+        axis = AxisSignals.of(answer)
     else:
         title = f"{answer.record}: {answer.test} test"
-    axis = AxisSignals.of(answer)
+        axis, *others = AxisSignals.of_validation(answer)
+        if axis.name:
+            return replace(charts.torques_chart([axis, *others], "as they were logged"), title=title)
     title = f"{title}, error {100 * axis.relative_error:.2f} % of the raw {axis.quantity}"
     return replace(charts.torque_chart(axis), title=title)
 
 
 def residual(validation: Validation) -> Figure:
-    """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing.
-
-    Raises:
-        MethodError: the validation is of a robot.
-    """
-    if not isinstance(validation, Validation):
-        raise MethodError("The error of one joint is drawn so; of a robot use Report.of, whose page draws each joint.")
-    return _draw(charts.residual_chart([AxisSignals.of(validation)], "", validation))
+    """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing."""
+    source = "simulated" if validation.method == "didim" else "measured"
+    return _draw(charts.residual_chart(AxisSignals.of_validation(validation), source, validation))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,13 +85,12 @@ class Plots:
         """Return the measured and the predicted torque over time, and their difference."""
         return torque(self.estimate)
 
-    def residual(self, record: Record) -> Figure:
+    def residual(self, record: Record | Sequence[Record]) -> Figure:
         """Return the torque error against velocity and position, and its autocorrelation.
 
         Args:
-            record: of the identification, or another one of the joint; an estimate keeps no motion.
+            record: of the identification, or another one; an estimate keeps no motion. Of a robot one of each joint.
         """
-        self.estimate.require_joint()
         return residual(validate(self.estimate, record))
 
     def spectrum(self) -> Figure:

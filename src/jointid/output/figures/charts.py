@@ -31,6 +31,7 @@ from jointid.common.charts import (
 )
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
+from jointid.common.transmission import Transmission
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.position_forces import Motion
@@ -89,29 +90,48 @@ class AxisSignals:
     velocity: FloatArray | None = None
 
     @classmethod
-    def of(cls, answer: Estimate | Validation, motion: Motion | None = None) -> AxisSignals:
-        """Return the signals of an estimate, whose record has the motion, or of a validation."""
-        if isinstance(answer, Validation):
-            measured, predicted, borders, error = (
-                answer.measured, answer.predicted, answer.borders, answer.relative_error
-            )  # fmt: skip
-            unit, length, sample_time = answer.torque_unit, answer.position_unit, answer.sample_time
-            method, gear, motion = answer.method, answer.transmission, answer.motor
-        else:
-            fit, settings = answer.fit, answer.settings
-            measured, predicted, borders, error = fit.measured, fit.predicted, fit.borders, fit.relative_error
-            length, sample_time = POSITION_UNIT[settings.joint.kind], answer.data.sample_time
-            unit = length if fit.compared == "position" else answer.data.torque_unit
-            method, gear = settings.method, settings.joint.transmission
-        compared = np.zeros(measured.size, dtype=np.bool_)
-        compared[borders[0] : measured.size - borders[1]] = True
-        time = np.asarray(np.arange(measured.size) * sample_time, dtype=np.float64)
+    def of(cls, estimate: Estimate, motion: Motion | None = None) -> AxisSignals:
+        """Return the signals of an estimate, whose record has the motion."""
+        fit, settings = estimate.fit, estimate.settings
+        compared = np.zeros(fit.measured.size, dtype=np.bool_)
+        compared[fit.borders[0] : compared.size - fit.borders[1]] = True
+        length = POSITION_UNIT[settings.joint.kind]
+        unit = length if fit.compared == "position" else estimate.data.torque_unit
+        return cls._of(
+            ("", unit, length), settings.method, settings.joint.transmission, estimate.data.sample_time,
+            (fit.measured, fit.predicted), compared, fit.relative_error, motion,
+        )  # fmt: skip
+
+    @classmethod
+    def of_validation(cls, found: Validation) -> list[AxisSignals]:
+        """Return the signals of each axis of a validation."""
+        return [
+            cls._of(
+                (axis.name, axis.unit, axis.position_unit), found.method, axis.transmission, found.sample_time,
+                (axis.measured, axis.predicted), axis.compared > 0.0, axis.relative_error, axis.motor,
+            )
+            for axis in found.axes
+        ]  # fmt: skip
+
+    @classmethod
+    def _of(
+        cls,
+        words: tuple[str, str, str],
+        method: str,
+        gear: Transmission | None,
+        sample_time: float,
+        signals: tuple[FloatArray, FloatArray],
+        compared: NDArray[np.bool_],
+        error: float,
+        motion: Motion | None,
+    ) -> AxisSignals:
+        name, unit, length = words
+        size = compared.size
         return cls(
-            "", "position" if unit == length else torque_word(unit), unit, length,
-            _PREDICTIONS.get(method, "simulated"), "" if gear is None else f", {gear.side} side", time, measured,
-            predicted, compared, error,
-            None if motion is None else motion.position[: measured.size],
-            None if motion is None else motion.velocity[: measured.size],
+            name, "position" if unit == length else torque_word(unit), unit, length,
+            _PREDICTIONS.get(method, "simulated"), "" if gear is None else f", {gear.side} side",
+            np.asarray(np.arange(size) * sample_time, dtype=np.float64), *signals, compared, error,
+            None if motion is None else motion.position[:size], None if motion is None else motion.velocity[:size],
         )  # fmt: skip
 
     @classmethod
@@ -183,7 +203,7 @@ def torque_chart(axis: AxisSignals, motion_source: str = "") -> Chart:
     return Chart("torque", caption, tuple(panels))
 
 
-def torques_chart(axes: Sequence[AxisSignals]) -> Chart:
+def torques_chart(axes: Sequence[AxisSignals], how: str = "filtered as they were compared") -> Chart:
     """Return the measured and the predicted signal of each of several axes, and their difference, over time."""
     panels = []
     for axis in axes:
@@ -200,7 +220,7 @@ def torques_chart(axes: Sequence[AxisSignals]) -> Chart:
     panels[-1] = _with_time(panels[-1])
     whole = all(axis.compared.all() for axis in axes)
     caption = (
-        f"Measured and {axes[0].prediction} torque of each motor behind its gear, filtered as they were compared, and "
+        f"Measured and {axes[0].prediction} torque of each motor behind its gear, {how}, and "
         f"their difference on the same scale."
         + ("" if whole else " Lines break where a motor rests or turns round: friction takes what it must there.")
         + " On a screen, zooming one zooms all."
@@ -245,13 +265,13 @@ def residual_chart(
         f"motor{drawn}, with its mean over all samples. Noise alone has a mean of 0 everywhere: a mean that bends with "
         "velocity is friction, one that waves with position is cogging, gravity or a screw's pitch."
     )
+    for place, found in enumerate(() if validation is None else validation.axes):
+        lags = np.arange(found.autocorrelation.size, dtype=np.float64)
+        white = np.full(lags.size, found.white_band)
+        items = (Band(lags, -white, white, "#999999", "white"), Line(lags, found.autocorrelation, ERROR, dots=True))
+        panel = Panel("lag [filtered samples]", "autocorrelation", items, height=height)
+        panels.insert(3 * place + 2, panel)
     if validation is not None:
-        lags = np.arange(validation.autocorrelation.size, dtype=np.float64)
-        white = np.full(lags.size, validation.white_band)
-        items = (
-            Band(lags, -white, white, "#999999", "white"), Line(lags, validation.autocorrelation, ERROR, dots=True)
-        )  # fmt: skip
-        panels.append(Panel("lag [filtered samples]", "autocorrelation", items, height=height))
         caption += " The last panel is the filtered error's autocorrelation, in the grey band if it were white."
     return Chart("residual", caption, tuple(panels), columns=2 + (validation is not None))
 

@@ -53,6 +53,12 @@ def _law(learned: Any) -> Json:
     return {"name": type(learned.controller).__name__, "numbers": numbers_of(learned.controller)}
 
 
+_ERRORS = (
+    "relative_error_percent=100*relative_error filtered_error_percent=100*filtered_error "
+    "attainable_error_percent=100*attainable_error nominal_error_percent=100*nominal_error "
+    "body_error_percent=100*body_error tracking_error_percent=100*tracking_error"
+)
+
 SHAPES: Mapping[str, Shape] = {
     # Estimates
     "Estimate": estimate_shape,
@@ -98,11 +104,14 @@ SHAPES: Mapping[str, Shape] = {
     "Segment": keys("begin end windows values std filtered_error_percent=100*filtered_error"),
     # Diagnostics
     "Validation": document_shape(
-        "jointid.validation/1",
-        "test method transmission record resampled identified_from channels relative_error_percent=100*relative_error "
-        "filtered_error_percent=100*filtered_error attainable_error_percent=100*attainable_error answer "
-        "tracking_error_percent=100*tracking_error samples_left_out=borders autocorrelation white_band "
-        "outside_band_percent=100*outside_band initial simulations warnings",
+        "jointid.validation/2",
+        f"test method record resampled identified_from channels compared answer {_ERRORS} "
+        "better_than_nominal=better bodies_better_than_nominal=bodies_better samples_left_out=borders initial "
+        "simulations warnings axes",
+    ),
+    "ValidatedAxis": keys(
+        f"name unit position_unit transmission answer=prediction {_ERRORS} tracking_rms autocorrelation white_band "
+        "outside_band_percent=100*outside_band"
     ),
     "MethodComparison": document_shape("jointid.comparison/1", "record model methods disagreements"),
     "SpringComparison": document_shape(
@@ -224,11 +233,6 @@ SHAPES: Mapping[str, Shape] = {
     "ProposedNotch": keys("notch.frequency notch.bandwidth notch.depth period numerator denominator"),
     "MinimumDetectableChange": keys("false_alarm power changes"),
     # Robots
-    "RobotValidation": document_shape(
-        "jointid.robot_validation/1",
-        "robot=robot.name joints=robot.names better_than_nominal=better bodies_better_than_nominal=bodies_better "
-        "left=joint_errors nominal_left=nominal_errors bodies_left=body_errors",
-    ),
     "RobotSimulation": {
         **keys("sample_time explanation=outcome.value events"),
         "samples": lambda simulation: len(simulation.torque),

@@ -164,7 +164,8 @@ def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identif
         raise ValueError
     effects = tuple(EFFECTS[given.pop("kind")](**given) for given in map(dict, answer.get("effects", [])))
     every = (*joint.parameters, *effect_parameters(effects))
-    values = {p.name: float(found[p.name]["value"]) for p in every}
+    names = (*(p.name for p in every), *(name for name in ("current_lag",) if name in found))
+    values = {name: float(found[name]["value"]) for name in names}
     if not all(math.isfinite(value) for value in (*values.values(), float(answer["delay"]))):
         raise ValueError
     given = answer["filtering"]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from jointid import Drive, Record
 from jointid.common.charts import Chart
@@ -17,7 +17,6 @@ from jointid.common.matplotlib_backend import png, svg
 from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.diagnose import FeedForwardName, diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
-from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
@@ -67,7 +66,7 @@ class Report:
         cls,
         estimate: Estimate,
         record: Record | Sequence[Record],
-        checks: Sequence[Validation | RobotValidation] = (),
+        checks: Sequence[Validation] = (),
         *,
         name: str = "",
         profiles: Sequence[str] | None = None,
@@ -112,12 +111,10 @@ class Report:
                     "The report of a robot has one validation at most, no profiles and no tuning; leave them out."
                 )
             found = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
-            (validation,) = cast("Sequence[RobotValidation]", checks) or (None,)
+            (validation,) = checks or (None,)
             return cls(RobotReportData(estimate, found, validation), name, again)
         estimate.require_joint()
-        data = collect_report_data(
-            estimate, record, cast("Sequence[Validation]", checks), profiles=profiles, progress=progress
-        )
+        data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)
 
     @property

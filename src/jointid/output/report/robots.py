@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from jointid.common.charts import Chart
-from jointid.common.document import Block, Facts, Heading, Listing, Paragraph, Table
+from jointid.common.document import Block, Facts, Heading, Listing, Paragraph, Table, Tone
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
 from jointid.diagnostics.axis_parameters import AxisParameter, Told
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.report_data import Spectra, estimate_spectra
-from jointid.diagnostics.robots.validation import RobotValidation
+from jointid.diagnostics.validation import Prediction, Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
 from jointid.output.report.pages import Repetition, pictures_of
@@ -38,7 +38,7 @@ class RobotReportData:
 
     estimate: Estimate
     diagnosis: Diagnosis
-    validation: RobotValidation | None = None
+    validation: Validation | None = None
     absent: dict[str, str] = field(default_factory=dict)
 
 
@@ -72,7 +72,7 @@ def robot_blocks(
     yield from picture("torque")
     if given.validation is not None:
         yield Heading("A record that the estimate has not seen")
-        yield from given.validation.to_document().blocks[1:]
+        yield from given.validation.to_document().blocks
     yield from next_test(design, given.absent)
     yield Heading("Appendix")
     yield Paragraph("What stands behind that: what is left of the torques, the sums, and how to repeat it.")
@@ -101,7 +101,8 @@ def _result(given: RobotReportData) -> Iterator[Block]:
     """Yield the verdict, what it rests on, and how the robot was identified."""
     found = given.diagnosis
     if given.validation is not None:
-        yield given.validation.to_document().blocks[0]
+        tone: Tone = "good" if given.validation.answer.code is Prediction.PREDICTED else "bad"
+        yield Paragraph(given.validation.sentence, lead=True, tone=tone)
         yield Paragraph(found.answer)
     else:
         yield Paragraph(found.answer, lead=True, tone="open" if found.explained else "bad")

@@ -20,7 +20,7 @@ from jointid.common.text import join, number, sentence
 from jointid.diagnostics.faults.fault import FaultTest, Measure
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.report_data import ReportData
-from jointid.diagnostics.validation import Validation
+from jointid.diagnostics.validation import axes_table
 from jointid.estimation.result.summary import (
     bands_table,
     bounds_table,
@@ -97,11 +97,10 @@ def _loop(given: ReportData) -> list[Block]:
 
 def _tests(given: ReportData) -> list[Block]:
     every = ((given.validation,) if given.validation is not None else ()) + given.checks
-    table = _checks_table(every)
-    if table is None:
+    if not every:
         return [Heading("Validation"), Paragraph(_explain_absence(given, "validation"))]
     stated = [sentence(warning) for check in every for warning in check.warnings]
-    return [Heading("Validation"), table, *([Listing(tuple(stated))] if stated else [])]
+    return [Heading("Validation"), axes_table(every), *([Listing(tuple(stated))] if stated else [])]
 
 
 def _settings(given: ReportData, repetition: Repetition) -> list[Block]:
@@ -218,24 +217,6 @@ def _scale(test: FaultTest, check: AxisFaults) -> tuple[float, str]:
         Measure.SHARE: (100.0, "%"),
         Measure.DECLARED: of_declared,
     }[test.fault.measure]
-
-
-def _checks_table(checks: tuple[Validation, ...]) -> Table | None:
-    """Return the tests on records; None where there is none."""
-    if not checks:
-        return None
-    rows = tuple(
-        (
-            f"{check.test}, {check.record}",
-            f"{100 * check.relative_error:.2f}",
-            f"{100 * check.filtered_error:.2f}",
-            "-" if check.tracking_error is None else f"{100 * check.tracking_error:.2f}",
-            f"{100 * check.outside_band:.0f}",
-        )
-        for check in checks
-    )
-    header = ("test", "error, raw [%]", "error, filtered [%]", "tracking error off by [%]", "not white [% of lags]")
-    return Table(header, rows, "The identified joint simulated, or its inverse model evaluated, on whole records")
 
 
 def _channels_table(given: ReportData) -> Table:

@@ -1,1 +1,0 @@
-"""Diagnosis of robots: torques, parameters of each joint, controllers, and validation."""
