@@ -21,6 +21,7 @@ from jointid.models.robots.inertial import (
     pseudo_inertia,
 )
 from jointid.models.robots.robot import Robot
+from jointid.output.export import export
 from jointid.records.signals.filtering import Filtering
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, identified, records_of, with_payload
@@ -62,6 +63,26 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     # The rotors of joints 1 and 2 are told only with their links.
     assert found.robot.of_joints("rotor_inertia")[2:] == pytest.approx(ROTORS[2:], rel=0.05)
     assert found.robot.of_joints("coulomb") == pytest.approx(COULOMB, rel=0.03)
+
+
+def test_rotors_that_the_model_does_not_have_are_found() -> None:
+    """A URDF has no place for a rotor's inertia: 0 is no statement."""
+    bare = replace(ARM, joints=tuple(replace(joint, rotor_inertia=0.0) for joint in ARM.joints))
+    found = consistent_robot(identified(bare, records_of(ARM, 2, noise=0.5)))
+    assert found.misfit < 1.0 and not found.worst
+    assert found.robot.of_joints("rotor_inertia")[2:] == pytest.approx(ROTORS[2:], rel=0.05)
+
+
+def test_bodies_that_do_not_fit_are_not_exported() -> None:
+    estimate = identified(ARM, records_of(ARM, 2, noise=0.1))
+    part = estimate.require_robot()
+    shift = np.zeros(len(part.values))
+    place = part.names.index("Ia6")
+    shift[place] = -2.0 * part.values[place]  # no rotor has a negative inertia
+    spoilt = replace(estimate, robot=replace(part, values=part.values + shift))
+    assert consistent_robot(spoilt).worst[0] == "Ia6"
+    with pytest.raises(MethodError, match=r"nearest are 5\d\d standard deviations off, rms; expected at most 2.*Ia6"):
+        export(spoilt, "urdf")
 
 
 def test_a_friction_that_is_declared_another_backwards_is_the_one_found_in_both_directions() -> None:

@@ -149,7 +149,13 @@ class DriveSideFit(Method):
 def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:
     """Return the best few starts, and the simulations they took (see the module)."""
     if problem.joint.model == "rigid":
-        return [_vector(problem, _linear(problem, None)[1])], 1
+        cost, found = _linear(problem, None)
+        if cost == math.inf:
+            raise MethodError(
+                f"Torque and motor position give inertia = {found['inertia']:.4g}, which no joint has: one of them has "
+                "the wrong sign (set sign = -1), or they do not belong together."
+            )
+        return [_vector(problem, found)], 1
     cutoff = problem.filtering.cutoff
     assert cutoff is not None
     grid = [settings.frequency or 0.0]

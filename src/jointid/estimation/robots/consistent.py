@@ -26,6 +26,9 @@ from jointid.uncertainty.covariance import Covariance
 SPREAD = 0.3
 """How far the model's bodies may be off, as a share: the standard deviation of logarithms, and of lengths."""
 
+MISFIT = 2.0
+"""Standard deviations of an estimate, rms, up to which bodies fit it."""
+
 _THIN = 1e-6  # of a body's second moments: what a rod or a plate is given across itself
 _FLOOR = 1e-10  # of the largest variance of a correlation: rounding
 _POSES = 1000
@@ -39,11 +42,13 @@ class ConsistentRobot:
     Attributes:
         robot: the model with the masses, rotors, friction and springs found.
         misfit: root mean square of the parameters away from the estimate, in its deviations.
+        worst: names of the parameters that are further away than `MISFIT`, the furthest first.
         least_inertia: smallest eigenvalue of the mass matrix, rotors and all, over a thousand random poses.
     """
 
     robot: Robot
     misfit: float
+    worst: tuple[str, ...]
     least_inertia: float
 
 
@@ -66,7 +71,10 @@ def consistent_robot(estimate: EstimateParts, prior: Robot | None = None, spread
     n, stated = len(prior), found_robot.sums(prior)
     theta0, scales = _prior_bodies(prior)
     rotors0 = prior.of_joints("rotor_inertia")
-    sizes = np.maximum(rotors0, 0.1 * np.diag(mass_matrix_at(prior, np.zeros(n))))
+    links = np.diag(mass_matrix_at(prior, np.zeros(n)))
+    # A URDF has no place for a rotor: 0 says nothing of it, so nothing holds it there.
+    unknown = rotors0 <= 0.0
+    sizes = np.where(unknown, np.inf, np.maximum(rotors0, 0.1 * links))
     whiten = _whitening(stated.covariance)
     sums = np.hstack([stated.of_standard, stated.of_others])
 
@@ -95,15 +103,20 @@ def consistent_robot(estimate: EstimateParts, prior: Robot | None = None, spread
 
     lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), stated.least])
     others = np.where(np.isfinite(stated.least), np.abs(stated.others), stated.others)
-    start = np.concatenate([theta0, rotors0, others])
+    # From its bound a search does not move a rotor.
+    start = np.concatenate([theta0, np.where(unknown, 0.1 * links.max(), rotors0), others])
     start = np.maximum(start, np.where(np.isfinite(lower), 1e-9, -np.inf))
     found = least_squares(
-        residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", ftol=_SETTLED, xtol=_SETTLED, max_nfev=100
+        residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", ftol=_SETTLED, xtol=_SETTLED, max_nfev=1000
     )
     standard, _ = unpack(found.x)
     robot = stated.robot(standard[: 10 * n].reshape(n, 10), standard[10 * n :], found.x[11 * n :])
     misfit = float(np.sqrt(np.mean(residual(found.x)[: len(whiten)] ** 2)))
-    return ConsistentRobot(robot, misfit, least_inertia(robot))
+    off = np.abs(sums @ np.concatenate([standard, found.x[11 * n :]]) - stated.values) / _positive(
+        stated.covariance.std
+    )
+    worst = tuple(found_robot.names[k] for k in np.argsort(-off) if off[k] > MISFIT)
+    return ConsistentRobot(robot, misfit, worst, least_inertia(robot))
 
 
 def _declared_as(robot: Robot, prior: Robot) -> Robot:
@@ -169,7 +182,11 @@ def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
 
 def _whitening(covariance: Covariance) -> FloatArray:
     """Return the whitening matrix of an estimate."""
-    std = covariance.std
-    std = np.where(std > 0, std, np.min(std[std > 0], initial=1.0))  # a fixed one is kept as well as the best known
+    std = _positive(covariance.std)
     values, vectors = np.linalg.eigh(covariance.correlation)
     return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / std)
+
+
+def _positive(std: FloatArray) -> FloatArray:
+    """Return standard errors, that of a fixed parameter as the smallest one."""
+    return np.where(std > 0, std, np.min(std[std > 0], initial=1.0))

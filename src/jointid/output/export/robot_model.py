@@ -10,8 +10,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.text import join
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.consistent import consistent_robot
+from jointid.estimation.robots.consistent import MISFIT, consistent_robot
 from jointid.models.robots.inertial import is_consistent, mass_properties
 from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.output.export.joint_model import number
@@ -19,6 +20,7 @@ from jointid.output.export.robots import format_xml, require_timestep
 
 _DOWN = np.array([0.0, 0.0, -9.81])  # gravity of URDF, which has no word for it
 _FAR, _STRONG = "1000.0", "1000000000.0"  # limits that URDF asks for and nothing here knows
+_MOST_NAMES = 4
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _UPPER = np.triu_indices(3)
 
@@ -27,7 +29,8 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
     """Return a robot to write, and a note on it: of an estimate bodies near the nominal ones that fit it.
 
     Raises:
-        MethodError: the search of the estimate did not settle, or no body can have a link's inertial parameters.
+        MethodError: the search of the estimate did not settle, no bodies fit it, or no body can have a link's inertial
+            parameters.
     """
     note = ""
     if not isinstance(model, Robot):
@@ -37,6 +40,12 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
                 "or allow more by method.iterations, of springs method.evaluations."
             )
         found = consistent_robot(model)
+        if found.misfit > MISFIT:
+            raise MethodError(
+                f"No bodies near those of the model fit the estimate: the nearest are {found.misfit:.3g} standard "
+                f"deviations off, rms; expected at most {MISFIT:g}. Correct the model or the record; furthest off: "
+                f"{join(found.worst[:_MOST_NAMES])}."
+            )
         model = found.robot
         note = (
             f"Bodies near those of the model that fit the estimate to {found.misfit:.2g} of its deviations, rms; the "
