@@ -65,6 +65,14 @@ def each_log(records: Records) -> tuple[Sequence[Record], ...]:
     return tuple(cast("Sequence[Sequence[Record]]", records))
 
 
+def in_logs(flat: Sequence[Record], records: Records) -> Records:
+    """Return the records of all logs, one after the other, in the logs of others."""
+    if len(logs := each_log(records)) == 1 and isinstance(records[0], Record):
+        return flat
+    ends = np.cumsum([len(log) for log in logs])
+    return [flat[end - len(log) : end] for log, end in zip(logs, ends, strict=True)]
+
+
 def require_one_log(records: Sequence[object]) -> None:
     """Require records of one log.
 
