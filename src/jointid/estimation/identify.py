@@ -22,8 +22,9 @@ from jointid.estimation.record_warnings import ask_about_gains
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
-from jointid.estimation.robots.regression import Records
+from jointid.estimation.robots.regression import Records, each_log, in_logs
 from jointid.estimation.robots.simulated import identify_simulated_robot
+from jointid.estimation.unknown_timing import fit_unstated_timing
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import InMemory, LongRecord
@@ -76,7 +77,14 @@ def fit(
         asked = ask_about_gains(model.controller, record.reference) if isinstance(model, ClosedLoop) else None
         if asked is not None:
             progress(asked)
-        found = identify_record(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
+
+        def of_one(records: Sequence[Record]) -> FitResult:
+            return identify_record(
+                records[0], model, method, filtering=filtering, parameters=parameters, progress=progress
+            )
+
+        idim = isinstance(method, IDIM) or (method is None and isinstance(model, Joint))
+        found = fit_unstated_timing([record], of_one) if idim else of_one([record])
         return found if asked is None else replace(found, before=(asked, *found.before))
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
@@ -109,7 +117,10 @@ def fit_robot(
     if isinstance(model, RobotLoop) and isinstance(method, DIDIM | None):
         return identify_simulated_robot(model, records, method, filtering=filtering, known=known, progress=progress)
     if isinstance(model, Robot | RobotLoop) and isinstance(method, IDIM | None):
-        return identify_robot(model, records, method, filtering=filtering, known=known)
+        return fit_unstated_timing(
+            [record for log in each_log(records) for record in log],
+            lambda read: identify_robot(model, in_logs(read, records), method, filtering=filtering, known=known),
+        )
     raise MethodError(
         f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
         "RobotLoop, or DriveSideFit for a RobotDriveSide."

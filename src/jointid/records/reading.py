@@ -274,6 +274,7 @@ class _Columns:
             period,
             column.timing or (Timing.HELD if held else Timing.SAMPLED),
             f"{self.table.source}: {column.column}",
+            stated=column.timing is not None or not held,
         )
         if gear is None:
             return channel

@@ -65,6 +65,7 @@ class Channel:
         sample_time: seconds between samples; this channel's own rate.
         timing: what a value says about the time around its sample.
         source: where the values came from, for reports.
+        stated: whether the timing was stated, and is no default of a reader.
     """
 
     values: FloatArray
@@ -72,6 +73,7 @@ class Channel:
     sample_time: float
     timing: Timing = Timing.SAMPLED
     source: str = ""
+    stated: bool = True
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=np.float64)

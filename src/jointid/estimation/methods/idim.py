@@ -35,7 +35,13 @@ from jointid.estimation.methods.linear import (
 )
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
-from jointid.estimation.problems.inverse_model import InverseModel, idim_channels, motion_of, through_window
+from jointid.estimation.problems.inverse_model import (
+    InverseModel,
+    idim_channels,
+    motion_of,
+    noise_limit_of,
+    through_window,
+)
 from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_data, build_rows, poor_fit
@@ -53,6 +59,7 @@ from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.position_forces import Motion, PositionHarmonics
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
+from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.uncertainty.covariance import band_words, words
 
 Estimator: TypeAlias = Literal["ols", "weighted", "robust", "iv"]
@@ -140,7 +147,9 @@ class IDIM(Method):
                 "IDIM-IV simulates the closed loop for its instruments, so it needs the controller; give a ClosedLoop, "
                 "or use another estimator."
             )
-        filtering = task.filtering.resolve(sample_time, joint.model)
+        limit = noise_limit_of(record, joint, idim_channels(joint.model)[1:])
+        filtering = task.filtering.resolve(sample_time, joint.model, limit)
+        noise = describe_noise_limit(filtering, limit, sample_time, joint.model)
 
         def regression(effects: tuple[Effect, ...]) -> _Regression:
             model = motion_of(record, delay, filtering, joint, effects)
@@ -160,13 +169,14 @@ class IDIM(Method):
             own = (*own, EncoderOffset())
         unknown = [e for e in own if isinstance(e, PositionHarmonics) and e.period is None]
         if not unknown:
-            return _answer(task, self, filtering, delay, solve_with(own))
+            return _answer(task, self, filtering, delay, solve_with(own), noise)
         whole = regression(tuple(effect for effect in own if effect not in unknown))
         started: dict[Effect, PositionHarmonics] = {
             ripple: _search_period(ripple, whole, filtering, sample_time) for ripple in unknown
         }
         effects = tuple(started.get(effect, effect) for effect in own)
-        return _answer(task, self, filtering, delay, _with_periods(effects, list(started.values()), solve_with))
+        found = _with_periods(effects, list(started.values()), solve_with)
+        return _answer(task, self, filtering, delay, found, noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +259,9 @@ def _with_periods(
     return _Found(found.regression, found.solution, effects, periods)
 
 
-def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, found: _Found) -> FitResult:
+def _answer(
+    task: Task, settings: IDIM, filtering: Filtering, delay: float, found: _Found, noise: tuple[str, ...]
+) -> FitResult:
     record, joint, loop = task.record, task.joint, task.loop
     assert record.torque is not None
     regression, solution = found.regression, found.solution
@@ -284,6 +296,7 @@ def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, foun
         ),
         checks=Checks(
             warnings=(
+                *noise,
                 *_of_rest(regression.model),
                 *_warnings(record, filtering, solution.fit.relative_error),
                 *_like_gravity(regression.rows.names, solution.covariance.correlation),

@@ -33,11 +33,13 @@ from jointid.estimation.methods.endogeneity import judge_endogeneity
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.problems.base import LOG_DELAY, log_delay
 from jointid.estimation.problems.closed_loop import initial_of
+from jointid.estimation.problems.inverse_model import noise_limit_of
 from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem, position_problem
 from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_prescribed_result
 from jointid.models.joints import acts_on_whole
+from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
@@ -128,6 +130,8 @@ class DriveSideFit(Method):
         verdict = judge_endogeneity(record, problem, solution, self.instruments, task.progress)
         resting = 1 - float(np.mean(problem.weights))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
+        limit = noise_limit_of(record, task.joint, ("motor_position",))
+        noise = describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model)
         how = "least squares" if verdict.x is None else "instrumental variables"
         return build_prescribed_result(
             record,
@@ -138,7 +142,7 @@ class DriveSideFit(Method):
             ("torque", "motor_position", *verdict.channels),
             ("drive_side", f"drive-side by {how}"),
             earlier=simulations + verdict.simulations,
-            after=(*((rest,) if resting > SAID else ()), *verdict.warnings),
+            after=(*noise, *((rest,) if resting > SAID else ()), *verdict.warnings),
         )
 
 

@@ -34,6 +34,7 @@ from jointid.records.signals.filtering import (
     thin_channel,
     window_torque,
 )
+from jointid.records.signals.position_noise import find_noise_limit
 
 _LONG = 20  # samples in a row that are a rest: reversals stay, where the friction shows
 _SMEAR = 0.4  # of the position filter's period: how far it smears a rest
@@ -188,6 +189,18 @@ def torque_and_positions(
             )
     size = min(map(len, (torque, *positions)))
     return replace(torque, values=torque.values[:size]), tuple(position.values[:size] for position in positions)
+
+
+def noise_limit_of(record: Record, joint: Joint, names: Sequence[str]) -> float:
+    """Return the highest cut-off that the noise of positions of a record allows, Hz; see `find_noise_limit`.
+
+    Args:
+        record: with a torque and these positions.
+        joint: whose units they have.
+        names: of the positions.
+    """
+    torque, positions = torque_and_positions(record, joint, names, "IDIM")
+    return find_noise_limit(positions, torque.sample_time)
 
 
 def motion_of(

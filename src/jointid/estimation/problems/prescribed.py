@@ -26,6 +26,7 @@ from jointid.estimation.problems.rest import moving_weights
 from jointid.models.joints import Joint
 from jointid.records.record import Channel, Record, Tap
 from jointid.records.signals.filtering import Filtering, differentiate, lowpass, window_parts, window_torque
+from jointid.records.signals.position_noise import find_noise_limit
 from jointid.simulation.prescribed import (
     LOAD_STATE,
     PARTS,
@@ -184,7 +185,7 @@ def motion_problem(
     require_free(parameters)
     torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Drive-side identification")
     sample_time = torque.sample_time
-    filtering = filtering.resolve(sample_time, setup.joint.model)
+    filtering = filtering.resolve(sample_time, setup.joint.model, find_noise_limit([position], sample_time))
     assert filtering.position_cutoff is not None
     smooth = lowpass(position, filtering.position_cutoff, sample_time)
     motion = _from_rest(prescribed_motion(smooth, sample_time))

@@ -45,6 +45,7 @@ from jointid.estimation.robots.regression import (
     each_log,
     join_rows,
     motion_of_robot,
+    motions_of_logs,
     relative_errors,
     require_slow_samples,
 )
@@ -54,6 +55,7 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
+from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulation_of
 
@@ -176,7 +178,7 @@ def identify_robot(
     """
     settings, robot = settings or IDIM(), model if isinstance(model, Robot) else model.robot
     base, logs = base_parameters(robot), each_log(records)
-    motions = [motion_of_robot(robot, log, filtering or Filtering()) for log in logs]
+    motions = motions_of_logs(robot, logs, filtering or Filtering())
     columns = [base_columns(robot, base, motion) for motion in motions]
     each = [base_rows(robot, base, *one) for one in zip(motions, columns, strict=True)]
     rows = replace(
@@ -243,11 +245,18 @@ def identify_robot(
         negative=wrong,
         at_bounds=held,
         warnings=(
-            f"The robot file has springs at {join(soft)}, and to IDIM every joint is rigid: that holds below a fifth "
-            "of the modes; lower filtering.cutoff to it, or identify by didim or drive_side.",
-        )
-        if soft
-        else (),
+            *describe_noise_limit(
+                motions[0].filtering, min(motion.limit for motion in motions), motions[0].sample_time, "rigid"
+            ),
+            *(
+                (
+                    f"The robot file has springs at {join(soft)}, and to IDIM every joint is rigid: that holds below a "
+                    "fifth of the modes; lower filtering.cutoff to it, or identify by didim or drive_side.",
+                )
+                if soft
+                else ()
+            ),
+        ),
     )
 
 

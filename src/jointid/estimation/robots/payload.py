@@ -33,7 +33,7 @@ from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import KNOWN
 from jointid.estimation.robots.idim import InverseModelRobot, identify_robot, solve_rows
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.regression import base_rows, motion_of_robot, require_slow_samples
+from jointid.estimation.robots.regression import base_rows, motions_of_logs, require_slow_samples
 from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_indices
@@ -287,7 +287,7 @@ def both_records(
         RecordError, MethodError: as of `identify_robot`.
     """
     base, n = base_parameters(robot), len(robot)
-    without, carrying = (motion_of_robot(robot, records, filtering) for records in (empty, loaded))
+    without, carrying = motions_of_logs(robot, (empty, loaded), filtering)
     first, second = base_rows(robot, base, without), base_rows(robot, base, carrying)
     require_slow_samples(robot, first, fixed)
     columns = inverse_columns(robot, carrying.q, carrying.v, carrying.a)[:, :, 10 * (n - 1) : 10 * n]

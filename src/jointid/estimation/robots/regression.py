@@ -35,6 +35,7 @@ from jointid.records.signals.filtering import (
     settle,
     window_torque,
 )
+from jointid.records.signals.position_noise import find_noise_limit
 
 _LONG = 20  # samples in a row that are a rest, as for one joint
 _SMEAR = 0.4  # of the position filter's period
@@ -62,6 +63,14 @@ def each_log(records: Records) -> tuple[Sequence[Record], ...]:
     if not all(isinstance(log, Sequence) for log in records):
         raise MethodError("Of several logs the records of the joints are lists; received a single record among them.")
     return tuple(cast("Sequence[Sequence[Record]]", records))
+
+
+def in_logs(flat: Sequence[Record], records: Records) -> Records:
+    """Return the records of all logs, one after the other, in the logs of others."""
+    if len(logs := each_log(records)) == 1 and isinstance(records[0], Record):
+        return flat
+    ends = np.cumsum([len(log) for log in logs])
+    return [flat[end - len(log) : end] for log, end in zip(logs, ends, strict=True)]
 
 
 def require_one_log(records: Sequence[object]) -> None:
@@ -105,6 +114,7 @@ class RobotMotion:
         moving: (samples, n) 0 where a motor rests or turns round, else 1.
         sample_time: s.
         filtering: resolved.
+        limit: Hz, the highest cut-off that the noise of the positions allows.
     """
 
     q: FloatArray
@@ -114,6 +124,7 @@ class RobotMotion:
     moving: FloatArray
     sample_time: float
     filtering: Filtering
+    limit: float
 
     def decimate_columns(self, columns: FloatArray) -> FloatArray:
         """Return columns, (samples, n, columns), decimated: (n instants, columns), joint after joint, 0 at rest."""
@@ -196,9 +207,10 @@ def motion_of_robot(
             "sample time: resample them."
         )
     sample_time, size = channels[0].sample_time, min(map(len, positions))
-    filtering = filtering.resolve(sample_time, model)
-    assert filtering.position_cutoff is not None
     motors = np.column_stack([position[:size] for position in positions])
+    limit = find_noise_limit(motors.T, sample_time)
+    filtering = filtering.resolve(sample_time, model, limit)
+    assert filtering.position_cutoff is not None
     smooth = lowpass(motors, filtering.position_cutoff, sample_time)
     if filtering.timing == "respected":
         twice = [differentiate_twice(each, sample_time) for each in smooth.T]
@@ -220,7 +232,18 @@ def motion_of_robot(
         np.column_stack(moving),
         sample_time,
         filtering,
+        limit,
     )
+
+
+def motions_of_logs(robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[RobotMotion]:
+    """Return the motions of several logs through one filtering: of the defaults the lowest."""
+    motions = [motion_of_robot(robot, log, filtering) for log in logs]
+    common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or math.inf)
+    return [
+        motion if motion.filtering == common else motion_of_robot(robot, log, common)
+        for motion, log in zip(motions, logs, strict=True)
+    ]
 
 
 def base_columns(robot: Robot, base: BaseParameters, motion: RobotMotion) -> FloatArray:

@@ -40,14 +40,16 @@ class Filtering:
     position_cutoff: float | None = setting(
         None,
         "cut-off of the Butterworth low-pass on measured positions, which only IDIM needs; at least five times the "
-        "highest mode to be seen; without it 10 % of the sampling frequency, for a flexible joint 15 %",
+        "highest mode to be seen; without it 10 % of the sampling frequency, for a flexible joint 15 %; of a "
+        "rigid joint less where noise of the positions lowers the default of cutoff",
         unit="Hz",
         above=0,
     )
     cutoff: float | None = setting(
         None,
         "cut-off of the decimation filter on torque and columns; for a rigid model below a fifth of the first mode, "
-        "for a flexible one above the mode; without it 4 % of the sampling frequency, for a flexible joint 6 %",
+        "for a flexible one above the mode; without it 4 % of the sampling frequency, for a flexible joint 6 %; "
+        "of a rigid joint whose measured positions are differentiated at most what their noise allows",
         unit="Hz",
         above=0,
     )
@@ -98,15 +100,24 @@ class Filtering:
             f"{self.cutoff:g} Hz: what lies between is folded onto lower frequencies, as the paper printed it",
         )
 
-    def resolve(self, sample_time: float, model: str = "rigid") -> Filtering:
+    def resolve(self, sample_time: float, model: str = "rigid", limit: float = math.inf) -> Filtering:
         """Fill in the defaults for a sample time and a joint's model.
+
+        Args:
+            sample_time: s.
+            model: "rigid" or "flexible".
+            limit: Hz, on the default of `cutoff`, and with it on that of `position_cutoff`; see
+                `position_noise.find_noise_limit`. It does not act on a flexible joint, whose cut-off is above its mode.
 
         Raises:
             MethodError: a cut-off is at or above the Nyquist frequency, or the decimation would alias.
         """
         nyquist = 0.5 / sample_time
-        position = self.position_cutoff or _CUTOFFS[model][0] / sample_time
-        cutoff = self.cutoff or _CUTOFFS[model][1] / sample_time
+        widest, by_rate = default_cutoffs(sample_time, model)
+        allowed = by_rate if model == "flexible" else min(by_rate, limit)
+        cutoff = self.cutoff or allowed
+        lowered = max(cutoff, allowed) / by_rate
+        position = self.position_cutoff or (widest if lowered >= 1.0 else lowered * widest)
         for name, value in (("position_cutoff", position), ("cutoff", cutoff)):
             if value >= nyquist:
                 raise MethodError(
@@ -157,6 +168,12 @@ class Filtering:
 
         cutoff, keep, first, padding = _plan_decimation(values, self, sample_time)
         return np.asarray(sosfiltfilt(_design_chebyshev(cutoff), values, axis=0, padlen=padding))[first::keep]
+
+
+def default_cutoffs(sample_time: float, model: str) -> tuple[float, float]:
+    """Return the cut-offs of positions and of the decimation that follow from a sample time, Hz."""
+    position, cutoff = _CUTOFFS[model]
+    return position / sample_time, cutoff / sample_time
 
 
 def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray:

@@ -1,0 +1,80 @@
+"""A torque whose timing nobody stated: both readings are fitted, and the answer covers what the record leaves open.
+
+A torque held from its stamp and one sampled at it differ by half a sample, which moves friction and inertia. The
+residual power of least squares is nearly a parabola in the shift. Three shifts, held, sampled and averaged, give its
+minimum. The reading that is nearer to it is taken. Each interval is widened by the change of its parameter up to the
+minimum, and by the change for two deviations of the minimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.errors import JointidError
+from jointid.common.text import number
+from jointid.estimation.result.assemble import FitResult
+from jointid.records.record import Record, Timing
+
+_CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
+_READINGS = (Timing.HELD, Timing.SAMPLED, Timing.AVERAGED)
+
+Logs: TypeAlias = Sequence[Record]
+
+
+def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:
+    """Return the fit by the reading of the torque that leaves less, with intervals that cover the other as needed.
+
+    Args:
+        records: of one log, or of the joints of a robot.
+        fit: of records.
+    """
+    torques = [record.torque for record in records]
+    if all(torque is None or torque.stated for torque in torques):
+        return fit(records)
+
+    def read_as(timing: Timing) -> Logs:
+        return [
+            replace(record, torque=replace(record.torque, timing=timing))
+            if record.torque is not None and not record.torque.stated
+            else record
+            for record in records
+        ]
+
+    first = fit(records)
+    try:
+        fits = [first, *(fit(read_as(timing)) for timing in _READINGS[1:])]
+    except JointidError:  # another reading determines nothing
+        return first
+    left = np.array([[*one.fit.axis_errors.values()] or [one.fit.filtered_error] for one in fits]) ** 2
+    # Of each equation in units of the least variance that a reading leaves: a sum of as many squares as it has rows.
+    costs = np.sum(left / np.maximum(left.min(axis=0), 1e-24), axis=1) * (first.fit.rows / left.shape[1])
+    curve = costs[0] - 2 * costs[1] + costs[2]
+    if not (np.all(np.isfinite(costs)) and curve > 0):
+        return first
+    best = float(np.clip(1.0 - 0.5 * (costs[2] - costs[0]) / curve, -1.0, 2.0))
+    spread = 2 * _CORRELATED / float(np.sqrt(curve))
+    at = int(abs(best - 1.0) < abs(best))
+    away = abs(best - at) + min(spread, 1.0)
+    chosen, (held, sampled) = fits[at], ({row.name: row for row in one.params.rows} for one in fits[:2])
+
+    def widen(name: str, value: float | None, stderr: float | None) -> float | None:
+        a, b = held[name].value, sampled[name].value
+        if stderr is None or value is None or a is None or b is None:
+            return stderr
+        return float(np.hypot(stderr, 0.5 * away * abs(b - a)))
+
+    rows = tuple(replace(row, stderr=widen(row.name, row.value, row.stderr)) for row in chosen.params.rows)
+    said = (
+        f"nobody stated whether the torque is held or sampled: it is read as {_READINGS[at]}, and the record puts it "
+        f"{number(0.5 * best, 2)} +- {number(0.5 * spread, 2)} samples before held (sampled is 0.5); the intervals "
+        "cover that; state timing of its channel"
+    )
+    return replace(
+        chosen,
+        params=replace(chosen.params, rows=rows),
+        checks=replace(chosen.checks, warnings=(said, *chosen.checks.warnings)),
+    )
