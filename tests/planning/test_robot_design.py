@@ -180,9 +180,13 @@ def test_the_predicted_torque_is_the_friction_of_each_direction_too() -> None:
     found = design_robot_test(robot, LIMITS, duration=4.0, sample_time=T, motion=q)
     np.testing.assert_allclose(found.torque, needed(robot, q, v, a), atol=1e-6)
     about = {name: one["about"] for name, one in found.parameters.items()}
-    assert about["Fv1+"] == pytest.approx(first.viscous) and about["Fv1-"] == pytest.approx(25.0)
+    assert about["joint1.viscous_forwards"] == pytest.approx(first.viscous) and about[
+        "joint1.viscous_backwards"
+    ] == pytest.approx(25.0)
     assert "none: one motion was predicted" in str(found), "nothing was searched"
-    assert about["Fc2"] == pytest.approx(0.5 * (second.coulomb + 12.0)), "of both directions, beside an offset"
+    assert about["joint2.coulomb"] == pytest.approx(0.5 * (second.coulomb + 12.0)), (
+        "of both directions, beside an offset"
+    )
 
 
 def test_the_predicted_torque_has_the_weight_that_is_grouped_with_an_offset() -> None:
@@ -193,7 +197,7 @@ def test_the_predicted_torque_has_the_weight_that_is_grouped_with_an_offset() ->
     robot, (q, v, a) = Robot(links, (RobotJoint("lift", 5.0, 20.0, 30.0), RobotJoint("wrist", 0.3, 1.2, 1.5))), played()
     found = design_robot_test(robot, LIMITS, duration=4.0, sample_time=T, motion=q)
     np.testing.assert_allclose(found.torque, needed(robot, q, v, a), atol=1e-6)
-    assert found.parameters["offset1"]["about"] == pytest.approx(-5.0 * 9.81), "its rotor is not lifted"
+    assert found.parameters["joint1.offset"]["about"] == pytest.approx(-5.0 * 9.81), "its rotor is not lifted"
 
 
 @pytest.mark.parametrize(("factor", "hertz"), [(0.0, 11.1), (1.0, 12.5), (2.0, 14.2)])

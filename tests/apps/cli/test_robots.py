@@ -67,14 +67,14 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert printed.startswith("arm: 58 parameters of 6 joints") and "Izz1 is Izz1 + " in printed
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.estimate/1" and answer["model"] == "robot" and len(answer["parameters"]) == 58
-    assert answer["parameters"]["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
+    assert answer["parameters"]["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
     run("identify", folder / "robot.toml", "--record", folder / "two.csv", "--set", "method.estimator=ols")
     assert "ordinary least squares" in capsys.readouterr().out
     both = ("--record", folder / "one.csv", "--record", folder / "two.csv")
     run("identify", folder / "robot.toml", *both, "--json", tmp_path / "both.json")
     more = json.loads((tmp_path / "both.json").read_text(encoding="utf-8"))["parameters"]
-    assert more["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
-    assert more["Fv2"]["std"] < 0.8 * answer["parameters"]["Fv2"]["std"]
+    assert more["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
+    assert more["joint2.viscous"]["std"] < 0.8 * answer["parameters"]["joint2.viscous"]["std"]
     found, of_joint = tmp_path / "found.json", r"found\.json is the estimate of a robot; expected that of one joint"
     for words in (
         ("compare", found, tmp_path / "both.json"),
@@ -99,7 +99,7 @@ def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "The model leaves little of every joint's torque, but what it leaves of joint1" in printed, "of reversals"
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.robot_diagnosis/1" and answer["explained"] and answer["as_declared"] is None
-    assert answer["joints"][1]["parameters"]["Fv2"]["known"] == "told"
+    assert answer["joints"][1]["parameters"]["joint2.viscous"]["known"] == "told"
     with pytest.raises(MethodError, match=r"joint\.toml is no robot file.*jointid diagnose --help lists them"):
         run("diagnose", EMPS)
 
@@ -195,7 +195,7 @@ def test_payload(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     mass = answer["parameters"]["mass"]
     assert answer["link"] == "link6" and answer["ways_agree"] and mass["unit"] == "kg"
     assert mass["value"] == pytest.approx(3.0, rel=0.01) == mass["by_difference"]
-    for setting in ("method.estimator=robust", "method.fixed={Ia6=0.3}"):
+    for setting in ("method.estimator=robust", 'method.fixed={"joint6.rotor_inertia"=0.3}'):
         with pytest.raises(MethodError, match=r"gains are searched with all parameters free"):
             run("payload", joint, *records, "--mass", "3", "--set", setting)
     # The file says torques, so a payload of the known mass finds that they are.

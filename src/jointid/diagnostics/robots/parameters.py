@@ -33,17 +33,18 @@ class ParameterOfJoint:
 
     Attributes:
         joint: place of its joint, or of the joint that carries its link.
-        name: as the estimate calls it.
+        name, symbol: as the estimate calls it.
         value, std: None where it is refused.
         unit: SI, behind the gear.
         nominal: of the initial model and file.
-        formula: the sum of standard parameters that it stands for; its own name where it stands for itself.
+        formula: the sum of standard parameters that it stands for; its own symbol where it stands for itself.
         known: whether the record tells it.
         at_least: bound of a stiffness that is refused.
     """
 
     joint: int
     name: str
+    symbol: str
     value: float | None
     std: float | None
     unit: str
@@ -68,7 +69,16 @@ def parameters_by_joint(estimate: EstimateParts) -> tuple[ParameterOfJoint, ...]
             known = Told.TOLD if share < KNOWN else Told.ROUGHLY if share < _ROUGHLY else Told.NOT
         found.append(
             ParameterOfJoint(
-                joints[row.axis], row.name, row.value, std, row.unit, float(nominal), formula, known, row.lower_bound
+                joints[row.axis],
+                row.name,
+                row.symbol,
+                row.value,
+                std,
+                row.unit,
+                float(nominal),
+                formula,
+                known,
+                row.lower_bound,
             )
         )
     return tuple(sorted(found, key=lambda one: one.joint))

@@ -81,7 +81,7 @@ class IdentifiedRobot(ABC):
         nominal: (parameters,) of the nominal robot.
         nominal_errors: (n,) share of each joint's filtered torque that the nominal robot leaves, with friction as
             identified or fitted beside it; infinite where it cannot be simulated.
-        formulas: (parameters,) the sums of standard parameters; the name of a parameter that is no sum.
+        formulas: (parameters,) the sums of standard parameters; the symbol of a parameter that is no sum.
         springs: a verdict for each flexible joint.
     """
 

@@ -40,6 +40,7 @@ from jointid.estimation.robots.numbers import RobotParameters, apply_constraints
 from jointid.estimation.robots.problem import RobotProblem, add_problems
 from jointid.estimation.robots.regression import Records, RobotMotion, each_log, motion_of_robot
 from jointid.estimation.starts.robot_springs import StartOfSprings
+from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts
@@ -230,7 +231,12 @@ def _of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay:
     for j in np.flatnonzero(np.array(robot.flexible) & ~resting):
         for column, (word, quantity) in enumerate((("position", Quantity.POSITION), ("velocity", Quantity.VELOCITY))):
             name = f"{robot.joints[j].name}.initial_link_{word}"
-            more.append((Parameter(name, f"initial_{word}", quantity), NumberPlace(NumberOf.BESIDE, int(j), column)))
+            more.append(
+                (
+                    Parameter(name, symbol_of(f"initial_link_{word}", int(j)), quantity),
+                    NumberPlace(NumberOf.BESIDE, int(j), column),
+                )
+            )
     log = np.array([[0.0 if delay.free else delay.start]])
     return replace(
         parameters,

@@ -32,7 +32,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, no_choice
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot
 from jointid.estimation.robots.numbers import apply_constraints, robot_parameters
@@ -270,7 +270,7 @@ class _End:
         """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
         x, known = self.solution.x, white(self.solution.jacobian, self.solution.residual)
         return any(
-            parameter.symbol == "stiffness" and 0.0 < std < 1.0 / _TWO and value < parameter.upper - _OFF
+            parameter.quantity is Quantity.STIFFNESS and 0.0 < std < 1.0 / _TWO and value < parameter.upper - _OFF
             for parameter, std, value in zip(self.problem.free, known.std, x, strict=True)
         )
 

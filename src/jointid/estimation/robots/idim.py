@@ -186,8 +186,9 @@ def identify_robot(
     by_loop = None
     if settings.estimator == "iv" and not isinstance(model, Robot):
         by_loop = _instruments(model, logs, base, motions)
-    limits = _by_symbol(robot, known or {})
-    kept = {symbol: one.start for symbol, one in limits.items() if not one.free and one.start is not None}
+    limits = known or {}
+    _require_motor_friction(robot, limits)
+    kept = {name: one.start for name, one in limits.items() if not one.free and one.start is not None}
     settings = replace(settings, fixed={**settings.fixed, **kept})
     solution = solve_rows(settings, rows, by_loop)
     held = dict[str, float]()
@@ -196,7 +197,9 @@ def identify_robot(
         settings = replace(settings, fixed={**settings.fixed, **violated})
         solution = solve_rows(settings, rows, by_loop)
     nominal, values = _nominal(robot, base, rows), solution.fit.values
-    friction, terms = list(rows.names[len(base) :]), friction_terms(robot)
+    terms = friction_terms(robot)
+    friction = [term.symbol for term in terms]
+    symbols = (*base.symbols, *friction)
     for place, formula in zip(offset_indices(robot), base.offset_formulas, strict=True):
         friction[place] = formula
     part = InverseModelRobot(
@@ -212,7 +215,7 @@ def identify_robot(
     joints = [int(i) // 10 if i < 10 * len(robot) else int(i) - 10 * len(robot) for i in base.chosen]
     joints += [term.joint for term in terms]
     units = (*base.units, *(term.unit(robot) for term in terms))
-    named = zip(rows.names, units, joints, values, solution.covariance.std, strict=True)
+    named = zip(rows.names, symbols, units, joints, values, solution.covariance.std, strict=True)
     fixed = settings.fixed
     estimator = settings.estimator or "weighted"
     wrong = [name for k, name in enumerate(robot.names) if drives(part, k)]
@@ -223,7 +226,7 @@ def identify_robot(
         tuple(
             EstimatedParameter(
                 name=name,
-                symbol=name,
+                symbol=symbol,
                 unit=unit,
                 value=float(value),
                 stderr=None if name in fixed else float(std),
@@ -231,7 +234,7 @@ def identify_robot(
                 identifiable=True,
                 axis=robot.names[joint],
             )
-            for name, unit, joint, value, std in named
+            for name, symbol, unit, joint, value, std in named
         ),
         relative_errors(rows, values),
         (np.vstack([motion.torque for motion in motions]), np.vstack([one @ values for one in columns])),
@@ -261,35 +264,23 @@ def drives(part: InverseModelRobot, joint: int) -> bool:
     return any(float(one @ part.values) < -2 * part.covariance.std_of(one) for one in weights)
 
 
-_NAMES = {
-    Friction.VISCOUS: "viscous",
-    Friction.FORWARDS: "viscous_forwards",
-    Friction.BACKWARDS: "viscous_backwards",
-    Friction.COULOMB: "coulomb",
-    Friction.RISE: "stribeck_force",
-    Friction.OFFSET: "offset",
-}
-"""Of the numbers of a motor's friction among the parameters of a robot."""
-
-
-def _by_symbol(robot: Robot, known: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """Return known parameters keyed by symbol instead of name.
+def _require_motor_friction(robot: Robot, known: Mapping[str, Parameter]) -> None:
+    """Require values and bounds of the motors' friction.
 
     Raises:
         MethodError: one is of a link's friction, which IDIM adds to the motor's.
     """
-    symbols = {f"{robot.joints[term.joint].name}.{_NAMES[term.number]}": term.symbol for term in friction_terms(robot)}
+    names = {term.name(robot) for term in friction_terms(robot)}
     for name in known:
-        if name not in symbols:
+        if name not in names:
             raise MethodError(
                 f"{name} is of the link's side, and to IDIM a joint is rigid, with the friction of both sides: leave "
                 "it out."
             )
-    return {symbols[name]: parameter for name, parameter in known.items()}
 
 
 def _violated_bounds(names: Sequence[str], values: FloatArray, limits: Mapping[str, Parameter]) -> dict[str, float]:
-    """Return the bound of each value that violates it, by symbol."""
+    """Return the bound of each value that violates it, by name."""
     found = {}
     for name, value in zip(names, values, strict=True):
         one = limits.get(name)

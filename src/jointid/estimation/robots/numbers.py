@@ -10,8 +10,9 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +22,14 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.base_parameters import formula_of, group_columns
 from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, with_values
 from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import MassMotion
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
+_WHOLE = 1e-8  # of a weight that is 1
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
 _OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
 _OF_SPRING = ("stiffness", "damping")
@@ -76,10 +79,15 @@ class RobotParameters:
         return np.array([not place.is_of_record for place in self.places], dtype=np.bool_)
 
     def formulas(self, robot: Robot) -> tuple[str, ...]:
-        """Return the sums that the parameters stand for, as text; of one that stands alone its name."""
-        symbols = (*self.names, *(_name_parameter(place, robot, self.base, False).name for place in self.dropped))
+        """Return the sums that the parameters stand for, as text; of one that stands alone its symbol."""
+        places = (*self.places, *self.dropped)
+        symbols = tuple(
+            _name_parameter(place, robot, self.base, False).symbol if not place.is_of_record else one.symbol
+            for place, one in zip_longest(places, self.parameters)
+        )
         both = np.hstack([np.eye(len(self.names)), self.grouping])
-        return tuple(formula_of(row, first, symbols) for first, row in enumerate(both))
+        firsts = (symbols.index(one.symbol) for one in self.parameters)
+        return tuple(formula_of(row, first, symbols) for row, first in zip(both, firsts, strict=True))
 
     def group(self, numbers: RobotNumbers) -> FloatArray:
         """Return the parameters of a robot with these numbers, each with what is grouped with it, (parameters,).
@@ -123,6 +131,9 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     logs = [logarithmic and _positive(place, numbers) for place in places]
     parameters = [_name_parameter(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
+    for row, i in enumerate(kept):
+        if (other := _first_of_link(places, i, dropped, sums[row])) is not None:
+            parameters[i] = replace(parameters[i], name=parameters[other].name, symbol=parameters[other].symbol)
     return RobotParameters(
         tuple(parameters[i] for i in kept),
         tuple(places[i] for i in kept),
@@ -131,6 +142,15 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
         tuple(places[i] for i in dropped),
         sums[:, dropped],
     )
+
+
+def _first_of_link(places: Sequence[NumberPlace], kept: int, dropped: Sequence[int], weights: FloatArray) -> int | None:
+    """Return the inertial parameter that names the sum of a rigid joint's rotor with its link; None of another."""
+    rotor = places[kept]
+    if rotor.of is not NumberOf.MASS or rotor.column != 0:
+        return None
+    own = (i for i in dropped if places[i].of is NumberOf.LINK and places[i].row == rotor.row)
+    return next((i for i in own if abs(weights[i] - 1.0) < _WHOLE), None)
 
 
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
@@ -164,7 +184,12 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
     Raises:
         MethodError: one is of something else, or has a start.
     """
-    known = [one.name for one in robot_parameters(robot).parameters if one.symbol in _OF_MASS[1:]]
+    own = robot_parameters(robot)
+    known = [
+        one.name
+        for one, place in zip(own.parameters, own.places, strict=True)
+        if place.of is NumberOf.MASS and place.column != 0
+    ]
     for name, one in stated.items():
         if name in known and one.free and one.start is not None:
             raise MethodError(
@@ -226,17 +251,17 @@ def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:
 
 def _name_parameter(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
     if place.of is NumberOf.LINK:
-        name, symbol = f"{robot.links[place.row].name}.{SYMBOLS[place.column]}", SYMBOLS[place.column]
-        quantity = Quantity.INERTIA if place.column >= 4 else Quantity.RATIO
-        return Parameter(name, symbol, quantity)
+        symbol = inertial_symbol(SYMBOLS[place.column], place.row)
+        return Parameter(symbol, symbol, Quantity.INERTIA if place.column >= 4 else Quantity.RATIO)
     if place.of is NumberOf.SPRING:
-        joint, symbol = place.row, _OF_SPRING[place.column]
-        name = symbol
+        joint, number = place.row, _OF_SPRING[place.column]
+        quantity = number
     else:
         joint = int(np.flatnonzero(numbers.rotors == place.row)[0]) if place.row in numbers.rotors else place.row
-        symbol = _OF_MASS[place.column]
-        name = symbol if place.row == numbers.rotors[joint] else f"link_{symbol}"
-    lower = 0.0 if symbol in ("coulomb", "stribeck_force") or _QUANTITIES[symbol] is Quantity.VISCOUS else -math.inf
+        number = _OF_MASS[place.column]
+        quantity = number if place.row == numbers.rotors[joint] else f"link_{number}"
+    lower = 0.0 if number in ("coulomb", "stribeck_force") or _QUANTITIES[number] is Quantity.VISCOUS else -math.inf
     if _positive(place, numbers) and not logarithmic:
         lower = 1e-12
-    return Parameter(f"{robot.joints[joint].name}.{name}", symbol, _QUANTITIES[symbol], lower=lower)
+    name = name_of(quantity, robot.joints[joint].name)
+    return Parameter(name, symbol_of(quantity, joint), _QUANTITIES[number], lower=lower)

@@ -281,7 +281,7 @@ def both_records(
         empty: the record of each joint without the payload.
         loaded: the record of each joint with it.
         filtering: of positions and rows.
-        fixed: symbols of parameters that are known.
+        fixed: names of parameters that are known.
 
     Raises:
         RecordError, MethodError: as of `identify_robot`.

@@ -30,7 +30,7 @@ from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.models.robots.dynamics import IntArray
-from jointid.models.robots.inertial import SYMBOLS, UNITS
+from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -165,7 +165,7 @@ def identify_simulated_robot(
         covariance=fit.covariance.with_fixed(len(parameters.fixed)),
         nominal=parameters.group_all(RobotNumbers.of(robot)),
         nominal_errors=_errors(problem, nominal),
-        formulas=(*parameters.formulas(robot), *(one.name for one in parameters.fixed)),
+        formulas=(*parameters.formulas(robot), *(one.symbol for one in parameters.fixed)),
         springs=springs,
         fit=fit,
     )
@@ -213,7 +213,7 @@ def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedP
         rows.append(
             EstimatedParameter(
                 name=one.name,
-                symbol=one.name,
+                symbol=one.symbol,
                 unit=units[one.name],
                 value=float(value) if determined else None,
                 stderr=float(std) if determined and one.free else None,
@@ -236,8 +236,8 @@ def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]
     """Return the unit of each parameter by its name."""
     found = {}
     for one, place in zip(*_of_table(parameters), strict=True):
-        if one.symbol in SYMBOLS:
-            found[one.name] = UNITS[SYMBOLS.index(one.symbol)]
+        if place.of is NumberOf.LINK:
+            found[one.name] = UNITS[place.column]
         else:
             joint = _joint_of(place, parameters.base.rotors)
             kind = "revolute" if joint is None else robot.links[joint].kind

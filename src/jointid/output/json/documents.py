@@ -226,7 +226,7 @@ SHAPES: Mapping[str, Shape] = {
         "follows_share": lambda joint: None if joint.follows is None else joint.follows[1].explained,
         "parameters": by_name("parameters"),
     },
-    "ParameterOfJoint": keys("value std unit nominal formula known at_least"),
+    "ParameterOfJoint": keys("symbol value std unit nominal formula known at_least"),
     "RobotDesign": document_shape(
         "jointid.robot_design/1",
         "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits=allowed reached "

@@ -118,27 +118,30 @@ def _parameters(found: RobotDiagnosis) -> Iterator[Block]:
     stated = sum(one.known is Told.TOLD for joint in found.joints for one in joint.parameters)
     whole = sum(len(joint.asked) for joint in found.joints)
     yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
-    header = ("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
+    header = ("symbol", "parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
     for joint in found.joints:
         if joint.parameters:
             rows = tuple(_parameter(one) for one in joint.parameters)
-            yield Table(header, rows, joint.name, (0, 1, 2, 5))
+            yield Table(header, rows, joint.name, (0, 1, 2, 3, 6))
 
 
 def _parameter(one: ParameterOfJoint) -> tuple[str, ...]:
     nominal = number(one.nominal, 4)
     if one.value is None or one.std is None:
         shown = "-" if one.at_least is None else f"at least {number(one.at_least, 3)}"
-        return one.name, shown, one.unit, "", nominal, one.known.value
+        return one.symbol, one.name, shown, one.unit, "", nominal, one.known.value
     share = f"{100 * one.std / abs(one.value):.2g}" if one.value else "-"
     if one.known is Told.FIXED:
         share = ""
-    return one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
+    return one.symbol, one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
 
 
 def _sums(found: RobotDiagnosis) -> Iterator[Block]:
     items = tuple(
-        f"{one.name} is {one.formula}" for joint in found.joints for one in joint.parameters if one.formula != one.name
+        f"{one.name} is {one.formula}"
+        for joint in found.joints
+        for one in joint.parameters
+        if one.formula != one.symbol
     )
     yield Paragraph(
         "Of many inertial parameters only sums act on the torques; each is named after the first that is in it."
