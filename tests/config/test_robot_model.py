@@ -104,10 +104,10 @@ def mjcf(inside: str, beside: str = "") -> str:
         ("<mujoco><worldbody><body/></worldbody></mujoco>", "has 0 joints"),
         (URDF.replace('type="continuous"', 'type="floating"'), "turn is of the type floating"),
         (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="lift"/>'), "<mimic> ties one joint to another"),
-        (URDF.replace('value="5"', 'value="-5"'), "a mass is -5 kg"),
-        (URDF.replace('ixx="1"', 'ixx="-1"'), "is no robot that MuJoCo reads"),
         (URDF.replace('<child link="rod"/>', '<child link="base"/>'), "is no robot that MuJoCo reads"),
         ("<!DOCTYPE x><robot/>", "declares a DOCTYPE"),
+        ('<?x <!-- ?><!DOCTYPE x [<!ENTITY a "b">]><robot/><!-- -->', "declares a DOCTYPE"),
+        ("<robot><xacro:if/></robot>", "is a template for xacro"),
         ('<robot xmlns:xacro="http://x"><xacro:include filename="a"/></robot>', "is a template for xacro"),
         (URDF.replace('value="5"', 'value="NaN"'), "value of <mass> is NaN; expected finite numbers"),
         (URDF.replace('xyz="1 0 0"', 'xyz="1 -inf 0"'), "xyz of <origin> is 1 -inf 0"),
@@ -120,6 +120,45 @@ def mjcf(inside: str, beside: str = "") -> str:
 def test_models_that_are_refused(text: str, says: str) -> None:
     with pytest.raises(JointFileError, match=says):
         read_robot(text, "arm.xml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('value="5"', 'value="-5"', "link tool has a mass of -5 kg, as no body can; its mass and inertia are taken as"),
+        ('ixx="1"', 'ixx="-1"', "link tool has principal moments of inertia of -1, 1, 1 kg m2, as no body can"),
+        ('ixx="1"', 'ixx="3"', "link tool has principal moments of inertia of 1, 1, 3 kg m2, as no body can"),
+        ('ixy="0" ixz="0" iyy="1"', 'ixy="2" iyy="1"', "link tool has principal moments of inertia of -1, 1, 3 kg m2"),
+    ],
+)
+def test_masses_that_no_body_has_are_unknown(old: str, new: str, says: str) -> None:
+    assert old in URDF
+    robot = read_robot(URDF.replace(old, new), "arm.urdf")
+    assert len(robot.remarks) == 1 and robot.remarks[0].startswith(f"arm.urdf: {says}")
+    assert not np.any(robot.inertials[1]) and robot.inertials[0][0] == 2.0
+
+
+def test_a_body_of_mjcf_with_an_impossible_inertia_does_not_take_the_mass_of_its_shape() -> None:
+    text = mjcf('<geom size="1"/>').replace('diaginertia="1 1 1"', 'diaginertia="1 1 3"')
+    robot = read_robot(text, "arm.xml")
+    assert "body b has principal moments of inertia of 1, 1, 3 kg m2" in robot.remarks[0]
+    assert not np.any(robot.inertials)
+
+
+def test_of_repeated_elements_the_first_is_used() -> None:
+    twice = URDF.replace('<mass value="5"/>', '<mass value="5"/><mass value="7"/>')
+    twice = twice.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><axis xyz="1 0 0"/>')
+    robot = read_robot(twice, "arm.urdf")
+    assert robot.inertials[1][0] == pytest.approx(5.0) and robot.links[0].axis == pytest.approx([0.0, 1.0, 0.0])
+    assert robot.remarks == (
+        "arm.urdf: <inertial> of link tool has <mass> more than once; the first is used",
+        "arm.urdf: joint turn has <axis> more than once; the first is used",
+    )
+
+
+def test_a_comment_is_a_comment() -> None:
+    mentioned = '<robot name="two" xmlns:xacro="http://x"><!-- <xacro:include/> of <!DOCTYPE x> -->'
+    assert read_robot(URDF.replace('<robot name="two">', mentioned)).remarks == ()
 
 
 def test_files_that_are_no_model(tmp_path: Path) -> None:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
+from xml.parsers import expat
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from jointid.models.robots.robot import Link, Robot, RobotJoint
 _LARGEST = 2**23  # bytes
 _DEEPEST = 300  # elements in each other: the parser calls itself for each
 _MOST = 100  # joints
+_MOST_LINKS = 100  # without a mass, in one body
 _NOTHING = 1e-13  # kg and kg m2: a link without a mass is given it, as MuJoCo moves none without, and then freed of it
 
 _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
@@ -69,6 +71,12 @@ _REFUSED: Mapping[str, str] = {
     "connect": "closes a loop; a tree of links is expected: leave it out, with the links that close it",
     "weld": "closes a loop; a tree of links is expected: leave it out, with the links that close it",
 }
+_ONCE: Mapping[str, tuple[str, ...]] = {
+    "link": ("inertial",),
+    "body": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "joint": ("parent", "child", "origin", "axis", "dynamics"),
+}
 _NO_NUMBER = re.compile(r"(?i)(^|[\s,])[+-]?(nan|inf)")
 _WORDS = ("name", "model", "class", "childclass", "link")  # attributes that are any text
 _SHAPES = ("mesh", "hfield", "sdf")  # read from other files
@@ -83,7 +91,7 @@ def load_robot(path: str | Path) -> Robot:
     Returns:
         Its joints in the file's order, as far as each link comes after its parent. Armature, damping and friction loss
         of MJCF, damping and friction of URDF are rotor inertia, viscous and Coulomb friction. A link for which the
-        file says no mass has none.
+        file says no mass, or one that no body can have, has none. `remarks` say what of the file is not used.
 
     Raises:
         JointFileError: the file cannot be read, or is no tree of joints that turn or slide.
@@ -119,6 +127,7 @@ def read_robot(text: str, called: str = "the robot's model") -> Robot:
     order = [one.get("name", "") for one in root.iter("joint")]
     stripped = _filter_tree(root, kept)
     _refuse_infinite(stripped, called)
+    remarks = (*_drop_repeated(stripped), *_forget_impossible(stripped))
     _give_masses(stripped)
     mujoco = extra("mujoco", "robots", "A robot's model")
     try:
@@ -132,7 +141,7 @@ def read_robot(text: str, called: str = "the robot's model") -> Robot:
             robot = _robot(mujoco, model, root.get("name") or root.get("model") or "robot", called)
     except MethodError as error:
         raise JointFileError(f"{called}: {error}") from error
-    return reorder_joints(robot, order)
+    return replace(reorder_joints(robot, order), remarks=tuple(f"{called}: {one}" for one in remarks))
 
 
 @contextmanager
@@ -147,12 +156,7 @@ def _quiet(mujoco: Any) -> Iterator[None]:
 
 
 def _parse(text: str, called: str) -> ET.Element:
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise JointFileError(f"{called} declares a DOCTYPE; expected plain URDF or MJCF: remove it.")
-    if "xacro:" in text:
-        raise JointFileError(
-            f"{called} is a template for xacro; expected what that makes of it: run xacro on it first."
-        )
+    _refuse_declarations(text, called)
     try:
         root = ET.fromstring(text)  # noqa: S314, without entities, and of a bounded size
     except (ET.ParseError, ValueError) as error:
@@ -165,12 +169,28 @@ def _parse(text: str, called: str) -> ET.Element:
     return root
 
 
+def _refuse_declarations(text: str, called: str) -> None:
+    """Refuse a DOCTYPE, which can declare entities, and elements of xacro; what a comment mentions is neither."""
+
+    def refuse_doctype(*_: object) -> None:
+        raise JointFileError(f"{called} declares a DOCTYPE; expected plain URDF or MJCF: remove it.")
+
+    def refuse_template(name: str, _: object) -> None:
+        if name.startswith("xacro:"):
+            raise JointFileError(
+                f"{called} is a template for xacro; expected what that makes of it: run xacro on it first."
+            )
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler, parser.StartElementHandler = refuse_doctype, refuse_template
+    with suppress(expat.ExpatError, ValueError):  # which the tree's own parser reports
+        parser.Parse(text, True)
+
+
 def _refuse_elements(root: ET.Element, called: str) -> None:
     faults = []
     for one in root.iter():
         name = f"<{one.tag}>" + (f" {one.get('name')}" if one.get("name") else "")
-        if one.tag == "mass" and one.get("value", "").lstrip().startswith("-"):
-            faults.append(f"{called}: a mass is {one.get('value')} kg; expected 0 or more: correct it.")
         if one.tag in _REFUSED:
             faults.append(f"{called}: {name} {_REFUSED[one.tag]}.")
         elif one.tag == "joint" and one.get("type") in ("ball", "free", "floating", "planar"):
@@ -208,6 +228,67 @@ def _filter_tree(element: ET.Element, allowed: Mapping[str, tuple[str, ...]]) ->
         if child.tag in allowed and not (child.tag == "geom" and (_is_mesh(child) or element.tag == "worldbody")):
             found.append(_filter_tree(child, allowed))
     return found
+
+
+def _drop_repeated(root: ET.Element) -> Iterator[str]:
+    """Drop all but the first of elements that an element has once; yield a remark on each."""
+    for parent, once in _ONCE.items():
+        for one in root.iter(parent):
+            for tag in once:
+                for extra_one in one.findall(tag)[1:]:
+                    one.remove(extra_one)
+                    yield f"{_where(root, one)} has <{tag}> more than once; the first is used"
+
+
+def _forget_impossible(root: ET.Element) -> Iterator[str]:
+    """Drop the inertial parameters that no body can have; yield a remark on each.
+
+    Where links are is enough to identify a robot, so a wrong mass is no reason to refuse a model.
+    """
+    least = repr(_NOTHING)
+    for one in (*root.iter("link"), *root.iter("body")):
+        inertial = one.find("inertial")
+        if inertial is None or (reason := _impossible(inertial)) is None:
+            continue
+        yield f"{_where(root, one)} has {reason}, as no body can; its mass and inertia are taken as unknown"
+        one.remove(inertial)
+        if one.tag == "body":  # without it MuJoCo makes a mass of the shapes
+            one.append(ET.Element("inertial", pos="0 0 0", mass=least, diaginertia=" ".join(3 * [least])))
+
+
+def _impossible(inertial: ET.Element) -> str | None:
+    """Return what of inertial parameters no body can have; None if one can, or if MuJoCo has to say what is wrong."""
+    of_urdf, moments = inertial.find("mass"), inertial.find("inertia")
+    said = inertial.get("mass") if of_urdf is None else of_urdf.get("value")
+    if moments is not None:
+        names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        numbers = [moments.get(name, "0") for name in names]
+    else:
+        numbers = (inertial.get("fullinertia") or inertial.get("diaginertia") or "").split()
+    try:
+        mass, values = float(said or "nan"), np.array([float(one) for one in numbers])
+    except ValueError:
+        return None
+    if mass < 0.0:
+        return f"a mass of {mass:g} kg"
+    if values.size not in (3, 6):
+        return None
+    xx, yy, zz, xy, xz, yz = np.append(values, np.zeros(6 - values.size))
+    moments_of = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    if moments_of[0] < 0.0 or moments_of[0] + moments_of[1] < moments_of[2]:
+        said = ", ".join(f"{value:.4g}" for value in moments_of)
+        return f"principal moments of inertia of {said} kg m2"
+    return None
+
+
+def _where(root: ET.Element, element: ET.Element) -> str:
+    """Return an element's name, with that of the link, body or joint that it is in."""
+    if element.get("name"):
+        return f"{element.tag} {element.get('name')}"
+    for owner in root.iter():
+        if element in owner and owner is not root:
+            return f"<{element.tag}> of {_where(root, owner)}"
+    return f"a {element.tag}"
 
 
 def _give_masses(root: ET.Element) -> None:
@@ -271,8 +352,8 @@ def _joint(model: Any, number: int, called: str) -> RobotJoint:
 def _body(mujoco: Any, model: Any, number: int) -> FloatArray:
     """Return the inertial parameters of a body in its own frame, (10,); what is only MuJoCo's least is none."""
     mass, moments = float(model.body_mass[number]), model.body_inertia[number]
-    if mass <= _NOTHING:
-        mass = 0.0
+    if mass <= _MOST_LINKS * _NOTHING:  # links that do not move against each other are one body
+        return np.zeros(10)
     axes = _matrix(mujoco, model.body_iquat[number])
     inertia = axes @ np.diag(np.where(moments <= _NOTHING, 0.0, moments)) @ axes.T
     return MassProperties(mass, model.body_ipos[number].copy(), inertia).inertial

@@ -93,7 +93,7 @@ def build_robot_result(
                 bounds,
                 *((springs_verdict([str(s) for s in part.springs if not s.shown]),) if part.springs else ()),
             ),
-            warnings=warnings,
+            warnings=(*model.remarks, *warnings),
         ),
         data=Data(
             record=join(list(dict.fromkeys(record.name for record in records))),

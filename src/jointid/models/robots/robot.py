@@ -237,6 +237,7 @@ class Robot:
         joints: as many, in the same order.
         gravity: (3,) in the base's frame, m/s2.
         name: of the robot.
+        remarks: what of the file that it was read from is not used, one sentence each.
 
     Raises:
         MethodError: a link comes before its parent, an axis or a rotation is none, a name comes twice, ...
@@ -246,6 +247,7 @@ class Robot:
     joints: tuple[RobotJoint, ...]
     gravity: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     name: str = "robot"
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.links or len(self.links) != len(self.joints):
