@@ -220,11 +220,11 @@ def drive_side_problem(
     motion = replace(motion, torque=lowpass(motion.torque, cutoff, motion.sample_time))
     prescribed = replace(prescribed, direction=lowpass(parts, cutoff, prescribed.step))
     sigma = np.std(motion.torque, axis=0) + 1e-300
-    parameters = _of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time))
+    parameters = of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time))
     return RobotDriveSideProblem(motion.torque, motion.filtering, parameters, sigma, motion, prescribed)
 
 
-def _of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
+def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
     """Return parameters with those of the record: the log's delay, and the links' first state where motors move."""
     n = len(robot)
     more = [(delay, _DELAY)] if delay.free else []

@@ -54,7 +54,7 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robot_numbers import RobotNumbers, robot_with
 from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulation_of
 
 _WORDS = {
@@ -142,6 +142,10 @@ class InverseModelRobot(IdentifiedRobot):
 
         return Sums(self.values, self.covariance, of_standard, of_others, friction, least, build_robot)
 
+    def robot(self) -> Robot:
+        """Return the robot that was identified, of rigid joints: what is grouped stands in the first of its sum."""
+        return robot_with(rigid_robot(self.model), _numbers(self.model, self.base, self.values))
+
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot; None of one with springs, which IDIM does not know."""
         return None if any(robot.flexible) else self.base.with_friction(robot)
@@ -198,10 +202,7 @@ def identify_robot(
         solution = solve_rows(settings, rows, by_loop)
     nominal, values = _nominal(robot, base, rows), solution.fit.values
     terms = friction_terms(robot)
-    friction = [term.symbol for term in terms]
-    symbols = (*base.symbols, *friction)
-    for place, formula in zip(offset_indices(robot), base.offset_formulas, strict=True):
-        friction[place] = formula
+    symbols = (*base.symbols, *(term.symbol for term in terms))
     part = InverseModelRobot(
         setup=model,
         names=rows.names,
@@ -209,7 +210,7 @@ def identify_robot(
         covariance=solution.covariance,
         nominal=nominal,
         nominal_errors=relative_errors(rows, nominal),
-        formulas=(*base.formulas, *friction),
+        formulas=(*base.formulas, *friction_formulas(robot, base)),
         base=base,
     )
     joints = [int(i) // 10 if i < 10 * len(robot) else int(i) - 10 * len(robot) for i in base.chosen]
@@ -252,6 +253,14 @@ def identify_robot(
         if soft
         else (),
     )
+
+
+def friction_formulas(robot: Robot, base: BaseParameters) -> tuple[str, ...]:
+    """Return the sums that the numbers of the motors' friction stand for: an offset may have weights in it."""
+    friction = [term.symbol for term in friction_terms(robot)]
+    for place, formula in zip(offset_indices(robot), base.offset_formulas, strict=True):
+        friction[place] = formula
+    return tuple(friction)
 
 
 def drives(part: InverseModelRobot, joint: int) -> bool:
@@ -335,7 +344,7 @@ def robot_instruments(
         MethodError: controllers or logs share no clock.
     """
     loop.robot.require_lines("IDIM of a robot takes")
-    rigid = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
+    rigid = rigid_robot(loop.robot)
     experiment, size = prepare_robot(replace(loop, robot=rigid), records), len(motion.q)
 
     def columns(values: FloatArray) -> FloatArray:
@@ -355,6 +364,11 @@ def robot_instruments(
         return base_rows(rigid, base, replace(moved, moving=motion.moving)).W
 
     return columns
+
+
+def rigid_robot(robot: Robot) -> Robot:
+    """Return a robot without its springs."""
+    return replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
 
 
 def _numbers(robot: Robot, base: BaseParameters, values: FloatArray) -> RobotNumbers:

@@ -50,15 +50,25 @@ class SimulatedRobot(IdentifiedRobot):
     """Friction, rotors, springs and base parameters of a robot that was simulated.
 
     Attributes:
-        fit: of the search.
+        parameters: of the search; the fixed ones follow them in `names`.
     """
 
     setup: RobotLoop | RobotDriveSide
-    fit: RobotFit
+    parameters: RobotParameters
 
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
-        return self.fit.parameters.numbers(self.fit.values)
+        return self.parameters.numbers(self.values[: len(self.parameters.places)])
+
+    @property
+    def log_delay(self) -> float | None:
+        """Seconds by which the log shows torques late; None under controllers."""
+        log = self.numbers().log
+        return float(log[0, 0]) if log.size else None
+
+    def robot(self) -> Robot:
+        """Return the robot that was identified: what is grouped stands in the parameter that is kept."""
+        return robot_with(self.model, self.numbers())
 
     def sums(self, prior: Robot) -> Sums:
         """Return the parameters as sums of the numbers of a robot of this tree, with springs at the same joints.
@@ -71,7 +81,8 @@ class SimulatedRobot(IdentifiedRobot):
                 f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
                 "leave this spring out of the robot file, or excite its mode."
             )
-        n, parameters, numbers = len(prior), self.fit.parameters, RobotNumbers.of(prior)
+        n, parameters, numbers = len(prior), self.parameters, RobotNumbers.of(prior)
+        size = len(parameters.places)
         numbers = replace(numbers, beside=parameters.base.beside, log=parameters.base.log)
         fixed = np.array([place.read(parameters.base) for place in parameters.kept])
         numbers = with_values(numbers, parameters.kept, fixed)
@@ -96,11 +107,14 @@ class SimulatedRobot(IdentifiedRobot):
             there.masses[there.rotors, 0] = rotors
             return robot_with(prior, there)
 
-        return Sums(self.fit.values, self.fit.covariance, of_standard, both[:, apart], about, least, build_robot)
+        covariance = replace(
+            self.covariance, std=self.covariance.std[:size], correlation=self.covariance.correlation[:size, :size]
+        )
+        return Sums(self.values[:size], covariance, of_standard, both[:, apart], about, least, build_robot)
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot."""
-        return self.fit.parameters.group_all(RobotNumbers.of(robot))
+        return self.parameters.group_all(RobotNumbers.of(robot))
 
 
 def identify_simulated_robot(
@@ -167,7 +181,7 @@ def identify_simulated_robot(
         nominal_errors=_errors(problem, nominal),
         formulas=(*parameters.formulas(robot), *(one.symbol for one in parameters.fixed)),
         springs=springs,
-        fit=fit,
+        parameters=parameters,
     )
     longer = "evaluations" if springs else "iterations"
     steps = f"after {fit.iterations} {'simulations' if springs else 'iterations'}"
