@@ -77,8 +77,6 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert more["joint2.viscous"]["std"] < 0.8 * answer["parameters"]["joint2.viscous"]["std"]
     found, of_joint = tmp_path / "found.json", r"found\.json is the estimate of a robot; expected that of one joint"
     for words in (
-        ("compare", found, tmp_path / "both.json"),
-        ("simulate", folder / "robot.toml", "--estimate", found),
         ("validate", EMPS, "--estimate", found),
         ("export", EMPS, "--estimate", found, "--out", tmp_path / "a.xml"),
     ):
@@ -91,6 +89,36 @@ def test_validate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "The estimate predicts this record better than the nominal model" in capsys.readouterr().out
     with pytest.raises(MethodError, match="expected --record OTHER"):
         run("validate", folder / "robot.toml")
+
+
+def test_a_saved_estimate_is_taken_by_every_command(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    joint, found, other = folder / "robot.toml", tmp_path / "found.json", tmp_path / "other.json"
+    run("identify", joint, "--json", found)
+    capsys.readouterr()
+    unseen = "--record", folder / "two.csv"
+    run("validate", joint, "--estimate", found, *unseen)
+    saved = capsys.readouterr().out
+    run("validate", joint, *unseen)
+    assert saved == capsys.readouterr().out, "as if it were identified anew"
+    with pytest.raises(MethodError, match="This record is the one that the estimate is from"):
+        run("validate", joint, "--estimate", found, "--record", folder / "one.csv")
+    run("export", joint, "--estimate", found, "--out", tmp_path / "saved.urdf")
+    run("export", joint, "--out", tmp_path / "anew.urdf")
+    assert (tmp_path / "saved.urdf").read_text("utf-8") == (tmp_path / "anew.urdf").read_text("utf-8")
+    run("report", joint, "--estimate", found, "--held-out", folder / "two.csv", "--markdown", tmp_path / "page")
+    assert "predicts this record better" in (tmp_path / "page" / "report.md").read_text("utf-8")
+    run("identify", joint, *unseen, "--json", other)
+    capsys.readouterr()
+    run("compare", found, other, "--json", tmp_path / "compared.json")
+    assert "Two estimates of one robot, compared" in capsys.readouterr().out
+    rows = json.loads((tmp_path / "compared.json").read_text("utf-8"))["quantities"]
+    viscous, lumped = (
+        rows["joint2.viscous"],
+        next(row for name, row in rows.items() if name.startswith("Izz1 with Ia1")),
+    )
+    assert viscous["p_value"] > 0.01 and viscous["a"] == pytest.approx(8.0, rel=0.01) and lumped["symbol"] == "Izz1"
 
 
 def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -151,6 +179,7 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
             "--figure of several records takes one joint",
         ),
         (("simulate", joint, "--estimate", tmp_path / "none.json"), "none.json cannot be"),
+        (("validate", joint, "--estimate", EMPS), "is no JSON file"),
         (
             ("validate", joint, "--record", folder / "two.csv", "--figure", tmp_path / "a.png"),
             "--figure is for a joint",

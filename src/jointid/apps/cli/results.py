@@ -257,7 +257,7 @@ def validate(
 
 
 def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:
-    """Compare two estimates of the same joint, and test whether they differ by more than their errors.
+    """Compare two estimates of the same joint or robot, and test whether they differ by more than their errors.
 
     Args:
         before: the first (A): what identify --json wrote, or the page of a report.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
@@ -20,7 +21,7 @@ from jointid.estimation.result.estimate import Estimate, IdentifiedJoint
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
-from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, plain
+from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, ROBOT_REPORT_SCHEMA, plain
 from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA, Json
 from jointid.output.json.robot_estimates import RobotSystem, build_robot_estimate
 
@@ -57,11 +58,9 @@ def read_identified(
         RecordError: the file is no estimate, belongs to another model or to another side of its transmission, or
             refuses a value, without which no torque can be predicted.
     """
-    answer = read_answer(path)
     if not isinstance(system, Joint):
-        return _read_robot(path, answer, system)
-    joint = system
-    _require_joint(answer, path, _REMEDY)
+        return _read_robot(path, read_answer(path), system)
+    answer, joint = read_joint_answer(path), system
     if (stated := answer.get("transmission")) != (declared := plain(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_gear_text(stated)}, and this joint has {_gear_text(declared)}; correct "
@@ -181,10 +180,16 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     return answer
 
 
-def _require_joint(answer: Json, path: str | Path, remedy: str) -> None:
-    """Raise a `RecordError` if an answer is the estimate of a robot."""
+def read_joint_answer(path: str | Path) -> Json:
+    """Return the answer in a file, as `read_answer`, of anything but a robot.
+
+    Raises:
+        RecordError: the file cannot be read, or holds no JSON object, or the estimate of a robot.
+    """
+    answer = read_answer(path)
     if answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot":
-        raise RecordError(f"{path} is the estimate of a robot; expected that of one joint: {remedy}.")
+        raise RecordError(f"{path} is the estimate of a robot; expected that of one joint: {_REMEDY}.")
+    return answer
 
 
 def _no_number(name: str) -> float:
@@ -239,13 +244,12 @@ def read_report(path: str | Path) -> ReportedEstimate:
     """
     path = Path(path)
     answer: object = read_answer(path, _REMEDY_OF_REPORT)
-    if isinstance(answer, dict) and answer.get("schema") == REPORT_SCHEMA:
+    if isinstance(answer, dict) and answer.get("schema") in (REPORT_SCHEMA, ROBOT_REPORT_SCHEMA):
         answer = answer.get("estimate")
     if not isinstance(answer, dict) or answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
-    _require_joint(answer, path, _REMEDY_OF_REPORT)
     try:
-        return _build_report(answer, path.name)
+        return (_build_robot_report if answer["model"] == "robot" else _build_report)(answer, path.name)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.") from None
 
@@ -280,6 +284,39 @@ def _build_report(answer: Json, label: str) -> ReportedEstimate:
         ),
         tuple(_quantity(str(one["name"]), "formula", one) for one in sums),
     )
+
+
+def _build_robot_report(answer: Json, label: str) -> ReportedEstimate:
+    record, filtering, robot = answer["record"], answer["filtering"], answer["robot"]
+    settings = {
+        "method": str(answer["variant"]),
+        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
+        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
+    }
+    return ReportedEstimate(
+        label,
+        str(record["name"]),
+        str(record["torque_sha256"]),
+        "robot",
+        f"{robot['name']} of {', '.join(map(str, robot['joints']))}",
+        "",
+        "",
+        str(record["torque_unit"]),
+        settings,
+        float(answer["relative_error_percent"]) / 100,
+        tuple(
+            _quantity(_name_of_sum(name, p), "symbol", p, free=bool(p["free"]))
+            for name, p in answer["parameters"].items()
+            if p["axis"] and ".initial_" not in name
+        ),
+        (),
+    )
+
+
+def _name_of_sum(name: str, p: Mapping[str, Any]) -> str:
+    """Return the name of a parameter with what else is in it: by two methods the same name may have other sums."""
+    others = [one for one in re.findall(r"[A-Za-z][\w+-]*", str(p["formula"])) if one != p["symbol"]]
+    return f"{name} with {', '.join(sorted(others))}" if others else name
 
 
 _RENAMED = {

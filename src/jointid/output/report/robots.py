@@ -16,11 +16,10 @@ from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
 from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
+from jointid.output.json.documents import ROBOT_REPORT_SCHEMA
 from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import next_test, next_test_in_full
 from jointid.planning.robot_design import RobotDesign
-
-REPORT_OF_ROBOT = "jointid.robot_report/1"
 
 _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 
@@ -45,7 +44,7 @@ class RobotReportData:
 def robot_contents(given: RobotReportData) -> dict[str, Any]:
     """JSON of a robot's report except for the repetition."""
     return {
-        "schema": REPORT_OF_ROBOT,
+        "schema": ROBOT_REPORT_SCHEMA,
         "estimate": given.estimate,
         "diagnosis": given.diagnosis,
         "validation": given.validation,
