@@ -126,10 +126,8 @@ def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     printed = " ".join(capsys.readouterr().out.split())
     assert "The model leaves little of every joint's torque, but what it leaves of joint1" in printed, "of reversals"
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.robot_diagnosis/1" and answer["explained"] and answer["as_declared"] is None
-    assert answer["joints"][1]["parameters"]["joint2.viscous"]["known"] == "told"
-    with pytest.raises(MethodError, match=r"joint\.toml is no robot file.*jointid diagnose --help lists them"):
-        run("diagnose", EMPS)
+    assert answer["schema"] == "jointid.diagnosis/1" and answer["explained"] and answer["as_declared"] is None
+    assert answer["axes"][1]["parameters"]["joint2.viscous"]["known"] == "told"
 
 
 def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,7 +147,7 @@ def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert {"torque.svg", "residual.svg", "spectra.svg"} <= {one.name for one in tmp_path.iterdir()}
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.robot_report/1" and answer["validation"]["better_than_nominal"]
-    assert answer["estimate"]["parameters"] and answer["diagnosis"]["joints"] and answer["record_file"] == "one.csv"
+    assert answer["estimate"]["parameters"] and answer["diagnosis"]["axes"] and answer["record_file"] == "one.csv"
 
 
 def test_a_record_is_not_held_against_itself(folder: Path, tmp_path: Path) -> None:
@@ -179,7 +177,6 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
             "--figure of several records takes one joint",
         ),
         (("simulate", joint, "--estimate", tmp_path / "none.json"), "none.json cannot be"),
-        (("validate", joint, "--estimate", EMPS), "is no JSON file"),
         (
             ("validate", joint, "--record", folder / "two.csv", "--figure", tmp_path / "a.png"),
             "--figure is for a joint",
@@ -201,7 +198,6 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (("--plan", "weakest"), 'The test of a robot has the goal "all"; received "weakest"'),
         (("--no-profiles",), "neither profiles nor tuning; --no-profiles is for a joint file"),
         (("--no-tuning",), "neither profiles nor tuning; --no-tuning is for a joint file"),
         (("--held-out", "nope.csv"), "nope.csv cannot be opened"),

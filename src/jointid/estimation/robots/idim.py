@@ -137,14 +137,14 @@ class InverseModelRobot(IdentifiedRobot):
             for k, joint in enumerate(prior.joints):
                 own = {term.number: float(x) for term, x in zip(terms, others, strict=True) if term.joint == k}
                 # To IDIM a joint is rigid: what it finds is the friction of both sides.
-                joints.append(replace(joint_with_friction(joint, own), rotor_inertia=float(rotors[k]), spring=None))
+                joints.append(replace(joint_with_friction(joint.rigid, own), rotor_inertia=float(rotors[k])))
             return replace(prior.with_inertials(inertials), joints=tuple(joints))
 
         return Sums(self.values, self.covariance, of_standard, of_others, friction, least, build_robot)
 
     def robot(self) -> Robot:
         """Return the robot that was identified, of rigid joints: what is grouped stands in the first of its sum."""
-        return robot_with(rigid_robot(self.model), _numbers(self.model, self.base, self.values))
+        return robot_with(self.model.rigid, _numbers(self.model.rigid, self.base, self.values))
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot; None of one with springs, which IDIM does not know."""
@@ -343,8 +343,7 @@ def robot_instruments(
         RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
         MethodError: controllers or logs share no clock.
     """
-    loop.robot.require_lines("IDIM of a robot takes")
-    rigid = rigid_robot(loop.robot)
+    rigid = loop.robot.rigid
     experiment, size = prepare_robot(replace(loop, robot=rigid), records), len(motion.q)
 
     def columns(values: FloatArray) -> FloatArray:
@@ -364,11 +363,6 @@ def robot_instruments(
         return base_rows(rigid, base, replace(moved, moving=motion.moving)).W
 
     return columns
-
-
-def rigid_robot(robot: Robot) -> Robot:
-    """Return a robot without its springs."""
-    return replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
 
 
 def _numbers(robot: Robot, base: BaseParameters, values: FloatArray) -> RobotNumbers:

@@ -258,7 +258,7 @@ def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) 
         name, coulomb = term.name(robot), FrictionTerm(term.joint, Friction.COULOMB).name(robot)
         if term.number is Friction.RISE and name not in fixed and sizes[name] < _REACHED * sizes[coulomb]:
             raise MethodError(
-                f"The friction of {joint.name} is declared to rise below {joint.stribeck_speed:g} "
+                f"The friction of {joint.name} is declared to rise below {joint.motor['stribeck_speed']:g} "
                 f"{robot.position_unit(term.joint)}/s, and beside reversals, which IDIM leaves out, this record has "
                 f"hardly a sample there; move it slowly, leave the speed out, or fix {name} by method.fixed."
             )

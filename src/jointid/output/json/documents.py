@@ -117,18 +117,30 @@ SHAPES: Mapping[str, Shape] = {
         "predicts_as_well refusal"
     ),
     "Design": document_shape(
-        "jointid.design/1",
-        "record goal sentence description transmission tests reached limits passed present_passes from_present floor "
-        "modes interrupted",
+        "jointid.design/2",
+        "record=source goal sentence description axes tests noise passed peaks floor modes tried interrupted",
+    ),
+    "DesignedAxis": keys(
+        "name position_unit torque_unit transmission limits=limits.stated reached passed present_passes from_record"
     ),
     "PredictedTest": keys("name values std units covariance.correlation"),
     "Examination": document_shape(
         "jointid.examination/1", "record healthy sentence logged transmission questions=answers parameters changes"
     ),
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
-    "LoopCheck": document_shape(
-        "jointid.loop/1", "as_declared level sentences reasons findings undecided suspects=tests"
+    "Diagnosis": document_shape(
+        "jointid.diagnosis/1", "name method answer explained as_declared feed_forward sentences reasons axes"
     ),
+    "AxisDiagnosis": {
+        **keys(
+            "name left explained white=whiteness.white travel speed moving as_declared law_holds law "
+            "level=faults.level findings=faults.findings undecided=faults.undecided suspects=faults.tests"
+        ),
+        "follows": lambda axis: None if axis.follows is None else axis.follows[0],
+        "follows_share": lambda axis: None if axis.follows is None else axis.follows[1].explained,
+        "parameters": by_name("parameters"),
+    },
+    "AxisParameter": keys("symbol value std unit nominal formula known at_least"),
     "Finding": {
         **keys("suspect=test value changes"),
         "rivals": lambda finding: [test.label for test in finding.rivals],
@@ -216,23 +228,6 @@ SHAPES: Mapping[str, Shape] = {
         "jointid.robot_validation/1",
         "robot=robot.name joints=robot.names better_than_nominal=better bodies_better_than_nominal=bodies_better "
         "left=joint_errors nominal_left=nominal_errors bodies_left=body_errors",
-    ),
-    "RobotDiagnosis": document_shape(
-        "jointid.robot_diagnosis/1",
-        "robot=robot.name method answer explained as_declared feed_forward sentences joints",
-    ),
-    "JointDiagnosis": {
-        **keys("name left explained white=whiteness.white travel speed moving law_holds law"),
-        "follows": lambda joint: None if joint.follows is None else joint.follows[0],
-        "follows_share": lambda joint: None if joint.follows is None else joint.follows[1].explained,
-        "parameters": by_name("parameters"),
-    },
-    "ParameterOfJoint": keys("symbol value std unit nominal formula known at_least"),
-    "RobotDesign": document_shape(
-        "jointid.robot_design/1",
-        "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits=allowed reached "
-        "passed modes tried",
-        samples=lambda design: len(design.reference),
     ),
     "RobotSimulation": {
         **keys("sample_time explanation=outcome.value events"),

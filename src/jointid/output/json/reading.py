@@ -180,7 +180,7 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     return answer
 
 
-def read_joint_answer(path: str | Path) -> Json:
+def read_joint_answer(path: str | os.PathLike[str]) -> Json:
     """Return the answer in a file, as `read_answer`, of anything but a robot.
 
     Raises:

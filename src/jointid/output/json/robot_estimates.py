@@ -137,7 +137,11 @@ def _parameters(
         row.name: Parameter(row.name, row.symbol, Quantity.FORCE).fix(row.value or 0.0) for row in rows if not row.free
     }
     offsets = any(f"{name}.offset" in names for name in robot.names)
-    parameters = apply_constraints(robot_parameters(robot, offsets=offsets), known)
+    # The numbers of a law are all parameters where it was searched, and its linear part where lines were enough.
+    for whole in (True, False):
+        parameters = apply_constraints(robot_parameters(robot, offsets=offsets, whole=whole), known)
+        if names >= {*parameters.names}:
+            break
     delay = said.get("log_delay")
     if delay is None:
         return parameters

@@ -15,9 +15,8 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_folder, write_whole
 from jointid.common.matplotlib_backend import png, svg
 from jointid.common.messages import Progress, ignore_progress
-from jointid.diagnostics.diagnose import diagnose
+from jointid.diagnostics.diagnose import FeedForwardName, diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
-from jointid.diagnostics.robots.diagnose import FeedForwardName
 from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
@@ -30,8 +29,7 @@ from jointid.output.report.page import page
 from jointid.output.report.pages import Repetition, repetition, require_page
 from jointid.output.report.robots import RobotReportData, robot_blocks, robot_charts, robot_contents
 from jointid.output.report.sections import report_blocks
-from jointid.planning.joint_design import Design
-from jointid.planning.robot_design import RobotDesign
+from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 
 __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
@@ -62,7 +60,7 @@ class Report:
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
-    design: Design | RobotDesign | None = None
+    design: Design | None = None
 
     @classmethod
     def of(
@@ -135,16 +133,14 @@ class Report:
         if self.tuned is not None:
             drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
         if self.design is not None:
-            drawn["test"] = self.design.chart()
-            if isinstance(self.design, Design):
-                drawn["test"] = replace(drawn["test"], caption=_TEST)
+            drawn["test"] = replace(self.design.chart(), caption=_TEST)
         return drawn
 
     @property
     def title(self) -> str:
         """The axis, and the date of its record if it is known."""
         given = self.data
-        own = given.diagnosis.robot.name if isinstance(given, RobotReportData) else given.estimate.data.record
+        own = given.diagnosis.name if isinstance(given, RobotReportData) else given.estimate.data.record
         return f"{self.name or own}{f', {self.repetition.date}' if self.repetition.date else ''}"
 
     def _repr_html_(self) -> str:
@@ -160,7 +156,7 @@ class Report:
             "estimate": given.estimate,
             "validation": given.validation,
             "checks": given.checks,
-            "loop": given.loop,
+            "diagnosis": given.diagnosis,
             "profiles": given.profiles,
             "frequencies": {} if given.response is None else given.response.modes,
             "revealing": given.stiffness_test,
@@ -173,9 +169,7 @@ class Report:
     def _blocks(self, interactive: bool) -> Iterable[Block]:
         given, charts, again, design = self.data, self.charts, self.repetition, self.design
         if isinstance(given, RobotReportData):
-            assert not isinstance(design, Design)
             return robot_blocks(given, charts, again, design, interactive=interactive)
-        assert not isinstance(design, RobotDesign)
         return report_blocks(given, charts, again, self.tuned, design, interactive=interactive)
 
     def __repr__(self) -> str:
