@@ -16,7 +16,7 @@ from jointid.common.transmission import Transmission
 from jointid.config import JointFile, dumps, loads, save
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.output.json import read_identified_joint, to_dict, write
+from jointid.output.json import read_identified, to_dict, write
 from jointid.records.columns import Column
 from jointid.records.reading import read
 from jointid.records.record import Record
@@ -134,13 +134,13 @@ def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate
     assert to_dict(motor)["transmission"] is to_dict(motor)["other_side"] is None
 
     file = file_of(folder, BY_THE_LOAD)
-    assert read_identified_joint(folder / "out.json", file.joint, file.loop).values == found.values
+    assert read_identified(folder / "out.json", file.joint, file.loop).values == found.values
     other = file_of(folder, GEARED, "motor")
     with pytest.raises(RecordError, match=r"per load, on the load side, and this joint has .* on the motor side"):
-        read_identified_joint(folder / "out.json", other.joint, other.loop)
+        read_identified(folder / "out.json", other.joint, other.loop)
     plain = file_of(folder, ON_THE_MOTOR)
     with pytest.raises(RecordError, match="and this joint has no transmission; correct"):
-        read_identified_joint(folder / "out.json", plain.joint, plain.loop)
+        read_identified(folder / "out.json", plain.joint, plain.loop)
 
 
 def test_a_record_is_referred_when_it_is_read_and_comes_back(folder: Path) -> None:

@@ -389,7 +389,7 @@ def test_a_spoiled_answer_is_refused(spoil: Callable[..., Path], name: str) -> N
     file = loads(JOINT)
     path = spoil(SPOILED_ANSWERS[name], "out.json")
     with one_sentence_each() as said:
-        answers.read_identified_joint(path, file.joint, file.loop)
+        answers.read_identified(path, file.joint, file.loop)
     assert len(said) == 1
 
 
@@ -398,7 +398,7 @@ def test_a_spoiled_answer_is_refused(spoil: Callable[..., Path], name: str) -> N
 def test_an_answer_of_any_bytes_is_read_or_refused(spoil: Callable[..., Path], content: bytes) -> None:
     file = loads(JOINT)
     with one_sentence_each():
-        found = answers.read_identified_joint(spoil(content, "out.json"), file.joint, file.loop)
+        found = answers.read_identified(spoil(content, "out.json"), file.joint, file.loop)
         assert all(np.isfinite(value) for value in found.values.values())
 
 

@@ -73,7 +73,7 @@ def test_what_is_fixed_is_not_counted(place: Path) -> None:
     file = place / "robot.toml"
     text = file.read_text(encoding="utf-8")
     channels = '[record.channels]\nmotor_position = { column = "q{axis}" }'
-    fixed = '\n[method]\nname = "idim"\nfixed = { Fv2 = 1.2 }\n'
+    fixed = '\n[method]\nname = "idim"\nfixed = { "joint2.viscous" = 1.2 }\n'
     file.write_text(text.replace("[record.channels]", channels) + fixed, encoding="utf-8")
     asked = '[monte_carlo]\njoint = "robot.toml"\nrecord = "references.csv"\nruns = 1\nnoise_log = 0.5\n'
     row = run_case(next(load_campaign(campaign(place, asked)).cases()))
@@ -90,7 +90,9 @@ def test_simulated_runs_of_a_robot_stand_beside_their_truth(place: Path, method:
     asked = '[monte_carlo]\njoint = "robot.toml"\nrecord = "references.csv"\nruns = 1\nnoise_log = 0.5\nseed = 7\n'
     row = run_case(next(load_campaign(campaign(place, asked)).cases()))
     assert set(row.truth) == set(row.found)
-    assert row.truth["Fv1" if method == "idim" else "joint1.coulomb"] == pytest.approx(3.0 if method == "idim" else 4.0)
+    assert row.truth["joint1.viscous" if method == "idim" else "joint1.coulomb"] == pytest.approx(
+        3.0 if method == "idim" else 4.0
+    )
     for name, value in row.truth.items():
         found = row.found[name]
         assert found.value is not None and found.std is not None

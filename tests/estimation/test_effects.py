@@ -96,7 +96,7 @@ def test_a_cross_test_evaluates_the_effects(tmp_path: Path) -> None:
     assert other == pytest.approx(estimate.fit.filtered_error, rel=0.1)
     assert validate(estimate, rippled(2, shift=PITCH / 2)).filtered_error > 2 * other
     answers.write(answers.to_dict(estimate), tmp_path / "out.json")
-    back = answers.read_identified_joint(tmp_path / "out.json", LOOP.joint, None)
+    back = answers.read_identified(tmp_path / "out.json", LOOP.joint, None)
     assert back == estimate.identified
 
 

@@ -244,7 +244,7 @@ def test_an_estimate_is_read_back(tmp_path: Path) -> None:
         },
     )
     answers.write(answers.to_dict(whole), tmp_path / "out.json")
-    assert answers.read_identified_joint(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified
+    assert answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified
 
 
 @pytest.mark.parametrize(
@@ -253,9 +253,9 @@ def test_an_estimate_is_read_back(tmp_path: Path) -> None:
 def test_a_spoiled_answer_is_refused_in_a_sentence(text: str, tmp_path: Path) -> None:
     (tmp_path / "out.json").write_text(text, encoding="utf-8")
     with pytest.raises(RecordError, match=r"is no (JSON file|estimate of schema)"):
-        answers.read_identified_joint(tmp_path / "out.json", LOOP.joint, LOOP)
+        answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP)
     with pytest.raises(RecordError, match=r"is no (JSON file|estimate of schema)"):
-        answers.read_friction(tmp_path / "out.json")
+        answers.read_choices(tmp_path / "out.json")
 
 
 def test_the_error_leaves_out_the_borders() -> None:

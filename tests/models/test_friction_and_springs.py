@@ -104,8 +104,8 @@ def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Fri
     found = identify(record, loop)
     assert found.values == pytest.approx(truth, rel=1e-3, abs=1e-9)
     answers.write(answers.to_dict(found), tmp_path / "out.json")
-    assert answers.read_friction(tmp_path / "out.json") == law.name
-    assert answers.read_identified_joint(tmp_path / "out.json", joint, loop).values == pytest.approx(found.values)
+    assert answers.read_choices(tmp_path / "out.json") == {"friction": law.name}
+    assert answers.read_identified(tmp_path / "out.json", joint, loop).values == pytest.approx(found.values)
     lumped, directions = lumped_parameters(found), np.array(law.directions(found.values))
     for i, part in enumerate(PARTS):
         assert lumped[part].value == pytest.approx(directions[2 * i : 2 * i + len(DIRECTIONS)].mean())

@@ -199,9 +199,13 @@ def test_the_predicted_torque_is_the_friction_of_each_direction_too() -> None:
     found = design(robot, limits=LIMITS, duration=4.0, sample_time=T, motion=references(robot, q))
     np.testing.assert_allclose(found.proposed.torques.T, needed(robot, q, v, a), atol=1e-6)
     about = found.proposed.values
-    assert about["Fv1+"] == pytest.approx(first.viscous) and about["Fv1-"] == pytest.approx(25.0)
+    assert about["joint1.viscous_forwards"] == pytest.approx(first.viscous) and about[
+        "joint1.viscous_backwards"
+    ] == pytest.approx(25.0)
     assert "none: one test was predicted" in str(found), "nothing was searched"
-    assert about["Fc2"] == pytest.approx(0.5 * (second.coulomb + 12.0)), "of both directions, beside an offset"
+    assert about["joint2.coulomb"] == pytest.approx(0.5 * (second.coulomb + 12.0)), (
+        "of both directions, beside an offset"
+    )
 
 
 def test_the_predicted_torque_has_the_weight_that_is_grouped_with_an_offset() -> None:
@@ -212,7 +216,7 @@ def test_the_predicted_torque_has_the_weight_that_is_grouped_with_an_offset() ->
     robot, (q, v, a) = Robot(links, (RobotJoint("lift", 5.0, 20.0, 30.0), RobotJoint("wrist", 0.3, 1.2, 1.5))), played()
     found = design(robot, limits=LIMITS, duration=4.0, sample_time=T, motion=references(robot, q))
     np.testing.assert_allclose(found.proposed.torques.T, needed(robot, q, v, a), atol=1e-6)
-    assert found.proposed.values["offset1"] == pytest.approx(-5.0 * 9.81), "its rotor is not lifted"
+    assert found.proposed.values["joint1.offset"] == pytest.approx(-5.0 * 9.81), "its rotor is not lifted"
 
 
 @pytest.mark.parametrize(("factor", "hertz"), [(0.0, 11.1), (1.0, 12.5), (2.0, 14.2)])

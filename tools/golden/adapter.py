@@ -549,11 +549,24 @@ def identify_robot(robot: Path, record: str | Path, *, folder: Path | None = Non
 
 def _robot(answer: Json) -> Json:
     rows = {
-        _name(name): {"value": number(row["value"]), "std": number(row["std"]), "unit": row["unit"]}
+        _name_in_golden(name, row, answer["method"]): {
+            "value": number(row["value"]), "std": number(row["std"]), "unit": row["unit"],
+        }
         for name, row in answer["parameters"].items()
-    }
+    }  # fmt: skip
     left = {key: numbers(answer["robot"][key]) for key in ("left", "nominal_left")}
     return {"parameters": rows, "converged": answer["converged"], **left}
+
+
+def _name_in_golden(name: str, row: Mapping[str, Any], method: str) -> str:
+    """Return the name that a parameter of a robot had when the numbers were frozen."""
+    if method == "idim":
+        return str(row["symbol"])
+    if name != row["symbol"]:
+        return name
+    word, joint = name[:-1], name[-1]
+    rotor = f"Ia{joint}" in row["formula"].split(" ")
+    return f"joint{joint}.rotor_inertia" if rotor else f"link{joint}.{word}"
 
 
 def of_robot(verb: str, robot: Path, *words: object, **method: object) -> Json:

@@ -33,17 +33,18 @@ class AxisParameter:
 
     Attributes:
         axis: place of its joint, or of the joint that carries its link.
-        name: as the estimate calls it.
+        name, symbol: as the estimate calls it.
         value, std: None where it is refused.
         unit: SI, behind the gear.
         nominal: of a robot's initial model and file; None of a single joint.
-        formula: the sum of standard parameters that it stands for; its own name where it stands for itself.
+        formula: the sum of standard parameters that it stands for; its own symbol where it stands for itself.
         known: whether the record tells it.
         at_least: bound of a stiffness that is refused.
     """
 
     axis: int
     name: str
+    symbol: str
     value: float | None
     std: float | None
     unit: str
@@ -70,6 +71,8 @@ def parameters_by_axis(estimate: EstimateParts) -> tuple[AxisParameter, ...]:
             share = std / abs(row.value) if row.value else math.inf
             known = Told.TOLD if share < KNOWN else Told.ROUGHLY if share < _ROUGHLY else Told.NOT
         found.append(
-            AxisParameter(axes[row.axis], row.name, row.value, std, row.unit, nominal, formula, known, row.lower_bound)
+            AxisParameter(
+                axes[row.axis], row.name, row.symbol, row.value, std, row.unit, nominal, formula, known, row.lower_bound
+            )
         )
     return tuple(sorted(found, key=lambda one: one.axis))

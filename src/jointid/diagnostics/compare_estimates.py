@@ -52,7 +52,7 @@ class ReportedEstimate:
     Attributes:
         label: name of its file.
         record: name of its record. fingerprint: of the record's torque.
-        model, kind, friction: of the joint.
+        model, kind, friction: of the joint; the kind of a robot is its name with its joints.
         side: of the transmission with its ratio, in words; empty without one.
         torque_unit: of the record.
         settings: by name; differences between two estimates become notes.
@@ -177,7 +177,7 @@ class EstimateComparison(Documented):
             rows.append((row.symbol, *values, spread, row.unit, p, mark))
         table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7))
         blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences)
-        return Document("Two estimates of one joint, compared", blocks)
+        return Document(f"Two estimates of one {_system(self.before)}, compared", blocks)
 
 
 def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:
@@ -205,6 +205,10 @@ def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: 
     return replace(found, rows=rows, notes=tuple(notes))
 
 
+def _system(estimate: ReportedEstimate) -> str:
+    return "robot" if estimate.model == "robot" else "joint"
+
+
 def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> None:
     for what, one, other in (
         ("model", before.model, after.model),
@@ -215,8 +219,8 @@ def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> No
     ):
         if one != other:
             raise MethodError(
-                f"{before.label} and {after.label} do not describe the same joint: the {what} is {one} in "
-                f"the one and {other} in the other; identify both with the same joint file and options."
+                f"{before.label} and {after.label} do not describe the same {_system(before)}: the {what} is {one} in "
+                f"the one and {other} in the other; identify both with the same {_system(before)} file and options."
             )
     units = {q.name: q.unit for q in before.quantities}
     wrong = [q for q in after.quantities if units.get(q.name, q.unit) != q.unit]

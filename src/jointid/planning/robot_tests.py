@@ -396,7 +396,7 @@ class _Regressor:
             if spring is not None and term.number is not Friction.OFFSET and term.number is not Friction.RISE:
                 values[len(base) + i] += spring.coulomb if term.number is Friction.COULOMB else spring.viscous
         units = (*base.units, *(term.unit(robot) for term in terms))
-        return cls(robot, (*base.symbols, *(term.symbol for term in terms)), units, values, base.chosen)
+        return cls(robot, (*base.names, *(term.name(robot) for term in terms)), units, values, base.chosen)
 
     def columns(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Return the columns at instants, (instants, n, parameters)."""

@@ -80,7 +80,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_no_command_writes_over_what_it_reads(
     command: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(answers, "read_friction", lambda _: None)
+    monkeypatch.setattr(answers, "read_choices", lambda _: {})
     monkeypatch.setattr("jointid.config.contents.JointFile.record", lambda *_, **__: pytest.fail("the work has begun"))
     before = contents(place)
     assert run(*command.split()) == 2

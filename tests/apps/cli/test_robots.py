@@ -67,18 +67,16 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert printed.startswith("arm: 58 parameters of 6 joints") and "Izz1 is Izz1 + " in printed
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.estimate/1" and answer["model"] == "robot" and len(answer["parameters"]) == 58
-    assert answer["parameters"]["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
+    assert answer["parameters"]["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
     run("identify", folder / "robot.toml", "--record", folder / "two.csv", "--set", "method.estimator=ols")
     assert "ordinary least squares" in capsys.readouterr().out
     both = ("--record", folder / "one.csv", "--record", folder / "two.csv")
     run("identify", folder / "robot.toml", *both, "--json", tmp_path / "both.json")
     more = json.loads((tmp_path / "both.json").read_text(encoding="utf-8"))["parameters"]
-    assert more["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
-    assert more["Fv2"]["std"] < 0.8 * answer["parameters"]["Fv2"]["std"]
+    assert more["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
+    assert more["joint2.viscous"]["std"] < 0.8 * answer["parameters"]["joint2.viscous"]["std"]
     found, of_joint = tmp_path / "found.json", r"found\.json is the estimate of a robot; expected that of one joint"
     for words in (
-        ("compare", found, tmp_path / "both.json"),
-        ("simulate", folder / "robot.toml", "--estimate", found),
         ("validate", EMPS, "--estimate", found),
         ("export", EMPS, "--estimate", found, "--out", tmp_path / "a.xml"),
     ):
@@ -101,13 +99,43 @@ def test_validate(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         run("validate", folder / "robot.toml")
 
 
+def test_a_saved_estimate_is_taken_by_every_command(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    joint, found, other = folder / "robot.toml", tmp_path / "found.json", tmp_path / "other.json"
+    run("identify", joint, "--json", found)
+    capsys.readouterr()
+    unseen = "--record", folder / "two.csv"
+    run("validate", joint, "--estimate", found, *unseen)
+    saved = capsys.readouterr().out
+    run("validate", joint, *unseen)
+    assert saved == capsys.readouterr().out, "as if it were identified anew"
+    with pytest.raises(MethodError, match="This record is the one that the estimate is from"):
+        run("validate", joint, "--estimate", found, "--record", folder / "one.csv")
+    run("export", joint, "--estimate", found, "--out", tmp_path / "saved.urdf")
+    run("export", joint, "--out", tmp_path / "anew.urdf")
+    assert (tmp_path / "saved.urdf").read_text("utf-8") == (tmp_path / "anew.urdf").read_text("utf-8")
+    run("report", joint, "--estimate", found, "--held-out", folder / "two.csv", "--markdown", tmp_path / "page")
+    assert "predicts this record better" in (tmp_path / "page" / "report.md").read_text("utf-8")
+    run("identify", joint, *unseen, "--json", other)
+    capsys.readouterr()
+    run("compare", found, other, "--json", tmp_path / "compared.json")
+    assert "Two estimates of one robot, compared" in capsys.readouterr().out
+    rows = json.loads((tmp_path / "compared.json").read_text("utf-8"))["quantities"]
+    viscous, lumped = (
+        rows["joint2.viscous"],
+        next(row for name, row in rows.items() if name.startswith("Izz1 with Ia1")),
+    )
+    assert viscous["p_value"] > 0.01 and viscous["a"] == pytest.approx(8.0, rel=0.01) and lumped["symbol"] == "Izz1"
+
+
 def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("diagnose", folder / "robot.toml", "--json", tmp_path / "found.json")
     printed = " ".join(capsys.readouterr().out.split())
     assert "The model leaves little of every joint's torque, but what it leaves of joint1" in printed, "of reversals"
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.diagnosis/1" and answer["explained"] and answer["as_declared"] is None
-    assert answer["axes"][1]["parameters"]["Fv2"]["known"] == "told"
+    assert answer["axes"][1]["parameters"]["joint2.viscous"]["known"] == "told"
 
 
 def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -196,7 +224,7 @@ def test_payload(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     mass = answer["parameters"]["mass"]
     assert answer["link"] == "link6" and answer["ways_agree"] and mass["unit"] == "kg"
     assert mass["value"] == pytest.approx(3.0, rel=0.01) == mass["by_difference"]
-    for setting in ("method.estimator=robust", "method.fixed={Ia6=0.3}"):
+    for setting in ("method.estimator=robust", 'method.fixed={"joint6.rotor_inertia"=0.3}'):
         with pytest.raises(MethodError, match=r"gains are searched with all parameters free"):
             run("payload", joint, *records, "--mass", "3", "--set", setting)
     # The file says torques, so a payload of the known mass finds that they are.

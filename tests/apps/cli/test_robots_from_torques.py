@@ -97,7 +97,7 @@ def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.estimate/1" and answer["converged"]
     units = {name: row["unit"] for name, row in answer["parameters"].items()}
-    assert units["link2.mx"] == "kg m" and units["link2.Iyy"] == "kg m2"
+    assert units["mx2"] == "kg m" and units["Iyy2"] == "kg m2"
     for one_joint in truth:
         for word in ("viscous", "coulomb"):
             row = answer["parameters"][f"{one_joint.name}.{word}"]
@@ -125,14 +125,20 @@ def test_instruments_and_a_parameter_that_is_known(tmp_path: Path, capsys: pytes
     joint, one, found = tmp_path / "robot.toml", tmp_path / "one.csv", tmp_path / "found.json"
     text = joint.read_text(encoding="utf-8")
     text = text.replace("[record.channels]", '[record.channels]\nmotor_position = { column = "q{axis}" }')
-    joint.write_text(text + '\n[method]\nname = "idim"\nestimator = "iv"\nfixed = { Fv2 = 1.2 }\n', "utf-8")
+    joint.write_text(
+        text + '\n[method]\nname = "idim"\nestimator = "iv"\nfixed = { "joint2.viscous" = 1.2 }\n', "utf-8"
+    )
     run("simulate", joint, "--out", one)
     logged(tmp_path, "one.csv", 0.01, 5)
     run("identify", joint, "--record", one, "--json", found)
     assert "instruments from simulations of the closed loop" in " ".join(capsys.readouterr().out.split())
     answer = json.loads(found.read_text(encoding="utf-8"))
-    assert answer["parameters"]["Fv2"] == answer["parameters"]["Fv2"] | {"value": 1.2, "std": None, "free": False}
-    row = answer["parameters"]["Fc1"]
+    assert answer["parameters"]["joint2.viscous"] == answer["parameters"]["joint2.viscous"] | {
+        "value": 1.2,
+        "std": None,
+        "free": False,
+    }
+    row = answer["parameters"]["joint1.coulomb"]
     assert abs(row["value"] - 4.0) < 4 * row["std"] < 0.4
 
 

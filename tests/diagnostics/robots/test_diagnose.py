@@ -151,22 +151,29 @@ def test_the_travel_is_that_of_the_motors_wherever_they_turn() -> None:
 def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
     estimate = identified(arm(), records_of(arm(), 2, noise=0.2))
     part, said = estimate.require_robot(), "offset1 + m2 * 9.81"
-    formulas = tuple(said if name == "offset1" else one for name, one in zip(part.names, part.formulas, strict=True))
+    formulas = tuple(
+        said if name == "joint1.offset" else one for name, one in zip(part.names, part.formulas, strict=True)
+    )
     found = parameters_by_axis(replace(estimate, robot=replace(part, formulas=formulas)))
-    assert {one.name: one.formula for one in found}["offset1"] == said
+    assert {one.name: one.formula for one in found}["joint1.offset"] == said
 
 
 def test_what_is_fixed_is_neither_told_nor_not_told() -> None:
     records = records_of(arm(), 2, noise=0.2)
-    free, kept = (identified(arm(), records, IDIM(fixed=one)) for one in ({}, {"Fv4": 1.5, "offset2": 0.0}))
-    assert {row.name for row in free.params.rows if row.free} - set(kept.params.names) == {"Fv4", "offset2"}
+    free, kept = (
+        identified(arm(), records, IDIM(fixed=one)) for one in ({}, {"joint4.viscous": 1.5, "joint2.offset": 0.0})
+    )
+    assert {row.name for row in free.params.rows if row.free} - set(kept.params.names) == {
+        "joint4.viscous",
+        "joint2.offset",
+    }
     found = diagnose_robot(kept, records)
     known = {one.name: one.known for joint in found.axes for one in joint.parameters}
-    assert known["Fv4"] is Told.FIXED and known["offset2"] is Told.FIXED
+    assert known["joint4.viscous"] is Told.FIXED and known["joint2.offset"] is Told.FIXED
     told, asked = sum(one is Told.TOLD for one in known.values()), len(kept.params) - 2
     assert f"The record tells {told} of {asked} parameters" in found.answer
     assert f"{told} of {asked} parameters known to a tenth" in kept.sentence
-    assert not any("offset2" in one for one in found.sentences)
+    assert not any("joint2.offset" in one for one in found.sentences)
 
 
 def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:
@@ -183,7 +190,7 @@ def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
     loop = two().loop()
     fit = identify_rigid_robot(loop, logged_by(loop))
     sums = dict(zip(fit.names, fit.parameters.formulas(loop.robot), strict=True))
-    assert sums["joint1.viscous"] == "joint1.viscous"
+    assert sums["joint1.viscous"] == "Fv1"
     assert any("lower" in text or " + " in text for text in sums.values())
     estimate = identified(loop, logged_by(loop))
     rows = parameters_by_axis(estimate)

@@ -48,8 +48,8 @@ def test_without_noise_all_parameters_come_back() -> None:
     assert isinstance(found, InverseModelRobot)
     assert np.abs(found.values - truth(found.base)).max() < 2e-2  # of numbers up to 10: reversals are filtered
     assert np.all(axis_errors(estimate) < 2e-3)
-    assert [estimate.params[f"Fv{k}"].value for k in range(1, 7)] == pytest.approx(VISCOUS, rel=5e-3)
-    assert [estimate.params[f"Fv{k}"].axis for k in range(1, 7)] == list(ARM.names)
+    assert [estimate.params[f"joint{k}.viscous"].value for k in range(1, 7)] == pytest.approx(VISCOUS, rel=5e-3)
+    assert [estimate.params[f"joint{k}.viscous"].axis for k in range(1, 7)] == list(ARM.names)
     assert estimate.fit.predicted.shape == estimate.fit.measured.shape == estimate.residual.shape
     assert estimate.fit.relative_error < 0.05  # with the samples at rest and about reversals
 
@@ -79,17 +79,19 @@ def test_friction_by_direction_and_towards_standstill_comes_back() -> None:
     estimate = identified(declared, records)
     found = estimate.robot
     assert isinstance(found, InverseModelRobot)
-    assert [name for name in found.names if name[:2] in ("Fv", "Fc", "FS")] == [
-        "Fv1+",
-        "Fv1-",
-        "Fc1",
-        "Fv2",
-        "Fc2",
-        "FS2",
+    assert [name for name in found.names if ".visc" in name or ".coul" in name or ".strib" in name] == [
+        "joint1.viscous_forwards",
+        "joint1.viscous_backwards",
+        "joint1.coulomb",
+        "joint2.viscous",
+        "joint2.coulomb",
+        "joint2.stribeck_force",
     ]
     off = (found.values - found.base.with_friction(declared)) / found.covariance.std
     assert np.max(np.abs(off)) < 4.0 and np.mean(np.abs(off) < 2.0) > 0.8
-    assert {"Fv1+", "Fv1-", "Fc1", "FS2"} <= known(estimate)
+    assert {"joint1.viscous_forwards", "joint1.viscous_backwards", "joint1.coulomb", "joint2.stribeck_force"} <= known(
+        estimate
+    )
     assert max(axis_errors(estimate)) < 0.02
     # Neither is in a model that does not declare it, and it leaves more of the torque.
     plain = identified(loop.robot, records)
@@ -106,11 +108,12 @@ def test_a_rise_of_friction_that_the_record_does_not_reach_is_refused() -> None:
     first, second = loop.robot.joints
     declared = replace(loop.robot, joints=(first, replace(second, stribeck_force=1.0, stribeck_speed=0.002)))
     with pytest.raises(
-        MethodError, match=r"joint2 is declared to rise below 0\.002 rad/s, .* fix FS2 by method\.fixed"
+        MethodError,
+        match=r"joint2 is declared to rise below 0\.002 rad/s, .* fix joint2\.stribeck_force by method\.fixed",
     ):
         by_idim(declared, records)
-    found = identified(declared, records, IDIM(fixed={"FS2": 0.5}))
-    assert found.params["FS2"].value == 0.5 and not found.params["FS2"].free
+    found = identified(declared, records, IDIM(fixed={"joint2.stribeck_force": 0.5}))
+    assert found.params["joint2.stribeck_force"].value == 0.5 and not found.params["joint2.stribeck_force"].free
 
 
 def test_a_friction_that_is_less_towards_standstill_drives_nothing() -> None:
@@ -120,7 +123,7 @@ def test_a_friction_that_is_less_towards_standstill_drives_nothing() -> None:
     declared = replace(loop.robot, joints=(first, replace(second, stribeck_force=0.0, stribeck_speed=0.2)))
     found = by_idim(declared, records)
     assert not any(drives(found, joint) for joint in range(2))
-    place = found.names.index("FS2")
+    place = found.names.index("joint2.stribeck_force")
     for rise, objects in ((-0.5 * second.coulomb, False), (-2.0 * second.coulomb, True)):
         values = found.values.copy()
         values[place] = rise
@@ -147,7 +150,7 @@ def test_outliers_do_not_reach_the_robust_estimate() -> None:
     spoilt[1000:1050] += 300.0
     records[4] = replace(records[4], torque=replace(torque, values=spoilt))
     wrong, right = (by_idim(ARM, records, IDIM(one)) for one in ("weighted", "robust"))
-    at = right.names.index("Fc5")
+    at = right.names.index("joint5.coulomb")
     assert abs(right.values[at] - COULOMB[4]) < 0.1 < abs(wrong.values[at] - COULOMB[4])
 
 
@@ -181,9 +184,9 @@ def test_a_parameter_that_is_known_is_kept_and_helps_the_others(
 ) -> None:
     records = records_of(ARM, 2, noise=0.5)
     free = by_idim(ARM, records, IDIM(estimator))
-    estimate = identified(ARM, records, IDIM(estimator, fixed={"Fv4": VISCOUS[3]}))
+    estimate = identified(ARM, records, IDIM(estimator, fixed={"joint4.viscous": VISCOUS[3]}))
     kept = estimate.require_robot()
-    at, beside = free.names.index("Fv4"), free.names.index("Fc4")
+    at, beside = free.names.index("joint4.viscous"), free.names.index("joint4.coulomb")
     assert kept.values[at] == VISCOUS[3] != free.values[at]
     assert kept.covariance.std[at] == 0
     assert kept.covariance.std[beside] < 0.8 * free.covariance.std[beside]
@@ -279,8 +282,8 @@ def test_what_is_refused() -> None:
         IDIM("tls")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="expected a controller of each joint"):
         by_idim(ARM, records, IDIM("iv"))
-    with pytest.raises(MethodError, match='A name in fixed is "Ia1"; expected'):
-        by_idim(ARM, records, IDIM(fixed={"Ia1": 2.0}))
+    with pytest.raises(MethodError, match=r'A name in fixed is "joint1\.rotor_inertia"; expected'):
+        by_idim(ARM, records, IDIM(fixed={"joint1.rotor_inertia": 2.0}))
     still = replace(records[5], motor_position=replace(records[5].motor_position, values=np.zeros(5001)))
     with pytest.raises(MethodError, match=r"Nothing in this record excites|cannot be told apart"):
         by_idim(ARM, (*records[:5], still))

@@ -30,10 +30,10 @@ def test_didim_keeps_values_and_bounds() -> None:
     assert free.params["joint1.viscous"].free and not row.free and (row.value, row.stderr) == (TRUTH, None)
     assert kept.values["joint1.viscous"] == TRUTH and "joint1.viscous" not in kept.params.names
     stated = kept.to_dict()["parameters"]["joint1.viscous"]
-    assert (stated["value"], stated["nominal"], stated["formula"]) == (TRUTH, pytest.approx(TRUTH), "joint1.viscous")
+    assert (stated["value"], stated["nominal"], stated["formula"]) == (TRUTH, pytest.approx(TRUTH), "Fv1")
     part = kept.require_robot()
     np.testing.assert_array_equal(part.nominal, part.parameters_of(TWIN.robot))
-    (shown,) = (line.split() for line in kept.summary().splitlines() if line.startswith("joint1.viscous "))
+    (shown,) = (line.split() for line in kept.summary().splitlines() if line.startswith("Fv1 "))
     assert "fixed" in " ".join(shown)
     stderr = [one.params["joint1.coulomb"].stderr for one in (kept, free)]
     assert stderr[0] < stderr[1], "what is known leaves more for the others"
@@ -54,10 +54,10 @@ def test_idim_keeps_values_and_bounds() -> None:
     kept = ji.identify(LOGS[0], TWIN.robot, parameters=viscous(free=False, value=TRUTH))
     low = ji.identify(LOGS[0], TWIN.robot, parameters=viscous(free=True, upper=0.5 * TRUTH))
     loose = ji.identify(LOGS[0], TWIN.robot, parameters=viscous(free=True, upper=2 * TRUTH))
-    assert (kept.params["Fv1"].value, low.params["Fv1"].value) == (TRUTH, 0.5 * TRUTH)
-    assert loose.values == free.values and not kept.params["Fv1"].free
+    assert (kept.params["joint1.viscous"].value, low.params["joint1.viscous"].value) == (TRUTH, 0.5 * TRUTH)
+    assert loose.values == free.values and not kept.params["joint1.viscous"].free
     assert low.fit.axis_errors["joint1"] > 2 * free.fit.axis_errors["joint1"]
-    require_held(low, "Fv1")
+    require_held(low, "joint1.viscous")
 
 
 def test_what_is_not_kept_is_refused() -> None:
@@ -78,7 +78,12 @@ def test_friction_that_differs_by_direction_is_kept_by_its_own_names() -> None:
     stated = {f"joint1.{name}": Parameter(name, "", Quantity.FORCE).fix(1.0) for name in
               ("viscous_forwards", "viscous_backwards", "coulomb", "offset")}  # fmt: skip
     kept = ji.identify(LOGS[0], robot, parameters=stated, checks=False)
-    assert [name for name, row in kept.params.items() if not row.free] == ["Fv1+", "Fv1-", "Fc1", "offset1"]
+    assert [name for name, row in kept.params.items() if not row.free] == [
+        "joint1.viscous_forwards",
+        "joint1.viscous_backwards",
+        "joint1.coulomb",
+        "joint1.offset",
+    ]
     backwards = {"joint1.coulomb_backwards": Parameter("coulomb", "Fc-", Quantity.FORCE).fix(1.0)}
     for model in (robot, replace(LOOP, robot=robot)):
         with pytest.raises(MethodError, match=r"differs by direction is identified as coulomb, its mean"):
@@ -95,7 +100,7 @@ def test_friction_of_the_link_is_refused_by_idim() -> None:
 
 def test_a_bound_that_holds_is_said() -> None:
     """The verdict fails and names it; it is not counted as known; the rest of the robot may be relied on."""
-    for model, name in ((LOOP, "joint1.viscous"), (TWIN.robot, "Fv1")):
+    for model, name in ((LOOP, "joint1.viscous"), (TWIN.robot, "joint1.viscous")):
         found = ji.identify(LOGS[0], model, parameters=viscous(free=True, upper=0.9 * TRUTH), checks=False)
         assert found.params[name].at_bound == pytest.approx(0.9 * TRUTH)
         (verdict,) = (one for one in found.checks.verdicts if one.subject is Subject.BOUNDS)

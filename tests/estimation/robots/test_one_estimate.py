@@ -14,7 +14,7 @@ import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.check_loop import LoopTests
 from jointid.estimation.result.answer import Trust
-from jointid.output.json.reading import read_identified_joint
+from jointid.output.json.reading import read_identified
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Status, Subject
@@ -188,7 +188,7 @@ def test_its_file_is_of_the_same_schema_and_is_no_joint(tmp_path: Path) -> None:
     assert answer["schema"] == "jointid.estimate/1" and answer["model"] == "robot"
     assert answer["answer"]["trust"]["code"] == "reliable"
     row = answer["parameters"]["joint1.viscous"]
-    assert row["axis"] == "joint1" and row["formula"] == "joint1.viscous" and row["nominal"] == pytest.approx(3.0)
+    assert row["axis"] == "joint1" and row["formula"] == row["symbol"] == "Fv1" and row["nominal"] == pytest.approx(3.0)
     assert len(answer["correlation"]) == len(answer["free"]) == len(found.params)
     with pytest.raises(RecordError, match="is the estimate of a robot; expected that of one joint"):
-        read_identified_joint(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"), None)
+        read_identified(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"), None)

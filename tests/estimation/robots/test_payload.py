@@ -59,7 +59,7 @@ def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
 
 def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
     """It is not the loaded one's, so the estimates that are compared leave it free."""
-    records, settings = pair(12), IDIM(fixed={"Ia6": 0.3})
+    records, settings = pair(12), IDIM(fixed={"joint6.rotor_inertia": 0.3})
     found = identify_payload(ARM, *records, settings)
     assert found.agrees
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)

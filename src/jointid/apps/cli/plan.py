@@ -140,7 +140,7 @@ class Rough:
         from jointid.output.json import reading
 
         if self.estimate is not None:
-            identified = reading.read_identified_joint(self.estimate, file.joint, file.loop)
+            identified = reading.read_identified(self.estimate, file.joint, file.loop)
             return identified.values, reading.read_covariance(self.estimate, free)
         stated = {name: p.start for name, p in file.parameters.items() if p.start is not None}
         missing = [p.name for p in file.joint.parameters if p.name not in stated]

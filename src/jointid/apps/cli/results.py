@@ -21,11 +21,12 @@ from jointid.apps.cli.console import (
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import Aside
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import Report
+    from jointid import Estimate, Report
     from jointid.config import JointFile
     from jointid.config.robot_file import RobotFile
     from jointid.output.report import Repetition
@@ -47,6 +48,7 @@ def report(
     no_tuning: Flag = False,
     plan: str | None = None,
     held_out: Path | None = None,
+    estimate: Path | None = None,
 ) -> None:
     """Identify a joint from a record, and report it as one page: result, verdicts, figures, and how to repeat it.
 
@@ -63,11 +65,13 @@ def report(
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
         plan: also plan the next test, for a goal as of design, within the limits of the file; it takes a minute.
         held_out: another record, that the estimate has not seen, which it is held against.
+        estimate: of a robot file what identify --json wrote, to report it with its record, and identify nothing.
     """
     from jointid import Report, design
     from jointid import validate as validate_estimate
     from jointid.config import JointFile
     from jointid.config.test_layout import lay_out
+    from jointid.output.json import read_choices
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
@@ -78,11 +82,13 @@ def report(
         require_page(page)
         require_extra(plots=True)
     outputs.spare("--held-out", held_out)
+    outputs.spare("--estimate", estimate)
     choices = {"method": method, "filtering": filtering, "friction": friction}
-    file = options.load(joint, outputs, **choices)
+    file = options.load(joint, outputs, **choices | ({} if estimate is None else read_choices(estimate)))
     html_name = "report.html" if page is None else page.name
     source = Path(file.record_path(options.record))
     asked = {"axis": options.axis, **choices, "plan": plan, "held_out": held_out and held_out.name}
+    asked |= {} if estimate is None else {"estimate": estimate.name}
     if not isinstance(file, JointFile):
         _refuse_options(
             "The report of a robot has neither profiles nor tuning",
@@ -90,18 +96,29 @@ def report(
         )
         again = repetition(joint, source, asked, options.changes, html_name, "robot")
         _report_robot(
-            file, options, again, plan, held_out, partial(_save, page=page, markdown=markdown, figures=figures)
+            file,
+            options,
+            again,
+            plan,
+            held_out,
+            partial(_save, page=page, markdown=markdown, figures=figures),
+            estimate,
         )
         return
+    if estimate is not None:
+        raise MethodError(
+            "The report of a joint follows the criterion of its search, which a saved estimate does not have; leave "
+            "--estimate out, and the joint is identified from its record."
+        )
     if plan is not None:
         require_goal(file, plan)
     unseen = None if held_out is None else file.record(held_out)
     again = repetition(joint, source, asked, options.changes, html_name)
-    record, estimate = options.identify(file)
-    checks = [] if unseen is None else [validate_estimate(estimate, unseen)]
-    tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
+    record, found = options.identify(file)
+    checks = [] if unseen is None else [validate_estimate(found, unseen)]
+    tuning = None if no_tuning else Aside(partial(tune_to_limit, found, file.drive, file.declared_numbers))
     stated = Report.of(
-        estimate, record, checks, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
+        found, record, checks, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
         progress=options.progress,
     )  # fmt: skip
     tuned = None if tuning is None else tuning.result()
@@ -112,7 +129,7 @@ def report(
     if plan is not None:
         stated = _with_test(
             stated,
-            lambda: lay_out(file, design(estimate, record, goal=plan, limits=file.limits, progress=options.progress)),
+            lambda: lay_out(file, design(found, record, goal=plan, limits=file.limits, progress=options.progress)),
         )
     written = _save(stated, page, markdown, figures) + ([] if options.json is None else [options.json])
     deliver(stated.estimate, options.json)
@@ -126,8 +143,9 @@ def _report_robot(
     plan: str | None,
     held_out: Path | None,
     save: Callable[[Report], list[Path]],
+    saved: Path | None,
 ) -> None:
-    """Identify and report a robot, with a validation and the next test where they are asked for."""
+    """Report a robot, identified or saved, with a validation and the next test where they are asked for."""
     from jointid import IDIM, Report, design
     from jointid import validate as validate_estimate
     from jointid.config.test_layout import lay_out
@@ -138,7 +156,7 @@ def _report_robot(
         loop = None if isinstance(file.method, IDIM) else file.loop
         asked = {"limits": file.limits, "filtering": file.filtering, "loop": loop, "goal": plan}
     records = file.record(options.record, judged=True)
-    estimate = file.identify(records, options.progress)
+    estimate = file.identify(records, options.progress) if saved is None else _saved_or_identified(file, saved)
     checks = [] if unseen is None else [validate_estimate(estimate, unseen)]
     controllers = [one.controller for one in file.joints]
     stated = Report.of(
@@ -203,8 +221,8 @@ def validate(
     what is left.
 
     Args:
-        joint: the joint file (TOML), or a robot file, which has the table [robot]: it is identified from the record
-            that it names, and held against --record.
+        joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified
+            from the record that it names, and held against --record.
         estimate: what identify --json wrote; of a joint file it is needed.
         options: those that most commands have.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
@@ -217,27 +235,28 @@ def validate(
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
     outputs.spare("--estimate", estimate)
-    friction = None if estimate is None else answers.read_friction(estimate)
-    file = options.load(joint, outputs, friction=friction)
+    choices = {} if estimate is None else answers.read_choices(estimate)
+    file = options.load(joint, outputs, **choices)
     if not isinstance(file, JointFile):
-        _refuse_options("A robot is identified from the record that its file names", {"--estimate": estimate})
         if options.record is None:
             raise MethodError(
                 "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
                 "record that the robot file names."
             )
-        found = run(file.identify(file.record(), options.progress), file.record(options.record))
+        found = run(_saved_or_identified(file, estimate, options.progress), file.record(options.record))
     else:
         estimate = _require_estimate(estimate)
-        identified = answers.read_identified_joint(estimate, file.joint, file.loop)
-        record = options.load_joint(joint, friction=friction, method=identified.method).record(options.record)
+        identified = answers.read_identified(estimate, file.joint, file.loop)
+        record = options.load_joint(joint, method=identified.method, friction=choices.get("friction")).record(
+            options.record
+        )
         ready(options.progress)
         found = run(identified, record)
     deliver(found, options.json, (figure, figures.torque), (residuals, figures.residual))
 
 
 def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:
-    """Compare two estimates of the same joint, and test whether they differ by more than their errors.
+    """Compare two estimates of the same joint or robot, and test whether they differ by more than their errors.
 
     Args:
         before: the first (A): what identify --json wrote, or the page of a report.
@@ -275,8 +294,8 @@ def export(
     SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .mo Modelica.
 
     Args:
-        joint: the joint file (TOML), or a robot file, which has the table [robot]: it is identified from the record
-            that it names, and written as MJCF or URDF with bodies that fit.
+        joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified
+            from the record that it names; it is written as MJCF or URDF with bodies that fit.
         estimate: what identify --json wrote; of a joint file it is needed.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         axis: of a robot file the name of the one joint that the estimate is of.
@@ -296,17 +315,14 @@ def export(
 
     outputs = Outputs({"--out": out})
     outputs.spare("--estimate", estimate)
-    friction = None if estimate is None else answers.read_friction(estimate)
-    file = Options(changes=changes, axis=axis).load(joint, outputs, friction=friction)
+    choices = {} if estimate is None else answers.read_choices(estimate)
+    file = Options(changes=changes, axis=axis).load(joint, outputs, **choices)
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     language = find_language(format or out.suffix.lower()).name
     if not isinstance(file, JointFile):
-        _refuse_options(
-            "A robot is identified from the record that its file names, and written as bodies behind their gears",
-            {"--estimate": estimate, "--side": side, "--fixed": fixed},
-        )
-        exported = run(file.identify(file.record()), language, **settings)
+        _refuse_options("A robot is written as bodies behind their gears", {"--side": side, "--fixed": fixed})
+        exported = run(_saved_or_identified(file, estimate), language, **settings)
         exported.save(out)
         show(exported.note)
         for one in exported.lost:
@@ -320,6 +336,15 @@ def export(
     exported.save(out)
     show(exported)
     show(f"Written: {out}")
+
+
+def _saved_or_identified(file: RobotFile, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
+    """Return a robot's estimate: from its file, or else from the record that the robot file names."""
+    from jointid.output.json import read_identified
+
+    if estimate is None:
+        return file.identify(file.record(), progress)
+    return read_identified(estimate, file.setup)
 
 
 def _refuse_options(why: str, options: dict[str, object]) -> None:

@@ -103,11 +103,11 @@ def simulate(
     """Simulate a joint under its controller, driven by the reference of a record, and write what its drive would log.
 
     The reference of --record, and the injected signal if it has one, drive the loop; --json takes a summary. The
-    parameters are those of an estimate, or the fixed values and starts of the joint file. With --twin no joint file is
+    parameters are those of an estimate, or the fixed values and starts of the file. With --twin no joint file is
     needed: the paper's flexible axis is simulated, under one of its two loops.
 
     Args:
-        joint: the joint file (TOML), or a robot file, which has the table [robot]; its own numbers are used.
+        joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
         estimate: what identify --json wrote; its parameters are used.
         out: write torque, reference and positions to this file, of any format, under the names and in the
@@ -134,9 +134,9 @@ def simulate(
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
     else:
         from jointid.config import JointFile
-        from jointid.output.json import read_friction
+        from jointid.output import json as answers
 
-        file = options.load(joint, outputs, friction=None if estimate is None else read_friction(estimate))
+        file = options.load(joint, outputs, **({} if estimate is None else answers.read_choices(estimate)))
         if isinstance(file, JointFile):
             _simulate_joint(file, estimate, out, options)
         else:
@@ -157,7 +157,7 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
     if estimate is None:
         values = file.values()
     else:
-        identified = answers.read_identified_joint(estimate, file.joint, file.loop)
+        identified = answers.read_identified(estimate, file.joint, file.loop)
         values = identified.values
         if any(not isinstance(effect, EncoderOffset) for effect in identified.effects):
             options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
@@ -181,13 +181,13 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
 
 def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, options: Options) -> None:
     from jointid import simulate as run
-    from jointid.output.json import documents, write
+    from jointid.output.json import documents, read_identified, write
     from jointid.simulation.robots import tracking_errors
     from jointid.simulation.simulated import require_success
 
-    if estimate is not None:
-        raise MethodError("--estimate is read for a joint; a robot is simulated as its file says: leave it out.")
     loop, records, robot = file.loop, file.driving(options.record), file.robot
+    if estimate is not None:
+        loop = replace(loop, robot=read_identified(estimate, file.setup).require_robot().robot())
     found = require_success(run(loop, records), f"The simulation of {robot.name}")
     peaks = ", ".join(
         f"{name} {peak:.4g} {robot.torque_unit(k)}"

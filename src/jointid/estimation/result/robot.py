@@ -81,7 +81,7 @@ class IdentifiedRobot(ABC):
         nominal: (parameters,) of the nominal robot.
         nominal_errors: (n,) share of each joint's filtered torque that the nominal robot leaves, with friction as
             identified or fitted beside it; infinite where it cannot be simulated.
-        formulas: (parameters,) the sums of standard parameters; the name of a parameter that is no sum.
+        formulas: (parameters,) the sums of standard parameters; the symbol of a parameter that is no sum.
         springs: a verdict for each flexible joint.
     """
 
@@ -100,6 +100,11 @@ class IdentifiedRobot(ABC):
         return self.setup if isinstance(self.setup, Robot) else self.setup.robot
 
     @property
+    def log_delay(self) -> float | None:
+        """Seconds by which the log shows torques late; None where the method does not say."""
+        return None
+
+    @property
     def has_controllers(self) -> bool:
         """True if the robot was identified under its controllers."""
         return hasattr(self.setup, "controllers")
@@ -107,6 +112,16 @@ class IdentifiedRobot(ABC):
     @abstractmethod
     def sums(self, prior: Robot) -> Sums:
         """Return the parameters as sums of the numbers of a robot of this tree."""
+
+    @abstractmethod
+    def robot(self) -> Robot:
+        """Return the robot that was identified, for a simulation: the same torques.
+
+        What is grouped stands in the parameter that is kept, so that its links need not be bodies.
+
+        Raises:
+            MethodError: a rotor's inertia, with what is grouped with it, was found negative.
+        """
 
     @abstractmethod
     def parameters_of(self, robot: Robot) -> FloatArray | None:

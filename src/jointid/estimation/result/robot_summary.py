@@ -41,12 +41,17 @@ def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Blo
     listed = [(row, nominal) for row, nominal in listed if row.value is not None or row.lower_bound is not None]
     hidden = len(part.names) - len(listed)
     caption = f"{hidden} more are not told from 0 by this record" if hidden else ""
-    rows = tuple((*_cells(row), number(float(nominal), 4)) for row, nominal in listed)
-    sums = tuple(f"{a} is {b}" for a, b in zip(part.names, part.formulas, strict=True) if a != b)
+    rows = tuple((row.symbol, *_cells(row), number(float(nominal), 4)) for row, nominal in listed)
+    # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
+    sums = tuple(
+        f"{row.name} is {formula}"
+        for row, formula in zip(estimate.params.rows, part.formulas, strict=True)
+        if row.symbol != formula and (details or row.name != row.symbol)
+    )
     return (
         errors_table(part.model, errors, "of the record it was identified from"),
-        Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),
-        *((Heading("Sums that the parameters stand for"), Listing(sums)) if details and sums else ()),
+        Table(("symbol", "parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2, 3)),
+        *((Heading("Sums that the parameters stand for"), Listing(sums)) if sums else ()),
     )
 
 

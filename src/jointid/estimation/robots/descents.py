@@ -10,6 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Progress
+from jointid.common.parameters import Quantity
 from jointid.estimation.descent import roughly
 from jointid.estimation.robots.fit import RobotFit, conclude
 from jointid.estimation.robots.problem import RobotProblem
@@ -79,7 +80,7 @@ class End:
         """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
         x, known = self.solution.x, white(self.solution.jacobian, self.solution.residual)
         return any(
-            parameter.symbol == "stiffness" and 0.0 < std < 1.0 / UNSEEN and value < parameter.upper - OFF
+            parameter.quantity is Quantity.STIFFNESS and 0.0 < std < 1.0 / UNSEEN and value < parameter.upper - OFF
             for parameter, std, value in zip(self.problem.free, known.std, x, strict=True)
         )
 

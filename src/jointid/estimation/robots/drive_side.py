@@ -40,6 +40,7 @@ from jointid.estimation.robots.numbers import RobotParameters, apply_constraints
 from jointid.estimation.robots.problem import RobotProblem, add_problems
 from jointid.estimation.robots.regression import Records, RobotMotion, each_log, motion_of_robot
 from jointid.estimation.starts.robot_springs import StartOfSprings
+from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts
@@ -219,18 +220,23 @@ def drive_side_problem(
     motion = replace(motion, torque=lowpass(motion.torque, cutoff, motion.sample_time))
     prescribed = replace(prescribed, direction=lowpass(parts, cutoff, prescribed.step))
     sigma = np.std(motion.torque, axis=0) + 1e-300
-    parameters = _of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time))
+    parameters = of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time))
     return RobotDriveSideProblem(motion.torque, motion.filtering, parameters, sigma, motion, prescribed)
 
 
-def _of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
+def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
     """Return parameters with those of the record: the log's delay, and the links' first state where motors move."""
     n = len(robot)
     more = [(delay, _DELAY)] if delay.free else []
     for j in np.flatnonzero(np.array(robot.flexible) & ~resting):
         for column, (word, quantity) in enumerate((("position", Quantity.POSITION), ("velocity", Quantity.VELOCITY))):
             name = f"{robot.joints[j].name}.initial_link_{word}"
-            more.append((Parameter(name, f"initial_{word}", quantity), NumberPlace(NumberOf.BESIDE, int(j), column)))
+            more.append(
+                (
+                    Parameter(name, symbol_of(f"initial_link_{word}", int(j)), quantity),
+                    NumberPlace(NumberOf.BESIDE, int(j), column),
+                )
+            )
     log = np.array([[0.0 if delay.free else delay.start]])
     base = replace(parameters.base, beside=np.zeros((n, 2)), log=log)
     return replace(parameters.add(*more), base=base)

@@ -56,7 +56,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robot_numbers import RobotNumbers, robot_with
 from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulation_of
 
 _WORDS = {
@@ -144,6 +144,10 @@ class InverseModelRobot(IdentifiedRobot):
 
         return Sums(self.values, self.covariance, of_standard, of_others, friction, least, build_robot)
 
+    def robot(self) -> Robot:
+        """Return the robot that was identified, of rigid joints: what is grouped stands in the first of its sum."""
+        return robot_with(self.model.rigid, _numbers(self.model.rigid, self.base, self.values))
+
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot; None of one with springs, which IDIM does not know."""
         return None if any(robot.flexible) else self.base.with_friction(robot)
@@ -188,8 +192,8 @@ def identify_robot(
     by_loop = None
     if settings.estimator == "iv" and not isinstance(model, Robot):
         by_loop = _instruments(model, logs, base, motions)
-    limits = _by_symbol(robot, known or {})
-    kept = {symbol: one.start for symbol, one in limits.items() if not one.free and one.start is not None}
+    limits = _select_motor_friction(robot, known or {})
+    kept = {name: one.start for name, one in limits.items() if not one.free and one.start is not None}
     settings = replace(settings, fixed={**settings.fixed, **kept})
     solution = solve_rows(settings, rows, by_loop)
     held = dict[str, float]()
@@ -198,9 +202,8 @@ def identify_robot(
         settings = replace(settings, fixed={**settings.fixed, **violated})
         solution = solve_rows(settings, rows, by_loop)
     nominal, values = _nominal(robot, base, rows), solution.fit.values
-    friction, terms = list(rows.names[len(base) :]), friction_terms(robot)
-    for place, formula in zip(offset_indices(robot), base.offset_formulas, strict=True):
-        friction[place] = formula
+    terms = friction_terms(robot)
+    symbols = (*base.symbols, *(term.symbol for term in terms))
     part = InverseModelRobot(
         setup=model,
         names=rows.names,
@@ -208,13 +211,13 @@ def identify_robot(
         covariance=solution.covariance,
         nominal=nominal,
         nominal_errors=relative_errors(rows, nominal),
-        formulas=(*base.formulas, *friction),
+        formulas=(*base.formulas, *friction_formulas(robot, base)),
         base=base,
     )
     joints = [int(i) // 10 if i < 10 * len(robot) else int(i) - 10 * len(robot) for i in base.chosen]
     joints += [term.joint for term in terms]
     units = (*base.units, *(term.unit(robot) for term in terms))
-    named = zip(rows.names, units, joints, values, solution.covariance.std, strict=True)
+    named = zip(rows.names, symbols, units, joints, values, solution.covariance.std, strict=True)
     fixed = settings.fixed
     estimator = settings.estimator or "weighted"
     wrong = [name for k, name in enumerate(robot.names) if drives(part, k)]
@@ -225,7 +228,7 @@ def identify_robot(
         tuple(
             EstimatedParameter(
                 name=name,
-                symbol=name,
+                symbol=symbol,
                 unit=unit,
                 value=float(value),
                 stderr=None if name in fixed else float(std),
@@ -233,7 +236,7 @@ def identify_robot(
                 identifiable=True,
                 axis=robot.names[joint],
             )
-            for name, unit, joint, value, std in named
+            for name, symbol, unit, joint, value, std in named
         ),
         relative_errors(rows, values),
         (np.vstack([motion.torque for motion in motions]), np.vstack([one @ values for one in columns])),
@@ -260,6 +263,14 @@ def identify_robot(
     )
 
 
+def friction_formulas(robot: Robot, base: BaseParameters) -> tuple[str, ...]:
+    """Return the sums that the numbers of the motors' friction stand for: an offset may have weights in it."""
+    friction = [term.symbol for term in friction_terms(robot)]
+    for place, formula in zip(offset_indices(robot), base.offset_formulas, strict=True):
+        friction[place] = formula
+    return tuple(friction)
+
+
 def drives(part: InverseModelRobot, joint: int) -> bool:
     """Return True if a motor's friction is negative by more than two deviations, far from standstill or close to it."""
     terms, size = friction_terms(part.model), len(part.base)
@@ -270,36 +281,25 @@ def drives(part: InverseModelRobot, joint: int) -> bool:
     return any(float(one @ part.values) < -2 * part.covariance.std_of(one) for one in weights)
 
 
-_NAMES = {
-    Friction.VISCOUS: "viscous",
-    Friction.FORWARDS: "viscous_forwards",
-    Friction.BACKWARDS: "viscous_backwards",
-    Friction.COULOMB: "coulomb",
-    Friction.RISE: "stribeck_force",
-    Friction.OFFSET: "offset",
-}
-"""Of the numbers of a motor's friction among the parameters of a robot."""
-
-
-def _by_symbol(robot: Robot, known: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """Return known parameters keyed by symbol instead of name.
+def _select_motor_friction(robot: Robot, known: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """Return the values and bounds of the motors' friction.
 
     Raises:
         MethodError: one is of a link's friction, which IDIM adds to the motor's.
     """
-    symbols = {f"{robot.joints[term.joint].name}.{_NAMES[term.number]}": term.symbol for term in friction_terms(robot)}
+    names = {term.name(robot) for term in friction_terms(robot)}
     for name in known:
-        if name not in symbols and (".link_viscous" in name or ".link_coulomb" in name):
+        if name not in names and (".link_viscous" in name or ".link_coulomb" in name):
             raise MethodError(
                 f"{name} is of the link's side, and to IDIM a joint is rigid, with the friction of both sides: leave "
                 "it out."
             )
     # A spring's numbers, and a speed below which friction rises, are none of its parameters.
-    return {symbols[name]: parameter for name, parameter in known.items() if name in symbols}
+    return {name: parameter for name, parameter in known.items() if name in names}
 
 
 def _violated_bounds(names: Sequence[str], values: FloatArray, limits: Mapping[str, Parameter]) -> dict[str, float]:
-    """Return the bound of each value that violates it, by symbol."""
+    """Return the bound of each value that violates it, by name."""
     found = {}
     for name, value in zip(names, values, strict=True):
         one = limits.get(name)

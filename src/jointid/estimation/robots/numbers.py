@@ -10,8 +10,9 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.base_parameters import formula_of, group_columns
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
 from jointid.simulation.robot_numbers import (
     SPRING_NUMBERS,
@@ -36,6 +38,7 @@ from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import MassMotion
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
+_WHOLE = 1e-8  # of a weight that is 1
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
 _OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
 _QUANTITIES = {
@@ -95,10 +98,15 @@ class RobotParameters:
         )
 
     def formulas(self, robot: Robot) -> tuple[str, ...]:
-        """Return the sums that the parameters stand for, as text; of one that stands alone its name."""
-        symbols = (*self.names, *(_name_parameter(place, robot, self.base, False).name for place in self.dropped))
+        """Return the sums that the parameters stand for, as text; of one that stands alone its symbol."""
+        places = (*self.places, *self.dropped)
+        symbols = tuple(
+            one.symbol if one and not _is_inertia(place) else _name_parameter(place, robot, self.base, False).symbol
+            for place, one in zip_longest(places, self.parameters)
+        )
         both = np.hstack([np.eye(len(self.names)), self.grouping])
-        return tuple(formula_of(row, first, symbols) for first, row in enumerate(both))
+        firsts = (symbols.index(one.symbol) for one in self.parameters)
+        return tuple(formula_of(row, first, symbols) for row, first in zip(both, firsts, strict=True))
 
     def group(self, numbers: RobotNumbers) -> FloatArray:
         """Return the parameters of a robot with these numbers, each with what is grouped with it, (parameters,).
@@ -148,6 +156,9 @@ def robot_parameters(
     logs = [logarithmic and _positive(place, numbers) for place in places]
     parameters = [_name_parameter(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
+    for row, i in enumerate(kept):
+        if (other := _first_of_link(places, i, dropped, sums[row])) is not None:
+            parameters[i] = replace(parameters[i], name=parameters[other].name, symbol=parameters[other].symbol)
     found = RobotParameters(
         tuple(parameters[i] for i in kept),
         tuple(places[i] for i in kept),
@@ -168,14 +179,24 @@ def name_in_robot(joint: str, name: str) -> str:
 def _of_laws(robot: Robot, numbers: RobotNumbers) -> Iterator[tuple[Parameter, NumberPlace]]:
     """Yield the parameters that laws have beside lines, as a joint's identification takes them."""
     for place, p in law_places(numbers):
-        name = name_in_robot(robot.joints[joint_of(place, numbers.rotors)].name, p.name)
-        yield replace(p, name=name, symbol=name.partition(".")[2].removeprefix("link_")), place
+        joint = joint_of(place, numbers.rotors)
+        name = name_in_robot(robot.joints[joint].name, p.name)
+        yield replace(p, name=name, symbol=symbol_of(name.partition(".")[2], joint)), place
 
 
 def joint_of(place: NumberPlace, rotors: IntArray) -> int:
     """Return the joint of a number that is a robot's, or that carries its link."""
     own = np.flatnonzero(rotors == place.row) if place.of is NumberOf.MASS else np.zeros(0, dtype=np.int64)
     return int(own[0]) if own.size else place.row
+
+
+def _first_of_link(places: Sequence[NumberPlace], kept: int, dropped: Sequence[int], weights: FloatArray) -> int | None:
+    """Return the inertial parameter that names the sum of a rigid joint's rotor with its link; None of another."""
+    rotor = places[kept]
+    if rotor.of is not NumberOf.MASS or rotor.column != 0:
+        return None
+    own = (i for i in dropped if places[i].of is NumberOf.LINK and places[i].row == rotor.row)
+    return next((i for i in own if abs(weights[i] - 1.0) < _WHOLE), None)
 
 
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
@@ -209,9 +230,13 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
     Raises:
         MethodError: one is of something else, or has a start.
     """
-    parameters = robot_parameters(robot).parameters
+    own = robot_parameters(robot)
     beside = [p.name for p, _ in _of_laws(robot, RobotNumbers.of(robot))]
-    known = [p.name for p in parameters if p.symbol in _OF_MASS[1:] or p.name in beside]
+    known = [
+        one.name
+        for one, place in zip(own.parameters, own.places, strict=True)
+        if one.name in beside or (place.of is NumberOf.MASS and place.column != 0)
+    ]
     for name, one in stated.items():
         if name in known and name not in beside and one.free and one.start is not None:
             raise MethodError(
@@ -267,6 +292,11 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPla
     return np.where(sizes > _FELT * np.max(sizes), rows, 0.0)
 
 
+def _is_inertia(place: NumberPlace) -> bool:
+    """Return True for a rotor's inertia, which may be the first of a sum that is named after its link."""
+    return place.of is NumberOf.MASS and place.column == 0
+
+
 def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:
     """Return True for a rotor's inertia and for a stiffness, which must be positive."""
     rotor = place.of is NumberOf.MASS and place.column == 0 and place.row >= numbers.rotors.size
@@ -275,16 +305,16 @@ def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:
 
 def _name_parameter(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
     if place.of is NumberOf.LINK:
-        name, symbol = f"{robot.links[place.row].name}.{SYMBOLS[place.column]}", SYMBOLS[place.column]
-        quantity = Quantity.INERTIA if place.column >= 4 else Quantity.RATIO
-        return Parameter(name, symbol, quantity)
+        symbol = inertial_symbol(SYMBOLS[place.column], place.row)
+        return Parameter(symbol, symbol, Quantity.INERTIA if place.column >= 4 else Quantity.RATIO)
     joint = joint_of(place, numbers.rotors)
     if place.of is NumberOf.SPRING:
-        name = symbol = SPRING_NUMBERS[place.column]
+        quantity = number = SPRING_NUMBERS[place.column]
     else:
-        symbol = _OF_MASS[place.column]
-        name = symbol if place.row == numbers.rotors[joint] else f"link_{symbol}"
-    lower = 0.0 if symbol in ("coulomb", "stribeck_force") or _QUANTITIES[symbol] is Quantity.VISCOUS else -math.inf
+        number = _OF_MASS[place.column]
+        quantity = number if place.row == numbers.rotors[joint] else f"link_{number}"
+    lower = 0.0 if number in ("coulomb", "stribeck_force") or _QUANTITIES[number] is Quantity.VISCOUS else -math.inf
     if _positive(place, numbers) and not logarithmic:
         lower = 1e-12
-    return Parameter(f"{robot.joints[joint].name}.{name}", symbol, _QUANTITIES[symbol], lower=lower)
+    name = name_of(quantity, robot.joints[joint].name)
+    return Parameter(name, symbol_of(quantity, joint), _QUANTITIES[number], lower=lower)

@@ -281,7 +281,7 @@ def both_records(
         empty: the record of each joint without the payload.
         loaded: the record of each joint with it.
         filtering: of positions and rows.
-        fixed: symbols of parameters that are known.
+        fixed: names of parameters that are known.
 
     Raises:
         RecordError, MethodError: as of `identify_robot`.
@@ -345,7 +345,7 @@ def payload_of_torques(empty: EstimateParts, loaded: EstimateParts, *, same_fric
     without, carrying = empty.require_robot(), loaded.require_robot()
     assert isinstance(without, SimulatedRobot)
     assert isinstance(carrying, SimulatedRobot)
-    first, second = without.fit.parameters, carrying.fit.parameters
+    first, second = without.parameters, carrying.parameters
     own, others = first.of_robot, second.of_robot
     names = [[name for name, mine in zip(one.names, one.of_robot, strict=True) if mine] for one in (first, second)]
     if names[0] != names[1] or not np.allclose(first.grouping[own], second.grouping[others]):

@@ -262,7 +262,7 @@ def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion, columns: 
         columns: of `base_columns`, where they are known.
     """
     W = motion.decimate_columns(base_columns(robot, base, motion) if columns is None else columns)
-    names = (*base.symbols, *(term.symbol for term in friction_terms(robot)))
+    names = (*base.names, *(term.name(robot) for term in friction_terms(robot)))
     return Rows(motion.thinned_torque(), W, names, len(robot), len(robot))
 
 
@@ -272,17 +272,17 @@ def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) 
     Args:
         robot: whose motors' friction may rise towards standstill.
         rows: of `base_rows`, without the samples about reversals.
-        fixed: symbols of parameters that are known.
+        fixed: names of parameters that are known.
     """
     sizes = dict(zip(rows.names, np.linalg.norm(rows.W, axis=0), strict=True))
     for term in friction_terms(robot):
         joint = robot.joints[term.joint]
-        coulomb = FrictionTerm(term.joint, Friction.COULOMB).symbol
-        if term.number is Friction.RISE and term.symbol not in fixed and sizes[term.symbol] < _REACHED * sizes[coulomb]:
+        name, coulomb = term.name(robot), FrictionTerm(term.joint, Friction.COULOMB).name(robot)
+        if term.number is Friction.RISE and name not in fixed and sizes[name] < _REACHED * sizes[coulomb]:
             raise MethodError(
                 f"The friction of {joint.name} is declared to rise below {joint.motor['stribeck_speed']:g} "
                 f"{robot.position_unit(term.joint)}/s, and beside reversals, which IDIM leaves out, this record has "
-                f"hardly a sample there; move it slowly, leave the speed out, or fix {term.symbol} by method.fixed."
+                f"hardly a sample there; move it slowly, leave the speed out, or fix {name} by method.fixed."
             )
 
 

@@ -31,7 +31,7 @@ from jointid.estimation.robots.numbers import RobotParameters, joint_of, robot_p
 from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.models.robots.dynamics import IntArray
-from jointid.models.robots.inertial import SYMBOLS, UNITS
+from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -51,15 +51,25 @@ class SimulatedRobot(IdentifiedRobot):
     """Friction, rotors, springs and base parameters of a robot that was simulated.
 
     Attributes:
-        fit: of the search.
+        parameters: of the search; the fixed ones follow them in `names`.
     """
 
     setup: RobotLoop | RobotDriveSide
-    fit: RobotFit
+    parameters: RobotParameters
 
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
-        return self.fit.parameters.numbers(self.fit.values)
+        return self.parameters.numbers(self.values[: len(self.parameters.places)])
+
+    @property
+    def log_delay(self) -> float | None:
+        """Seconds by which the log shows torques late; None under controllers."""
+        log = self.numbers().log
+        return float(log[0, 0]) if log.size else None
+
+    def robot(self) -> Robot:
+        """Return the robot that was identified: what is grouped stands in the parameter that is kept."""
+        return robot_with(self.model, self.numbers())
 
     def sums(self, prior: Robot) -> Sums:
         """Return the parameters as sums of the numbers of a robot of this tree, with springs at the same joints.
@@ -72,7 +82,8 @@ class SimulatedRobot(IdentifiedRobot):
                 f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
                 "leave this spring out of the robot file, or excite its mode."
             )
-        n, parameters, numbers = len(prior), self.fit.parameters, RobotNumbers.of(prior)
+        n, parameters, numbers = len(prior), self.parameters, RobotNumbers.of(prior)
+        size = len(parameters.places)
         numbers = replace(numbers, beside=parameters.base.beside, log=parameters.base.log)
         fixed = np.array([place.read(parameters.base) for place in parameters.kept])
         numbers = with_values(numbers, parameters.kept, fixed)
@@ -97,11 +108,14 @@ class SimulatedRobot(IdentifiedRobot):
             there.masses[there.rotors, 0] = rotors
             return robot_with(prior, there)
 
-        return Sums(self.fit.values, self.fit.covariance, of_standard, both[:, apart], about, least, build_robot)
+        covariance = replace(
+            self.covariance, std=self.covariance.std[:size], correlation=self.covariance.correlation[:size, :size]
+        )
+        return Sums(self.values[:size], covariance, of_standard, both[:, apart], about, least, build_robot)
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot."""
-        return self.fit.parameters.group_all(RobotNumbers.of(robot))
+        return self.parameters.group_all(RobotNumbers.of(robot))
 
 
 def identify_simulated_robot(
@@ -167,9 +181,9 @@ def identify_simulated_robot(
         covariance=fit.covariance.with_fixed(len(parameters.fixed)),
         nominal=parameters.group_all(RobotNumbers.of(robot)),
         nominal_errors=errors_of(problem, nominal),
-        formulas=(*parameters.formulas(robot), *(one.name for one in parameters.fixed)),
+        formulas=(*parameters.formulas(robot), *(one.symbol for one in parameters.fixed)),
         springs=springs,
-        fit=fit,
+        parameters=parameters,
     )
     longer = "evaluations" if springs else "iterations"
     steps = f"after {fit.iterations} {'simulations' if springs else 'iterations'}"
@@ -215,7 +229,7 @@ def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedP
         rows.append(
             EstimatedParameter(
                 name=one.name,
-                symbol=one.name,
+                symbol=one.symbol,
                 unit=units[one.name],
                 value=float(value) if determined else None,
                 stderr=float(std) if determined and one.free else None,
@@ -238,8 +252,8 @@ def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]
     """Return the unit of each parameter by its name."""
     found = {}
     for one, place in zip(*_of_table(parameters), strict=True):
-        if one.symbol in SYMBOLS:
-            found[one.name] = UNITS[SYMBOLS.index(one.symbol)]
+        if place.of is NumberOf.LINK:
+            found[one.name] = UNITS[place.column]
         else:
             joint = _joint_of(place, parameters.base.rotors)
             kind = "revolute" if joint is None else robot.links[joint].kind

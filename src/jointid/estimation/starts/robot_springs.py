@@ -17,7 +17,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parallel import threads
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem
@@ -247,7 +247,7 @@ def bound_springs(problem: RobotProblem[Any], start: StartOfSprings) -> RobotPro
     lowest, highest = (share / problem.sample_time for share in (_SOFTEST, STIFFEST))
 
     def within(place: NumberPlace, parameter: Parameter) -> Parameter:
-        if parameter.symbol != "stiffness":
+        if parameter.quantity is not Quantity.STIFFNESS:
             return parameter
         inertia = float(start.reduced[place.row])
         ends = [math.log(spring_at(hertz, inertia)["stiffness"]) for hertz in (lowest, highest)]

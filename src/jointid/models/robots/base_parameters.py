@@ -17,6 +17,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.text import number
 from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_values, offset_indices
 from jointid.models.robots.inertial import SYMBOLS, UNITS
+from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
 
 _POSES = 60  # random ones, times the joints in rows
@@ -44,8 +45,9 @@ def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -
 
 def standard_symbols(robot: Robot) -> tuple[str, ...]:
     """Return the symbols of the standard parameters, (11 n,), with the joints' numbers from 1."""
-    numbers = range(1, len(robot) + 1)
-    return (*(f"{symbol}{k}" for k in numbers for symbol in SYMBOLS), *(f"Ia{k}" for k in numbers))
+    numbers = range(len(robot))
+    links = (inertial_symbol(symbol, k) for k in numbers for symbol in SYMBOLS)
+    return (*links, *(symbol_of("rotor_inertia", k) for k in numbers))
 
 
 def standard_values(robot: Robot) -> FloatArray:
@@ -58,7 +60,8 @@ class BaseParameters:
     """The base parameters of a robot: sums of its standard parameters.
 
     Attributes:
-        symbols: (base,) of the first parameter of each sum, which names it.
+        names: (base,) of the sums: the symbol of an inertial parameter, or "elbow.rotor_inertia" of a rotor apart.
+        symbols: (base,) of the first parameter of each sum.
         formulas: (base,) the sums, as text. offset_formulas: (n,) likewise of the offsets of the motors' friction.
         units: (base,).
         chosen: (base,) which standard parameters come first; their columns are those of the base parameters.
@@ -66,6 +69,7 @@ class BaseParameters:
         offsets: (n, 11 n) takes them to what they add to the motors' offsets.
     """
 
+    names: tuple[str, ...]
     symbols: tuple[str, ...]
     formulas: tuple[str, ...]
     offset_formulas: tuple[str, ...]
@@ -109,11 +113,13 @@ def base_parameters(robot: Robot) -> BaseParameters:
     grouping[:, order], offsets[:, order] = sums[n:, n:], sums[:n, n:]
     rotors = tuple("kg" if link.kind == "prismatic" else "kg m2" for link in robot.links)
     symbols, units = standard_symbols(robot), (*n * UNITS, *rotors)
-    names = tuple(FrictionTerm(k, Friction.OFFSET).symbol for k in range(n))
+    of_offsets = tuple(FrictionTerm(k, Friction.OFFSET).symbol for k in range(n))
+    of_rotors = tuple(name_of("rotor_inertia", joint.name) for joint in robot.joints)
     return BaseParameters(
+        tuple((*symbols[: 10 * n], *of_rotors)[i] for i in first),
         tuple(symbols[i] for i in first),
         tuple(formula_of(row, int(i), symbols) for row, i in zip(grouping, first, strict=True)),
-        tuple(formula_of(row, k, (*names, *symbols)) for k, row in enumerate(np.hstack([np.eye(n), offsets]))),
+        tuple(formula_of(row, k, (*of_offsets, *symbols)) for k, row in enumerate(np.hstack([np.eye(n), offsets]))),
         tuple(units[i] for i in first),
         first,
         grouping,

@@ -13,17 +13,18 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.models.friction import low_speed_share
+from jointid.models.robots.names import name_of, symbol_of
 from jointid.models.robots.robot import Robot, RobotJoint
 
 
 class Friction(StrEnum):
-    """The numbers that a motor's friction may have; their values are symbols."""
+    """The numbers that a motor's friction may have."""
 
-    VISCOUS = "Fv"
-    FORWARDS = "Fv+"
-    BACKWARDS = "Fv-"
-    COULOMB = "Fc"
-    RISE = "FS"
+    VISCOUS = "viscous"
+    FORWARDS = "viscous_forwards"
+    BACKWARDS = "viscous_backwards"
+    COULOMB = "coulomb"
+    RISE = "stribeck_force"
     OFFSET = "offset"
 
 
@@ -41,13 +42,16 @@ class FrictionTerm:
     @property
     def symbol(self) -> str:
         """The symbol with the joint's number from 1: "Fc2", "Fv2+"."""
-        word = self.number.rstrip("+-")
-        return f"{word}{self.joint + 1}{self.number[len(word) :]}"
+        return symbol_of(self.number, self.joint)
+
+    def name(self, robot: Robot) -> str:
+        """Return the name with that of the joint: "elbow.coulomb"."""
+        return name_of(self.number, robot.joints[self.joint].name)
 
     def unit(self, robot: Robot) -> str:
         """Return its unit, SI."""
         torque = robot.torque_unit(self.joint)
-        return f"{torque} s/{robot.position_unit(self.joint)}" if self.number.startswith("Fv") else torque
+        return f"{torque} s/{robot.position_unit(self.joint)}" if self.number.startswith("viscous") else torque
 
     def value(self, joint: RobotJoint) -> float:
         """Return the number of a joint's motor, the link's side apart."""

@@ -20,7 +20,7 @@ from jointid.output.export.modelica import modelica
 from jointid.output.export.robot_model import read_robot_model, robot_mjcf, robot_urdf
 from jointid.output.export.robots import mjcf, urdf
 from jointid.output.export.state_space_model import StateSpace, linear_part, matlab, state_space_json
-from jointid.output.json import read_answer, to_dict
+from jointid.output.json import read_joint_answer, to_dict
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +174,7 @@ def read_joint_model(path: str | os.PathLike[str], joint: Joint, name: str | Non
     Raises:
         RecordError: the file cannot be read, is no such answer, or belongs to another joint.
     """
-    return joint_model(read_answer(path), joint, name, str(path))
+    return joint_model(read_joint_answer(path), joint, name, str(path))
 
 
 def find_language(name: str) -> Language:

@@ -32,6 +32,7 @@ from jointid.output.json.estimates import (
 )
 
 REPORT_SCHEMA = "jointid.report/1"
+ROBOT_REPORT_SCHEMA = "jointid.robot_report/1"
 REPORT_ELEMENT = "jointid-answer"
 """The id of the element of a page that carries the document of its report."""
 
@@ -149,7 +150,7 @@ SHAPES: Mapping[str, Shape] = {
         "follows_share": lambda axis: None if axis.follows is None else axis.follows[1].explained,
         "parameters": by_name("parameters"),
     },
-    "AxisParameter": keys("value std unit nominal formula known at_least"),
+    "AxisParameter": keys("symbol value std unit nominal formula known at_least"),
     "Finding": {
         **keys("suspect=test value changes"),
         "rivals": lambda finding: [test.label for test in finding.rivals],

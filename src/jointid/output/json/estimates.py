@@ -231,10 +231,14 @@ _OF_A_ROBOT: Shape = document_shape(
     "intervals=params.basis checks.warnings checks.verdicts",
     model=always("robot"),
     parameters=_parameters_of_robot,
-    record=keys("name=data.record data.sample_time data.torque_unit torque_sha256=data.fingerprint"),
+    record=keys(
+        "name=data.record data.sample_time data.torque_unit torque_sha256=data.fingerprint logs_sha256=data.logs"
+    ),
     correlation=_correlation,
     robot={
-        **keys("robot.model.name joints=robot.model.names nominal_left=robot.nominal_errors"),
+        **keys(
+            "robot.model.name joints=robot.model.names nominal_left=robot.nominal_errors robot.springs robot.log_delay"
+        ),
         "left": lambda estimate: [*estimate.fit.axis_errors.values()],
     },
 )

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -16,12 +17,13 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS, method_of
-from jointid.estimation.result.estimate import IdentifiedJoint
+from jointid.estimation.result.estimate import Estimate, IdentifiedJoint
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
-from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, plain
+from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, ROBOT_REPORT_SCHEMA, plain
 from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA, Json
+from jointid.output.json.robot_estimates import RobotSystem, build_robot_estimate
 
 _LARGEST = 2**26  # bytes of a file: the page of a report on 25 s has 3 MB
 _DIGITS = 300  # of a whole number
@@ -29,15 +31,36 @@ _REMEDY = "give the file that identify --json wrote"
 _REMEDY_OF_REPORT = "give what identify --json or report --html wrote"
 
 
-def read_identified_joint(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
-    """Return the identified joint of an estimate in a JSON file; the loop is used where its method simulates one.
+@overload
+def read_identified(path: str | Path, system: Joint, loop: ClosedLoop | None = None) -> IdentifiedJoint: ...
+
+
+@overload
+def read_identified(path: str | Path, system: RobotSystem) -> Estimate: ...
+
+
+def read_identified(
+    path: str | Path, system: Joint | RobotSystem, loop: ClosedLoop | None = None
+) -> IdentifiedJoint | Estimate:
+    """Return what was identified, from the JSON file of its estimate: it predicts torques as the estimate does.
+
+    Args:
+        path: what `Estimate.save` or `identify --json` wrote.
+        system: the joint, or the robot, under its controllers where the method simulates them. Geometry is not in the
+            file; that of the robot must give the sums of parameters that the file states.
+        loop: of a joint, used where its method simulates one.
+
+    Returns:
+        Of a joint the part of its estimate that predicts a torque. Of a robot the estimate without its torques, which
+        `validate`, `export`, `diagnose` and `Report.of` take as a new one.
 
     Raises:
         RecordError: the file is no estimate, belongs to another model or to another side of its transmission, or
             refuses a value, without which no torque can be predicted.
     """
-    answer = read_answer(path)
-    _require_joint(answer, path, _REMEDY)
+    if not isinstance(system, Joint):
+        return _read_robot(path, read_answer(path), system)
+    answer, joint = read_joint_answer(path), system
     if (stated := answer.get("transmission")) != (declared := plain(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_gear_text(stated)}, and this joint has {_gear_text(declared)}; correct "
@@ -55,6 +78,17 @@ def read_identified_joint(path: str | Path, joint: Joint, loop: ClosedLoop | Non
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
             "parameters in these units; identify with this joint file first."
         ) from None
+
+
+def _read_robot(path: str | Path, answer: Json, system: RobotSystem) -> Estimate:
+    if answer.get("schema") != ESTIMATE_SCHEMA or answer.get("model") != "robot":
+        raise RecordError(f"{path} is no estimate of a robot; {_REMEDY}.")
+    try:
+        return build_robot_estimate(answer, system)
+    except RecordError as error:
+        raise RecordError(f"{path} does not fit this robot: {error}.") from None
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, MethodError):
+        raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.") from None
 
 
 def read_covariance(path: str | Path, names: Sequence[str]) -> FloatArray:
@@ -96,14 +130,22 @@ def _gear_text(transmission: object) -> str:
     return f"a transmission of {ratio} motor per load, on the {side} side"
 
 
-def read_friction(path: str | Path) -> str:
-    """Return the name of the friction law of an estimate written by `write`.
+def read_choices(path: str | Path) -> dict[str, str]:
+    """Return what an estimate chooses of its joint file, the friction law, or of its robot file, the method.
 
     Raises:
         RecordError: the file is no estimate.
     """
     answer = read_answer(path)
-    _require_joint(answer, path, _REMEDY)
+    if answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot":
+        method = answer.get("method")
+        if not isinstance(method, str) or method not in tuple(METHODS):
+            raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
+        return {"method": method}
+    return {"friction": _friction_of(answer, path)}
+
+
+def _friction_of(answer: Json, path: str | Path) -> str:
     friction = answer.get("friction")
     if not isinstance(friction, str) or friction not in FRICTIONS:
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
@@ -138,10 +180,16 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     return answer
 
 
-def _require_joint(answer: Json, path: str | Path, remedy: str) -> None:
-    """Raise a `RecordError` if an answer is the estimate of a robot."""
+def read_joint_answer(path: str | os.PathLike[str]) -> Json:
+    """Return the answer in a file, as `read_answer`, of anything but a robot.
+
+    Raises:
+        RecordError: the file cannot be read, or holds no JSON object, or the estimate of a robot.
+    """
+    answer = read_answer(path)
     if answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot":
-        raise RecordError(f"{path} is the estimate of a robot; expected that of one joint: {remedy}.")
+        raise RecordError(f"{path} is the estimate of a robot; expected that of one joint: {_REMEDY}.")
+    return answer
 
 
 def _no_number(name: str) -> float:
@@ -197,13 +245,12 @@ def read_report(path: str | Path) -> ReportedEstimate:
     """
     path = Path(path)
     answer: object = read_answer(path, _REMEDY_OF_REPORT)
-    if isinstance(answer, dict) and answer.get("schema") == REPORT_SCHEMA:
+    if isinstance(answer, dict) and answer.get("schema") in (REPORT_SCHEMA, ROBOT_REPORT_SCHEMA):
         answer = answer.get("estimate")
     if not isinstance(answer, dict) or answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
-    _require_joint(answer, path, _REMEDY_OF_REPORT)
     try:
-        return _build_report(answer, path.name)
+        return (_build_robot_report if answer["model"] == "robot" else _build_report)(answer, path.name)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.") from None
 
@@ -238,6 +285,39 @@ def _build_report(answer: Json, label: str) -> ReportedEstimate:
         ),
         tuple(_quantity(str(one["name"]), "formula", one) for one in sums),
     )
+
+
+def _build_robot_report(answer: Json, label: str) -> ReportedEstimate:
+    record, filtering, robot = answer["record"], answer["filtering"], answer["robot"]
+    settings = {
+        "method": str(answer["variant"]),
+        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
+        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
+    }
+    return ReportedEstimate(
+        label,
+        str(record["name"]),
+        str(record["torque_sha256"]),
+        "robot",
+        f"{robot['name']} of {', '.join(map(str, robot['joints']))}",
+        "",
+        "",
+        str(record["torque_unit"]),
+        settings,
+        float(answer["relative_error_percent"]) / 100,
+        tuple(
+            _quantity(_name_of_sum(name, p), "symbol", p, free=bool(p["free"]))
+            for name, p in answer["parameters"].items()
+            if p["axis"] and ".initial_" not in name
+        ),
+        (),
+    )
+
+
+def _name_of_sum(name: str, p: Mapping[str, Any]) -> str:
+    """Return the name of a parameter with what else is in it: by two methods the same name may have other sums."""
+    others = [one for one in re.findall(r"[A-Za-z][\w+-]*", str(p["formula"])) if one != p["symbol"]]
+    return f"{name} with {', '.join(sorted(others))}" if others else name
 
 
 _RENAMED = {

@@ -16,11 +16,10 @@ from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.validation import Prediction, Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
+from jointid.output.json.documents import ROBOT_REPORT_SCHEMA
 from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import next_test, next_test_in_full
 from jointid.planning.designed import Design
-
-REPORT_OF_ROBOT = "jointid.robot_report/1"
 
 _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 
@@ -45,7 +44,7 @@ class RobotReportData:
 def robot_contents(given: RobotReportData) -> dict[str, Any]:
     """JSON of a robot's report except for the repetition."""
     return {
-        "schema": REPORT_OF_ROBOT,
+        "schema": ROBOT_REPORT_SCHEMA,
         "estimate": given.estimate,
         "diagnosis": given.diagnosis,
         "validation": given.validation,
@@ -119,27 +118,27 @@ def _parameters(found: Diagnosis) -> Iterator[Block]:
     stated = sum(one.known is Told.TOLD for joint in found.axes for one in joint.parameters)
     whole = sum(len(joint.asked) for joint in found.axes)
     yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
-    header = ("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
+    header = ("symbol", "parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
     for joint in found.axes:
         if joint.parameters:
             rows = tuple(_parameter(one) for one in joint.parameters)
-            yield Table(header, rows, joint.name, (0, 1, 2, 5))
+            yield Table(header, rows, joint.name, (0, 1, 2, 3, 6))
 
 
 def _parameter(one: AxisParameter) -> tuple[str, ...]:
     nominal = number(one.nominal, 4)
     if one.value is None or one.std is None:
         shown = "-" if one.at_least is None else f"at least {number(one.at_least, 3)}"
-        return one.name, shown, one.unit, "", nominal, one.known.value
+        return one.symbol, one.name, shown, one.unit, "", nominal, one.known.value
     share = f"{100 * one.std / abs(one.value):.2g}" if one.value else "-"
     if one.known is Told.FIXED:
         share = ""
-    return one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
+    return one.symbol, one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
 
 
 def _sums(found: Diagnosis) -> Iterator[Block]:
     items = tuple(
-        f"{one.name} is {one.formula}" for joint in found.axes for one in joint.parameters if one.formula != one.name
+        f"{one.name} is {one.formula}" for joint in found.axes for one in joint.parameters if one.formula != one.symbol
     )
     yield Paragraph(
         "Of many inertial parameters only sums act on the torques; each is named after the first that is in it."
