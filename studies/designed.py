@@ -65,27 +65,27 @@ class ProposedTest:
     injected: list[float] | None
 
 
-def propose(loop: LoopName, noise: NoiseName, goal: str, seconds: float) -> ProposedTest:
+def propose(loop: LoopName, noise: NoiseName, goal: str, search_time: float) -> ProposedTest:
     """Return the test that is designed from the twin's first record."""
     axis = twin(loop, noise=noise)
     record = axis.record.without("motor_position", "load_position")
     estimate = ji.identify(record, axis.loop, filtering=ji.Filtering(cutoff=60.0), checks=False)
     known = ji.Noise(log=axis.noise) if noise == "white" else ji.Noise(force=axis.noise)
-    design = ji.design(estimate, record, noise=known, goal=goal, seconds=seconds)
-    assert design.present is not None
+    design = ji.design(estimate, record, noise=known, goal=goal, search_time=search_time)
     told = design.proposed
+    assert design.present is not None and told.reference is not None
     own = [p.name for p in axis.loop.joint.parameters]
     rows = [i for i, p in enumerate(q for q in estimate.params.rows if q.free) if p.of_joint]
     return ProposedTest(
         design.description, design.present.std_of(design.goal.weights), told.std_of(design.goal.weights), design.floor,
-        dict(design.goal.weights), dict(design.limits), {name: float(estimate.values[name]) for name in own},
+        dict(design.goal.weights), design.axes[0].limits.stated, {name: float(estimate.values[name]) for name in own},
         estimate.params.covariance[np.ix_(rows, rows)].tolist(), told.reference.tolist(),
         None if told.injected is None else told.injected.tolist(),
     )  # fmt: skip
 
 
 def made(
-    loop: LoopName, noise: NoiseName, goal: str, runs: int, seconds: float, out: Path | None = None
+    loop: LoopName, noise: NoiseName, goal: str, runs: int, search_time: float, out: Path | None = None
 ) -> dict[str, object]:
     """Design a test, make it many times, and return how far what was foretold is true.
 
@@ -94,7 +94,7 @@ def made(
         noise: of it, too.
         goal: of the design.
         runs: how often it is made.
-        seconds: of the search for it.
+        search_time: of the search for it.
         out: folder in which the test and its runs are kept, and found again; one for this call alone when None.
     """
     with contextlib.ExitStack() as stack:
@@ -103,7 +103,7 @@ def made(
         own.mkdir(parents=True, exist_ok=True)
         path = own / "test.json"
         if not path.exists():
-            write_whole(path, json.dumps(asdict(propose(loop, noise, goal, seconds))))
+            write_whole(path, json.dumps(asdict(propose(loop, noise, goal, search_time))))
         text = path.read_text(encoding="utf-8")
         settings = {"loop": loop, "noise": noise, "test": str(path.resolve()), "sha256": sha256_of(text)}
         found = list(judge_seeds("studies.designed:judge", range(runs), settings, out=own))
@@ -154,9 +154,9 @@ class JudgedDesign:
     over: float
 
 
-def judge_design(seed: int, loop: LoopName, noise: NoiseName, goal: str, seconds: float) -> JudgedDesign:
+def judge_design(seed: int, loop: LoopName, noise: NoiseName, goal: str, search_time: float) -> JudgedDesign:
     """Design a test, once for each process, and make it once."""
-    test = _proposed(loop, noise, goal, seconds)
+    test = _proposed(loop, noise, goal, search_time)
     made = make_test(seed, loop, noise, test)
     errors = dict(zip(test.values, made.errors, strict=True))
     error = sum(weight * errors[name] for name, weight in test.weights.items())
@@ -194,7 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Write a line of JSON for each loop, noise and goal."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--seconds", type=float, default=90.0)
+    parser.add_argument("--search-time", type=float, default=90.0)
     parser.add_argument("--loop", action="append", choices=("L19", "L30"))
     parser.add_argument("--noise", action="append", choices=("white", "disturbance"))
     parser.add_argument("--out", type=Path, help="folder in which tests and runs are kept, and found again")
@@ -204,7 +204,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for loop in loops:
         for noise in noises:
             for goal in ("stiffness", "motor_viscous - load_viscous"):
-                said = made(loop, noise, goal, given.runs, given.seconds, given.out)
+                said = made(loop, noise, goal, given.runs, given.search_time, given.out)
                 sys.stdout.write(json.dumps(said) + "\n")
                 sys.stdout.flush()
 

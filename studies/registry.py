@@ -517,7 +517,8 @@ STUDIES: tuple[Study, ...] = (
             Share("the deviation is less than 60 % of the first record's", lambda run: run["share"] < 0.6, 0.95),
         ),
         tuple(
-            {"loop": "L19", "noise": noise, "goal": "stiffness", "seconds": 10.0} for noise in ("disturbance", "white")
+            {"loop": "L19", "noise": noise, "goal": "stiffness", "search_time": 10.0}
+            for noise in ("disturbance", "white")
         ),
     ),
     Study(

@@ -21,11 +21,11 @@ from jointid.models.limits import AxisLimits, find_excess
 from jointid.output.json.documents import to_dict
 from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
-from jointid.planning import joint_design as design_module
 from jointid.planning import search as search_module
 from jointid.planning.bound import least_deviation
+from jointid.planning.designed import Design
 from jointid.planning.goals import parse_goal
-from jointid.planning.joint_design import Design, design_joint_test
+from jointid.planning.joint_tests import JointTests, Purpose
 from jointid.planning.plans import (
     Family,
     Plan,
@@ -39,7 +39,7 @@ from jointid.planning.plans import (
     room_of,
 )
 from jointid.planning.predict import Noise, find_maxima, planned_record, predict_test
-from jointid.planning.search import Asked, Purpose, search, try_plan
+from jointid.planning.search import search
 from jointid.records.record import Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
@@ -64,7 +64,7 @@ def short_record() -> ji.Record:
 def count_trials(patched: pytest.MonkeyPatch) -> None:
     """Let every test that is tried take a second: as many on a slow machine as on a fast one."""
     ticks = itertools.count()
-    patched.setattr(design_module, "search", partial(search, clock=lambda: float(next(ticks))))
+    patched.setattr(search_module, "search", partial(search, clock=lambda: float(next(ticks))))
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +72,14 @@ def designed() -> Design:
     covariance = np.diag([(0.01 * AXIS.truth[p.name]) ** 2 for p in AXIS.loop.joint.parameters])
     with pytest.MonkeyPatch.context() as patched:
         count_trials(patched)
-        return design_joint_test(
-            AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), covariance=covariance, seconds=250.0
+        return ji.design(
+            AXIS.loop,
+            values=AXIS.truth,
+            noise=NOISE,
+            goal="stiffness",
+            record=short_record(),
+            covariance=covariance,
+            search_time=250.0,
         )
 
 
@@ -83,15 +89,15 @@ def test_it_tells_more_than_the_one_there_is_and_keeps_the_limits(designed: Desi
     assert designed.floor is not None
     assert designed.floor < designed.proposed.std["stiffness"]
     assert not designed.passed
-    assert set(designed.limits) == {"stroke", "torque", "rms_torque"}
+    assert set(designed.axes[0].limits.given) == {"stroke", "torque", "rms_torque"}
     told = designed.proposed
     found = find_maxima(told.motion, told.reference, told.motion.torque, told.sample_time)
-    assert not find_excess(AxisLimits(**designed.limits), found)
-    assert designed.longer is not None and designed.with_encoder is not None
-    assert designed.longer.std["stiffness"] < told.std["stiffness"]
-    assert designed.with_encoder.std["stiffness"] < told.std["stiffness"]
-    assert designed.with_motor_encoder is not None  # the noise is of the log, which an encoder does not read
-    assert designed.with_motor_encoder.std["stiffness"] < 0.5 * told.std["stiffness"]
+    assert not find_excess(designed.axes[0].limits, found)
+    assert designed.tests["twice the time"] is not None and designed.tests["with load encoder"] is not None
+    assert designed.tests["twice the time"].std["stiffness"] < told.std["stiffness"]
+    assert designed.tests["with load encoder"].std["stiffness"] < told.std["stiffness"]
+    assert designed.tests["with motor encoder"] is not None  # the noise is of the log, which an encoder does not read
+    assert designed.tests["with motor encoder"].std["stiffness"] < 0.5 * told.std["stiffness"]
     assert told.reference[-1] == pytest.approx(told.reference[-2], abs=1e-8)  # it ends at rest
 
 
@@ -101,7 +107,7 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     assert "no motion within these limits comes below" in text
     assert "Fv1 - Fv2" in text
     answer = json.loads(json.dumps(to_dict(designed), allow_nan=False))
-    assert answer["schema"] == "jointid.design/1"
+    assert answer["schema"] == "jointid.design/2"
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
     paths = designed.write(tmp_path / "next")
     assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv", "test.mat"]
@@ -121,14 +127,21 @@ def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None
         yield from itertools.islice(found(*given, **named), 2)  # type: ignore[arg-type]
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(design_module, "search", interrupted)
-    designed = design_joint_test(AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), seconds=60.0)
-    assert designed.interrupted
-    forced = design_joint_test(
-        AXIS.loop, AXIS.truth, Noise(force=AXIS.noise), goal="stiffness", present=short_record(), seconds=60.0
+    monkeypatch.setattr(search_module, "search", interrupted)
+    designed = ji.design(
+        AXIS.loop, values=AXIS.truth, noise=NOISE, goal="stiffness", record=short_record(), search_time=60.0
     )
-    assert forced.with_motor_encoder is None  # what a force does the torque shows, too
-    assert forced.with_encoder is not None
+    assert designed.interrupted
+    forced = ji.design(
+        AXIS.loop,
+        values=AXIS.truth,
+        noise=Noise(force=AXIS.noise),
+        goal="stiffness",
+        record=short_record(),
+        search_time=60.0,
+    )
+    assert "with motor encoder" not in forced.tests  # what a force does the torque shows, too
+    assert "with load encoder" in forced.tests
     assert "interrupted; this is the best" in str(designed)
 
 
@@ -139,27 +152,34 @@ def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pyte
     )
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     limits = AxisLimits(stroke=2.0, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
-    found = design_joint_test(
-        loop, values, Noise(log=0.02), limits=limits, duration=4.0, sample_time=1e-3, seconds=60.0, goal="weakest"
+    found = ji.design(
+        loop,
+        values=values,
+        noise=Noise(log=0.02),
+        limits=limits,
+        duration=4.0,
+        sample_time=1e-3,
+        search_time=60.0,
+        goal="weakest",
     )
-    assert found.present is None and found.with_encoder is None and found.floor is None
+    assert found.present is None and "with load encoder" not in found.tests and found.floor is None
     assert not found.passed
     jerk = np.max(np.abs(np.diff(found.proposed.reference, 3))) / 1e-9
     assert jerk < 400.0 * 1.05
     with pytest.raises(MethodError, match="stroke, torque are missing"):
-        design_joint_test(
+        ji.design(
             loop,
-            values,
-            Noise(log=0.02),
+            values=values,
+            noise=Noise(log=0.02),
             limits=AxisLimits(speed=1.0, acceleration=1.0),
             duration=4.0,
             sample_time=1e-3,
         )
     with pytest.raises(MethodError, match="a duration and a sample time"):
-        design_joint_test(loop, values, Noise(log=0.02))
+        ji.design(loop, values=values, noise=Noise(log=0.02))
     with pytest.raises(MethodError, match="names stiffness, which is no free parameter"):
-        design_joint_test(
-            loop, values, Noise(log=0.02), goal="stiffness", limits=limits, duration=4.0, sample_time=1e-3
+        ji.design(
+            loop, values=values, noise=Noise(log=0.02), goal="stiffness", limits=limits, duration=4.0, sample_time=1e-3
         )
 
 
@@ -171,9 +191,9 @@ def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: p
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     limits = AxisLimits(lower=1.0, upper=2.5, speed=3.0, acceleration=20.0, torque=2.0)
     asked = {"values": values, "noise": Noise(log=0.02), "duration": 4.0, "sample_time": 1e-3, "limits": limits}
-    found = ji.design(loop, seconds=30.0, **asked)  # type: ignore[call-overload]
-    assert found.reached["lower"] >= 1.0 and found.reached["upper"] <= 2.5
-    assert found.limits["stroke"] == 1.5 and not found.passed
+    found = ji.design(loop, search_time=30.0, **asked)  # type: ignore[call-overload]
+    assert found.axes[0].reached["lower"] >= 1.0 and found.axes[0].reached["upper"] <= 2.5
+    assert found.axes[0].limits.given["stroke"] == 1.5 and not found.passed
     outside = planned_record(loop, 0.8 + 0.5 * (1.0 - np.cos(np.arange(4000) * 4e-3)), 1e-3)
     told = ji.design(loop, motion=outside, **asked)  # type: ignore[call-overload]
     assert "it passes a limit, lower 0.800 rad of 1.00 allowed" in told.passed
@@ -184,7 +204,7 @@ def test_what_is_of_a_joint_is_not_of_a_robot() -> None:
     for model, given, said in (
         (AXIS.loop, {"limits": [AxisLimits()]}, "The test of a joint has one record"),
         (AXIS.loop, {}, "has values and a noise"),
-        (robot, {"record": one}, 'The test of a robot has the goal "all"'),
+        (robot, {"record": one}, "The test of a robot has records, limits, noise and motion of each joint"),
         (robot, {"record": [one]}, "The records of a robot are read with its estimate"),
     ):
         with pytest.raises(MethodError, match=said):
@@ -260,9 +280,9 @@ def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
     room = room_of(limits.given, found, 0.1, 60.0, 29.5)
     goal = parse_goal("all", own.units)
     purpose = Purpose(AXIS.loop, (AXIS.truth,), NOISE, goal, SHORT, SAMPLE_TIME, Tap.COMMAND, Filtering(), {})
-    asked = Asked(purpose, limits, room)
-    wide = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.15), Pulses(150.0, 0.02, 0.4)))
-    narrow = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.05)))
+    asked = JointTests(purpose, limits, room)
+    wide = asked.try_plan(Plan(Trapezoids((0.1,), 1.0, 0.15), Pulses(150.0, 0.02, 0.4)))
+    narrow = asked.try_plan(Plan(Trapezoids((0.1,), 1.0, 0.05)))
     assert wide.over == pytest.approx(1.5 / 0.97, rel=0.01)
     assert narrow.over == 0.0
     assert narrow.rank < wide.rank
@@ -274,11 +294,11 @@ def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
     assert [one.plan for one in first] == [one.plan for one in again]
     assert all(later.rank < before.rank for before, later in itertools.pairwise(first))
     # On a slow machine the time is over before anything was simulated.
-    calls = itertools.count()
+    calls, whole = itertools.count(), JointTests.try_plan
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(
-            search_module, "try_plan",
-            lambda asked, plan: replace(try_plan(asked, plan), over=math.inf if next(calls) < 3 else 0.0),
+            JointTests, "try_plan",
+            lambda asked, plan: replace(whole(asked, plan), over=math.inf if next(calls) < 3 else 0.0),
         )  # fmt: skip
         late = itertools.count(0, 100)
         found = list(search(asked, [], 30.0, lambda _: None, seed=3, clock=lambda: float(next(late))))
@@ -330,7 +350,7 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     (tmp_path / "joint.toml").write_text(f'{JOINT_FILE}[limits]\nspeed = "300 mm/s"\nwindup = 0.5\n')
     with pytest.raises(SystemExit) as ended:
         main([
-            "design", str(tmp_path / "joint.toml"), "-q", "--goal", "stiffness", "--seconds", "6", "--out",
+            "design", str(tmp_path / "joint.toml"), "-q", "--goal", "stiffness", "--search-time", "6", "--out",
             str(tmp_path / "next"), "--json", str(tmp_path / "next.json"), "--windup", "0.001",
         ])  # fmt: skip
     assert ended.value.code == 0
@@ -339,9 +359,9 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     assert "windup" in printed
     assert (tmp_path / "next" / "test.csv").exists()
     answer = json.loads((tmp_path / "next.json").read_text())
-    assert answer["limits"]["windup"] == 0.001  # the option's, not the file's
-    assert answer["limits"]["speed"] == pytest.approx(0.3)
-    assert answer["reached"]["windup"] < 0.001
+    assert answer["axes"][0]["limits"]["windup"] == 0.001  # the option's, not the file's
+    assert answer["axes"][0]["limits"]["speed"] == pytest.approx(0.3)
+    assert answer["axes"][0]["reached"]["windup"] < 0.001
     with pytest.raises(SystemExit) as ended:
         main([
             "design", str(tmp_path / "joint.toml"), "-q", "--goal", "stiffness", "--motion",
@@ -384,7 +404,7 @@ def planned(tmp_path: Path, text: str, *words: str) -> int:
     """Run the command on a joint file of that text, and return its exit code."""
     (tmp_path / "rough.toml").write_text(text)
     with pytest.raises(SystemExit) as ended:
-        main(["design", str(tmp_path / "rough.toml"), "-q", "--seconds", "1", *words])
+        main(["design", str(tmp_path / "rough.toml"), "-q", "--search-time", "1", *words])
     return int(str(ended.value.code))
 
 
@@ -401,13 +421,13 @@ def test_the_command_plans_from_rough_values_without_a_record(
         "viscous": 0.05,
         "coulomb": 0.1,
     }  # offset is fixed
-    assert answer["limits"]["stroke"] == pytest.approx(math.radians(120))
+    assert answer["axes"][0]["limits"]["stroke"] == pytest.approx(math.radians(120))
     assert not answer["passed"]
     out = tmp_path / "out"
     assert planned(tmp_path, ROUGH + KNOWN, *without, "--out", str(out)) == 0
     own = ["--motion", str(out / "test.csv"), "--json", str(told)]
     assert planned(tmp_path, ROUGH + KNOWN, *without, *own) == 0  # a table of a revolute joint is in rad
-    assert json.loads(told.read_text())["reached"]["stroke"] < 2.1
+    assert json.loads(told.read_text())["axes"][0]["reached"]["stroke"] < 2.1
     (tmp_path / "other.csv").write_text("t,ref\n0,0\n0.001,0\n")
     assert planned(tmp_path, ROUGH + KNOWN, *without, "--motion", str(tmp_path / "other.csv")) == 2
     assert "a test of your own has the columns t, reference" in unwrapped(capsys.readouterr().err)
@@ -496,15 +516,17 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: p
     present = replace(planned_record(loop, slow, 4e-3), torque=torque)
     free = [p for p in loop.joint.parameters if p.free]
     covariance = np.diag([(0.02 * abs(values[p.name]) + 1e-4) ** 2 for p in free])
-    found = design_joint_test(loop, values, Noise(log=0.01), present=present, covariance=covariance, seconds=250.0)
+    found = ji.design(
+        loop, values=values, noise=Noise(log=0.01), record=present, covariance=covariance, search_time=250.0
+    )
     assert not found.passed
     assert found.proposed.reference.min() > 1.19
     assert found.proposed.reference.max() < 2.21
     assert found.proposed.sample_time == 1e-3
-    assert found.reached["acceleration"] < 20.0  # by the rate of the reference itself
+    assert found.axes[0].reached["acceleration"] < 20.0  # by the rate of the reference itself
     held = [values[p.name] for p in loop.joint.parameters if "gravity" in p.name]
     assert found.proposed.motion.torque[0] == pytest.approx(held[0], rel=0.2)  # and not from 0
-    assert "not limited" in str(found)
+    assert " of " not in found.axes[0].cell("speed"), "it is not limited"
 
 
 def test_bad_input_is_refused_in_a_sentence() -> None:
@@ -512,17 +534,17 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
     for wrong, said in (
         ({"duration": -1.0}, "The duration is a positive number"),
         ({"duration": 0.05}, "A test of 50 samples tells nothing"),
-        ({"seconds": 0.0}, "The time of the search is a positive number"),
+        ({"search_time": 0.0}, "The time of the search is a positive number"),
         ({"goal": "stiffness + damping"}, "only what has one unit can be added"),
     ):
         given = {"duration": 4.0, "sample_time": 1e-3, "limits": limits, "goal": "stiffness"} | wrong
         with pytest.raises(MethodError, match=said):
-            design_joint_test(AXIS.loop, AXIS.truth, NOISE, **given)  # type: ignore[arg-type]
+            ji.design(AXIS.loop, values=AXIS.truth, noise=NOISE, **given)  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="The highest frequency is above the lowest"):
         AxisLimits(lowest=200.0, highest=30.0)
     one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
     with pytest.raises(MethodError, match="does not tell"):
-        design_joint_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=one_way)
+        ji.design(AXIS.loop, values=AXIS.truth, noise=NOISE, record=short_record(), motion=one_way)
 
 
 def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) -> None:
@@ -532,13 +554,13 @@ def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) 
     torque = ji.Channel(np.zeros(6000), "N", 1e-3)
     coarse = replace(planned_record(AXIS.loop, reference, 4e-3), torque=torque)
     told, same = (
-        design_joint_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=motion)
+        ji.design(AXIS.loop, values=AXIS.truth, noise=NOISE, record=short_record(), motion=motion)
         for motion in (coarse, planned_record(AXIS.loop, fine, 1e-3))
     )
-    assert told.longer is None and told.floor is None
+    assert "twice the time" not in told.tests and told.floor is None
     assert told.proposed.std["motor_inertia"] == pytest.approx(same.proposed.std["motor_inertia"], rel=0.5)
-    assert told.reached["speed"] == pytest.approx(same.reached["speed"], rel=0.2)
-    assert not told.limits  # those of the present test are not those of another
+    assert told.axes[0].reached["speed"] == pytest.approx(same.axes[0].reached["speed"], rel=0.2)
+    assert not told.axes[0].limits.given  # those of the present test are not those of another
     drawn = [line for panel in told.chart().panels[:2] for line in panel.items if isinstance(line, Line)]
     assert [line.x[-1] for line in drawn] == pytest.approx([6.0, 6.0], abs=0.01)
     told.write(tmp_path)
@@ -549,17 +571,23 @@ def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) 
 def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
     limits = AxisLimits(stroke=0.05)
-    found = design_joint_test(
-        AXIS.loop, AXIS.truth, NOISE, present=short_record(), limits=limits, goal="weakest", seconds=60.0
+    found = ji.design(
+        AXIS.loop,
+        values=AXIS.truth,
+        noise=NOISE,
+        record=short_record(),
+        limits=limits,
+        goal="weakest",
+        search_time=60.0,
     )
     assert not found.passed
-    assert found.present_passes[0].startswith("it passes a limit, stroke 0.")
+    assert found.axes[0].present_passes[0].startswith("it passes a limit, stroke 0.")
     assert "Of the present test: it passes a limit, stroke" in found.sentence
-    assert found.from_present == ("torque", "rms_torque")
+    assert found.axes[0].from_record == ("torque", "rms_torque")
     assert "which the present test reaches" in str(found)
     one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
     wide = AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
-    found = design_joint_test(AXIS.loop, AXIS.truth, NOISE, present=one_way, limits=wide, seconds=60.0)
+    found = ji.design(AXIS.loop, values=AXIS.truth, noise=NOISE, record=one_way, limits=wide, search_time=60.0)
     assert found.present is None  # it does not tell everything, and what it reaches is known all the same
     assert found.proposed.std["stiffness"] > 0
 
@@ -572,7 +600,7 @@ def test_behind_a_gear_the_page_says_whose_numbers_they_are(tmp_path: Path) -> N
     reference = excitation.trapezoids((0.02, 0.05), 0.3, 0.02, T, duration=4.0)
     added = 5.0 * np.sign(np.sin(np.arange(4000) * 0.05))
     motion = planned_record(loop, reference, T, added)
-    found = design_joint_test(loop, values, Noise(log=2.0), present=motion, motion=motion)
+    found = ji.design(loop, values=values, noise=Noise(log=2.0), record=motion, motion=motion)
     found.write(tmp_path)
     page = (tmp_path / "how-to-run.md").read_text()
     assert "All numbers are of the load side: on the motor side positions are 100 times, torques 0.01 times" in page

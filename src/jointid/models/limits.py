@@ -7,13 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 
 from jointid.common.errors import MethodError
-from jointid.common.parameters import POSITION_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import number
-from jointid.models.joints import ClosedLoop
-
-ROBOT_LIMITS = ("lower", "upper", "speed", "acceleration", "torque")
-"""Limits of each joint that a robot's test keeps."""
 
 _NO_SIZES = ("lower", "upper", "lowest", "highest")
 _SLACK = 1e-9  # relative: what rounding passes a limit by
@@ -24,7 +19,7 @@ _SLACK = 1e-9  # relative: what rounding passes a limit by
 class AxisLimits:
     """Limits of one axis in a test, on the joint's side; None is unlimited.
 
-    A torque is in A or V where the joint is identified per ampere or volt. A robot's test keeps `ROBOT_LIMITS`.
+    A torque is in A or V where the joint is identified per ampere or volt.
 
     Raises:
         MethodError: a limit is not positive, or there is no room between the positions or the frequencies.
@@ -81,17 +76,19 @@ def find_excess(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, flo
     return {name: factor for name, factor in over.items() if factor > 1 + _SLACK}
 
 
-def describe_excess(limits: AxisLimits, found: Mapping[str, float], units: Mapping[str, str]) -> Iterator[str]:
-    """Yield a clause for each exceeded limit."""
+def describe_excess(
+    limits: AxisLimits, found: Mapping[str, float], units: Mapping[str, str], axis: str = ""
+) -> Iterator[str]:
+    """Yield a clause for each exceeded limit of an axis."""
     for name in find_excess(limits, found):
         unit = units.get(name, "")
         allowed = number(limits.stated[name], 3)
-        yield f"it passes a limit, {name.replace('_', ' ')} {number(found[name], 3)} {unit} of {allowed} allowed"
+        reached = f"{name.replace('_', ' ')} {number(found[name], 3)} {unit}"
+        yield f"{axis or 'it'} passes a limit, {reached} of {allowed} allowed"
 
 
-def units_of_limits(loop: ClosedLoop) -> dict[str, str]:
-    """Units of the limited quantities."""
-    q, u = POSITION_UNIT[loop.joint.kind], loop.joint.force_unit
+def units_of_limits(q: str, u: str) -> dict[str, str]:
+    """Units of the limited quantities, from those of position and torque."""
     return {
         "lower": q, "upper": q, "stroke": q, "speed": f"{q}/s", "acceleration": f"{q}/s2", "jerk": f"{q}/s3",
         "torque": u, "rms_torque": u, "windup": q,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, cast, overload
+from dataclasses import replace
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -15,57 +17,18 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
-from jointid.planning.joint_design import Design, design_joint_test
+from jointid.planning.designed import Design
+from jointid.planning.joint_tests import JointTests, joint_tests
 from jointid.planning.predict import Noise
-from jointid.planning.robot_design import RobotDesign, design_robot_test, first_record
+from jointid.planning.robot_tests import FirstRecord, RobotTests, as_identified, first_record, robot_tests
+from jointid.planning.search import choose, look
 from jointid.records.record import Record, Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop
 
-_DURATION, _SAMPLE_TIME = 10.0, 1e-3  # s, of a robot's test where no record states them
-
-
-@overload
-def design(  # type: ignore[overload-overlap]  # of one estimate the record says which
-    model: Estimate | ClosedLoop,
-    record: Record | None = None,
-    *,
-    values: Mapping[str, float] | None = None,
-    noise: Noise | None = None,
-    goal: str = "all",
-    limits: AxisLimits | None = None,
-    motion: Record | None = None,
-    covariance: FloatArray | None = None,
-    duration: float | None = None,
-    sample_time: float | None = None,
-    tap: Tap | str = Tap.COMMAND,
-    filtering: Filtering | None = None,
-    parameters: Mapping[str, Parameter] | None = None,
-    encoder: float | None = None,
-    seconds: float = 60.0,
-    seed: int = 0,
-    name: str = "",
-    progress: Progress = ignore_progress,
-) -> Design: ...
-
-
-@overload
-def design(
-    model: Estimate | Robot | RobotLoop,
-    record: Sequence[Record] | None = None,
-    *,
-    noise: Sequence[float] | FloatArray | None = None,
-    limits: Sequence[AxisLimits] | None = None,
-    motion: Sequence[Record] | None = None,
-    duration: float | None = None,
-    sample_time: float | None = None,
-    filtering: Filtering | None = None,
-    loop: RobotLoop | None = None,
-    feed_forward: Literal["none", "gravity", "inverse-model"] = "none",
-    seconds: float = 60.0,
-    seed: int = 0,
-    progress: Progress = ignore_progress,
-) -> RobotDesign: ...
+_FEWEST = 200  # samples of a test
+_DURATION, _SAMPLE_TIME = 10.0, 1e-3  # s, of a robot's test where nothing states them
+_DOUBTFUL = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
 
 
 def design(
@@ -84,28 +47,32 @@ def design(
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     encoder: float | None = None,
+    injection: bool = True,
     loop: RobotLoop | None = None,
     feed_forward: Literal["none", "gravity", "inverse-model"] = "none",
-    seconds: float = 60.0,
+    search_time: float = 60.0,
     seed: int = 0,
     name: str = "",
     progress: Progress = ignore_progress,
-) -> Design | RobotDesign:
+) -> Design:
     """Search for the test that determines the parameters best within the limits of the axes.
 
     Args:
         model: an estimate, of a joint by DIDIM with every parameter identified; or a joint in its loop, a robot or a
             robot in its loop that is roughly known. A robot in its loop is planned a test by DIDIM, a robot alone one
-            by IDIM.
+            by IDIM. Of an estimate of a robot the identified bodies, friction and springs are used where the record
+            determines them.
         record: the test there is already, which an estimate was identified from. Its motion is compared; it states the
-            limits of stroke and torque that are not given, of a robot those of positions and speed.
+            limits of stroke and torque that are not given, of a robot those of positions and speed. Of a robot one for
+            each joint.
         values: every parameter of the joint by name; those of the estimate by default.
         noise: what will disturb the test; by default the residual of the record. Of a robot the standard deviation of
             white noise on each joint's torque; without a record 1 % of the torque.
-        goal: a parameter of the joint, a sum or a difference of parameters, "weakest" (the direction that is known
-            worst) or "all" (the volume of all intervals). A robot's goal is "all".
+        goal: a parameter, a sum or a difference of parameters, "weakest" (the direction that is known worst) or "all"
+            (the volume of all intervals).
         limits: of the axis; of a robot those of each joint.
-        motion: a test of your own, or a past record, which is predicted instead of a search.
+        motion: a test of your own, or a past record, which is predicted instead of a search; of a robot one for each
+            joint.
         covariance: (free, free) of the joint's free parameters, in their order: other joints are drawn from it.
         duration: of the test, s; that of the record by default.
         sample_time: of its log, s; likewise.
@@ -114,9 +81,10 @@ def design(
         parameters: changes to the joint's parameters by name, as for `identify`.
         encoder: steps of the encoders that are predicted beside a joint's test, m or rad; those of the record by
             default, or a millionth of the stroke.
+        injection: whether the drive can add a signal to the torque; a robot's test adds none.
         loop: controllers of a robot that was identified without them, for a test by DIDIM.
         feed_forward: that a robot's drives are given beside the controllers' torque.
-        seconds: that the search may take. An interrupt ends it and keeps the best test.
+        search_time: that the search may take, s. An interrupt ends it and keeps the best test.
         seed: of the search.
         name: of what is roughly known, for the result.
         progress: receives messages.
@@ -134,28 +102,63 @@ def design(
         >>> axis = ji.twin("L19", noise="white")
         >>> found = ji.design(
         ...     axis.loop, axis.record, values=axis.truth, noise=ji.Noise(log=axis.noise), goal="stiffness",
-        ...     duration=4.0, seconds=1.0,
+        ...     duration=4.0, search_time=1.0,
         ... )
         >>> found.floor < found.proposed.std["stiffness"]
         True
     """
-    asked: dict[str, Any] = {"filtering": filtering, "seconds": seconds, "seed": seed, "progress": progress}
-    asked |= {"duration": duration, "sample_time": sample_time, "noise": noise, "limits": limits, "motion": motion}
+    for given, what in ((duration, "duration"), (sample_time, "sample time"), (search_time, "time of the search")):
+        if given is not None and not (math.isfinite(given) and given > 0):
+            raise MethodError(f"The {what} is a positive number of seconds; received {given:g}.")
+    played = None if motion is None else (motion,) if isinstance(motion, Record) else tuple(motion)
+    tests: JointTests | RobotTests
     if isinstance(model, ClosedLoop) or (isinstance(model, Estimate) and model.robot is None):
         if any(isinstance(one, Sequence) for one in (record, limits, motion)) or not isinstance(noise, Noise | None):
             raise MethodError("The test of a joint has one record, AxisLimits, one motion and a Noise; give each so.")
-        asked |= {"present": record, "goal": goal, "encoder": encoder}
+        present = record if isinstance(record, Record) else None
+        known: dict[str, Any] = {
+            "values": values,
+            "noise": noise,
+            "covariance": covariance,
+            "parameters": parameters or {},
+        }
+        known |= {"loop": model, "tap": Tap(tap), "filtering": filtering or Filtering(), "name": name}
         if isinstance(model, Estimate):
-            return design_joint_test(**asked | _read_estimate(model, cast("Record | None", record), noise))
-        if values is None or noise is None:
+            known |= _read_estimate(model, present, noise)
+        elif values is None or noise is None:
             raise MethodError("A joint that is roughly known has values and a noise; give both, or an estimate.")
-        asked |= {"covariance": covariance, "tap": tap, "parameters": parameters, "name": name}
-        return design_joint_test(model, values, **asked)
-    if goal != "all" or isinstance(record, Record) or isinstance(limits, AxisLimits) or isinstance(motion, Record):
-        raise MethodError(
-            'The test of a robot has the goal "all", and records, limits and motion of each joint; give each so.'
-        )
-    return design_robot_test(**_read_robot(model, record, motion, loop, asked), feed_forward=feed_forward)
+        name = known.pop("name")
+        bound = cast("AxisLimits", limits or AxisLimits())
+        step, samples = _times(present, played, sample_time, duration)
+        tests = joint_tests(
+            **known, goal=goal, limits=bound, samples=samples, sample_time=step, present=present,
+            encoder=encoder, injection=injection, seed=seed, searched=played is None,
+        )  # fmt: skip
+    else:
+        if any(isinstance(one, Record | AxisLimits | Noise) for one in (record, limits, motion, noise)):
+            raise MethodError("The test of a robot has records, limits, noise and motion of each joint; give each so.")
+        robot, loop, first = _read_robot(model, cast("Sequence[Record] | None", record), loop)
+        bounds = cast("Sequence[AxisLimits] | None", limits)
+        sizes = None if noise is None else np.asarray(noise, dtype=np.float64)
+        times = () if played is None else [one.reference for one in played if one.reference is not None]
+        step = times[0].sample_time if times else sample_time or (_SAMPLE_TIME if first is None else first.sample_time)
+        lasts = duration or (_DURATION if first is None else first.duration)
+        samples = len(times[0]) if times else _require_samples(round(lasts / step))
+        tests = robot_tests(
+            robot, loop, goal, bounds, samples=samples, sample_time=step, first=first, filtering=filtering,
+            noise=sizes, feed_forward=feed_forward, seed=seed, motion=played,
+        )  # fmt: skip
+    if played is not None:
+        test, best, longer, tried, interrupted = played, tests.take(played), None, 0, False
+    else:
+        found, cut = look(tests.rough, tests.begin, search_time, seed, progress)
+        best, ended = choose(tests, found, progress)
+        test, longer, tried, interrupted = tests.record(best.plan), tests.longer(best.plan), len(found), cut or ended
+    predicted = tests.predict(test, longer)
+    return Design(
+        name, tests.goal, tests.describe(best.plan), tests.axes(test, best, predicted["proposed"]), predicted,
+        tests.noise, tests.least, tried, interrupted, (_DOUBTFUL,) if math.isinf(best.over) else (),
+    )  # fmt: skip
 
 
 def _read_estimate(estimate: Estimate, record: Record | None, noise: Noise | None) -> dict[str, Any]:
@@ -178,36 +181,45 @@ def _read_estimate(estimate: Estimate, record: Record | None, noise: Noise | Non
 
 
 def _read_robot(
-    model: Estimate | Robot | RobotLoop,
-    records: Sequence[Record] | None,
-    motion: Sequence[Record] | None,
-    loop: RobotLoop | None,
-    asked: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Prior knowledge of a robot for the design of its test: nominal numbers, controllers and a first record."""
-    known = model.require_robot().setup if isinstance(model, Estimate) else model
-    robot = known if isinstance(known, Robot) else known.robot
-    found: dict[str, Any] = {"sample_time": _SAMPLE_TIME, "duration": _DURATION, "limits": [AxisLimits()] * len(robot)}
-    if isinstance(model, Estimate):
-        if records is None:
-            raise MethodError("A test is designed from the estimate of a robot and its records; give both.")
-        first = first_record(model, records)
-        found |= {"sample_time": first.sample_time, "duration": first.duration, "noise": first.noise}
-        found["present"] = first.motion
-        if model.settings.method == "didim" and isinstance(known, RobotLoop):
-            loop = loop or known
-    elif records is not None:
-        raise MethodError("The records of a robot are read with its estimate; give the estimate in place of the robot.")
-    elif isinstance(model, RobotLoop):
-        loop = model
-    if motion is not None:
-        played = [one.reference for one in motion if one.reference is not None]
-        if len(played) != len(robot):
+    model: Estimate | Robot | RobotLoop, records: Sequence[Record] | None, loop: RobotLoop | None
+) -> tuple[Robot, RobotLoop | None, FirstRecord | None]:
+    """Prior knowledge of a robot for the design of its test: its numbers, controllers and a first record."""
+    if not isinstance(model, Estimate):
+        if records is not None:
             raise MethodError(
-                f"The motion of a robot has the reference of each joint; received {len(played)} for {len(robot)} "
-                "joints: give one for each, in the order of the joints."
+                "The records of a robot are read with its estimate; give the estimate in place of the robot."
             )
-        q = np.column_stack([one.values for one in played]) @ np.linalg.inv(robot.coupling).T
-        found |= {"motion": q, "sample_time": played[0].sample_time, "duration": len(q) * played[0].sample_time}
-    given = {name: asked[name] for name in ("sample_time", "duration", "noise", "limits") if asked[name] is not None}
-    return {**asked, **found, **given, "robot": robot, "loop": loop}
+        own = loop if isinstance(model, Robot) else model
+        return model if isinstance(model, Robot) else model.robot, own, None
+    if records is None:
+        raise MethodError("A test is designed from the estimate of a robot and its records; give both.")
+    part, first = model.require_robot(), first_record(model, records)
+    if model.settings.method == "didim" and isinstance(part.setup, RobotLoop):
+        loop = loop or part.setup
+    robot = as_identified(part)
+    if loop is not None and robot.flexible != loop.robot.flexible:
+        robot = loop.robot  # IDIM knows no springs
+    return robot, None if loop is None else replace(loop, robot=robot), first
+
+
+def _times(
+    present: Record | None, played: Sequence[Record] | None, sample_time: float | None, duration: float | None
+) -> tuple[float, int]:
+    """Sample time and samples of a joint's test: those that are given, or of the record that there is."""
+    if present is not None:
+        present.require(("reference",), "A design from a test there is already")
+    motion = played[0] if played else None
+    known, lasts = present or motion, motion or present
+    if lasts is None and (duration is None or sample_time is None):
+        raise MethodError(
+            "A test has a duration and a sample time; give both, or the record of a test there is already."
+        )
+    log = None if known is None else known.torque or known.reference
+    step = sample_time or (log.sample_time if log is not None else 0.0)
+    return step, _require_samples(math.floor((duration or (0.0 if lasts is None else lasts.duration)) / step + 1e-9))
+
+
+def _require_samples(samples: int) -> int:
+    if samples < _FEWEST:
+        raise MethodError(f"A test of {samples} samples tells nothing; expected {_FEWEST} or more: plan a longer one.")
+    return samples

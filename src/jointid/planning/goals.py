@@ -16,6 +16,7 @@ WEAKEST, ALL = "weakest", "all"
 """Goals beside those that name a quantity: the direction known worst, and the volume of the intervals (D-optimal)."""
 
 _TINY = 1e-30
+_ZERO = 1e-9  # of a value: what is less is rounding, and no scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,7 @@ class Goal:
     weights: Mapping[str, float]
 
     def score(self, covariance: FloatArray, names: Sequence[str], values: Mapping[str, float]) -> float:
-        """Logarithmic objective; lower is better, differences are relative.
+        """Logarithmic objective; lower is better, differences are relative. Offsets do not count among all.
 
         Args:
             covariance: (parameters, parameters).
@@ -38,10 +39,13 @@ class Goal:
             values: of them, the scale of deviations if the goal is all of them.
         """
         if self.weights:
-            w = np.array([self.weights.get(name, 0.0) for name in names])
-            return 0.5 * math.log(max(float(w @ covariance @ w), _TINY))
-        size = np.array([abs(values[name]) or 1.0 for name in names])
-        kept = [i for i, name in enumerate(names) if name != "offset"]
+            asked = [i for i, name in enumerate(names) if name in self.weights]
+            w, own = np.array([self.weights[names[i]] for i in asked]), covariance[np.ix_(asked, asked)]
+            return 0.5 * math.log(max(float(w @ own @ w), _TINY)) if np.all(np.isfinite(own)) else math.inf
+        if not np.all(np.isfinite(covariance)):
+            return math.inf
+        size = np.array([abs(values[name]) if abs(values[name]) > _ZERO else 1.0 for name in names])
+        kept = [i for i, name in enumerate(names) if "offset" not in name]
         relative = (covariance / np.outer(size, size))[np.ix_(kept, kept)]
         found = np.maximum(np.linalg.eigvalsh(relative), _TINY)
         return 0.5 * math.log(float(found[-1])) if self.name == WEAKEST else 0.5 * float(np.mean(np.log(found)))
@@ -52,7 +56,7 @@ def parse_goal(name: str, units: Mapping[str, str]) -> Goal:
 
     Args:
         name: of a parameter, a sum or a difference such as "motor_viscous - load_viscous", "weakest" or "all".
-        units: of the joint's free parameters, by name.
+        units: of the free parameters, by name.
     """
     if name in (WEAKEST, ALL):
         return Goal(name, {})
@@ -60,7 +64,7 @@ def parse_goal(name: str, units: Mapping[str, str]) -> Goal:
     unknown = [one for one in weights if one not in units]
     if unknown:
         raise MethodError(
-            f'The goal "{name}" names {", ".join(unknown)}, which is no free parameter of this joint; choose from '
+            f'The goal "{name}" names {", ".join(unknown)}, which is no free parameter here; choose from '
             f'{", ".join(units)}, a sum or a difference of them, "{WEAKEST}", or "{ALL}".'
         )
     several = sorted({units[one] for one in weights})

@@ -217,7 +217,7 @@ class Plan:
         return said if self.added is None else f"{said}; {self.added.describe(torque_unit)}"
 
     def scale(self, factor: float) -> Plan:
-        """Scale the added signal and the motion."""
+        """Scale the added signal and the motion; a table of positions stays."""
         added, motion = self.added, self.motion
         if isinstance(added, Pulses):
             added = replace(added, height=factor * added.height)
@@ -234,7 +234,8 @@ class Plan:
             )
         elif isinstance(motion, Sines):
             motion = replace(motion, amplitude=factor * motion.amplitude)
-        return Plan(motion, added)
+        same = motion is self.motion and added is self.added
+        return self if same else Plan(motion, added)
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,9 +354,10 @@ class Family:
         return Plan(motion(u[:count], room), None if make is None else make(u[count:], room))
 
 
-def families_in(room: Room) -> tuple[Family, ...]:
-    """Families that a search tries."""
-    return tuple(Family(motion, added) for motion in _MOTIONS for added in _ADDED if added != "lines" or room.lines)
+def families_in(room: Room, *, injection: bool = True) -> tuple[Family, ...]:
+    """Families that a search tries; without `injection` those that add nothing to the torque."""
+    possible = [one for one in _ADDED if injection or one == "nothing"]
+    return tuple(Family(motion, one) for motion in _MOTIONS for one in possible if one != "lines" or room.lines)
 
 
 def room_of(

@@ -37,12 +37,14 @@ from jointid.records.record import Channel, Injection, InjectionPoint, Record, T
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome, Simulation, in_threads
 from jointid.simulation.loop_input import to_log
+from jointid.simulation.robots import RobotSimulation
 from jointid.simulation.simulated import require_success
 from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
 
-_PEAKS = 4.0  # deviations of the noise on top of what a test asks for: of 24,000 samples one or two are larger
 _SAME = 1e-13  # of the largest eigenvalue of the information: what is below is rounding
 _PART = 1e-3  # of a direction, that a parameter takes
+PEAKS = 4.0
+"""Deviations of the noise on top of what a test asks for: of 24,000 samples one or two are larger."""
 RUNS = 200
 """Runs of the loop with noise, from which its effect is known to 5 %."""
 
@@ -105,9 +107,10 @@ class PredictedTest:
         joint: names of the joint's free parameters, in their order.
         symbols, units, values: of these, by name.
         covariance: of their errors.
-        motion: of the loop along the test, without noise.
-        reference, injected: (samples,) what it is driven with.
-        sample_time: of the torque, s.
+        torques: (axes, samples) along the test, without noise.
+        sample_time: of the torques, s.
+        motion: of the loop along the test, without noise; None of a robot alone.
+        reference, injected: (samples,) what a joint's is driven with.
     """
 
     name: str
@@ -116,10 +119,11 @@ class PredictedTest:
     units: Mapping[str, str]
     values: Mapping[str, float]
     covariance: Covariance
-    motion: Simulation
-    reference: FloatArray
-    injected: FloatArray | None
+    torques: FloatArray
     sample_time: float
+    motion: Simulation | RobotSimulation | None = None
+    reference: FloatArray | None = None
+    injected: FloatArray | None = None
 
     @property
     def std(self) -> dict[str, float]:
@@ -227,10 +231,11 @@ def predict_test(
         {name: problem.units[name] for name in names},
         {name: values[name] for name in names},
         covariance_of(matrix[:own, :own], 0),
+        run.torque[np.newaxis],
+        problem.sample_time,
         run,
         test.reference.values,
         None if test.injected is None else test.injected.channel.values,
-        problem.sample_time,
     )
 
 
@@ -306,7 +311,7 @@ def reach(
 
 def _add_noise(run: Simulation, reference: Channel, size: float) -> dict[str, float]:
     """Maxima of a run with noise of mean square `size` added to its torque."""
-    torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
+    torque = run.torque + PEAKS * math.sqrt(size) * np.sign(run.torque)
     found = find_maxima(run, reference.values, torque, reference.sample_time)
     found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
     return found

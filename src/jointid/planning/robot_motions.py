@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -54,11 +54,6 @@ class Motions:
         """Number of search variables: coefficients, share and position of each joint."""
         return len(self.limits) * (2 * self.harmonics)
 
-    def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Return the numbers of a random motion, (size,)."""
-        numbers = rng.normal(size=(len(self.limits), 2 * self.harmonics))
-        return np.asarray(numbers.ravel())
-
     def bases(self, time: FloatArray) -> Bases:
         """Basis of position, velocity and acceleration, (instants, 2 harmonics - 2)."""
         h = np.arange(1, self.harmonics + 1, dtype=np.float64)
@@ -82,15 +77,14 @@ class Motions:
         """Positions, velocities and accelerations of all joints, (instants, n) each.
 
         Args:
-            numbers: (size,) of the motion.
+            numbers: (size,) of the motion, between 0 and 1.
             seen: `bases` of the instants.
             whole: of `whole`.
         """
         found = [np.empty((len(seen[0]), len(self.limits))) for _ in range(3)]
         rows = numbers.reshape(len(self.limits), -1)
         for k, (limit, row) in enumerate(zip(self.limits, rows, strict=True)):
-            *free, share, place = row
-            weights = np.asarray(free)
+            weights, (share, place) = 2.0 * row[:-2] - 1.0, row[-2:]
             q, v, a = (basis @ weights for basis in whole)
             assert limit.lower is not None
             assert limit.upper is not None
@@ -100,18 +94,18 @@ class Motions:
             scales = [room / np.ptp(q), self.share * _INSIDE * limit.speed / np.max(np.abs(v))]
             if limit.acceleration is not None:
                 scales.append(self.share * _INSIDE * limit.acceleration / np.max(np.abs(a)))
-            scale = min(scales) * (_LEAST + (1.0 - _LEAST) * _squash(share))
+            if limit.jerk is not None:
+                step = self.period / (_POINTS * self.harmonics)
+                scales.append(self.share * _INSIDE * limit.jerk * step / np.max(np.abs(np.diff(a, axis=0))))
+            if limit.stroke is not None:
+                scales.append((limit.stroke - 2.0 * margin) / np.ptp(q))
+            scale = min(scales) * (_LEAST + (1.0 - _LEAST) * share)
             spare = room - scale * np.ptp(q)
-            centre = limit.lower + margin + spare * _squash(place) - scale * q.min()
+            centre = limit.lower + margin + spare * place - scale * q.min()
             for out, basis, shift in zip(found, seen, (centre, 0.0, 0.0), strict=True):
                 out[:, k] = shift + scale * (basis @ weights)
         q_, v_, a_ = found
         return q_, v_, a_
-
-
-def _squash(number: float) -> float:
-    """Map any number to one between 0 and 1."""
-    return 1.0 / (1.0 + math.exp(-min(max(number, -50.0), 50.0)))
 
 
 def complete(
@@ -142,7 +136,7 @@ def complete(
         if lacking:
             missing.append(f"{names[k]} ({', '.join(lacking)})")
         else:
-            found.append(AxisLimits(acceleration=one.acceleration, torque=one.torque, **given))
+            found.append(replace(one, **given))
     if missing:
         raise MethodError(
             f"A motion is planned within limits of position and speed, and some are missing: {'; '.join(missing)}. "

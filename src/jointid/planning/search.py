@@ -1,9 +1,9 @@
 """Search for the most informative test, over several families, within the axis limits.
 
-A test is a family and numbers between 0 and 1 (`plans`). It is simulated with noise at the rough joint and at others of
-its interval; its objective is the mean, its maxima the largest. A test that exceeds a limit ranks below all others, by
-the excess. Random tests of every family start the search; the best of each and then the best of all take adaptive
-steps of an evolution strategy (I. Rechenberg's one-fifth rule). New random tests are mixed in while time remains.
+A test is a family and numbers between 0 and 1. An `Objective` says what it tells, and what it reaches of each axis:
+of a joint (`joint_tests`) or of a robot (`robot_tests`). A test that exceeds a limit ranks below all others, by the
+excess. Random tests of every family start the search; the best of each and then the best of all take adaptive steps of
+an evolution strategy (I. Rechenberg's one-fifth rule). New random tests are mixed in while time remains.
 """
 
 from __future__ import annotations
@@ -11,99 +11,80 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
+from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, Work
-from jointid.common.parameters import Parameter
-from jointid.models.joints import ClosedLoop
 from jointid.models.limits import AxisLimits, find_excess
-from jointid.planning.goals import Goal
-from jointid.planning.plans import Family, Plan, Room, families_in
-from jointid.planning.predict import (
-    Noise,
-    PredictedTest,
-    RoughPrediction,
-    planned_record,
-    predict_roughly,
-    predict_test,
-)
-from jointid.records.record import InjectionPoint, Record, Tap
-from jointid.records.signals.filtering import Filtering
+from jointid.records.record import Record
 from jointid.simulation.closed_loop import in_threads
 
-_MARGIN = 0.97  # of each limit, that a test may reach in the search: other joints and other noise reach more
-_ASTRAY = 1e6  # a test that cannot be simulated
-_CLEARLY = 0.02  # of a score: other joints change it by as much
+MARGIN = 0.97
+"""Of each limit, that a test may reach in the search: other joints and other noise reach more."""
+ASTRAY = 1e6
+"""Score of a test that cannot be simulated, or does not tell every parameter."""
+
 _DRAWN = 6  # tests of each family, to begin with
 _FEWEST = 40  # tests that are tried, though the time be over, until one can be simulated
+_MOST = 20_000  # tests in all
+_STUCK = 2_000  # tests without a gain: an end
 _FOLLOWED = ((6, 20), (15, 5), (30, 2))  # rounds in which so many tests, the best there are, are moved
-_LED = 10  # moves of the best of all, before others are drawn
+_LED = 10  # moves of the best of all, before others are drawn: twice as many each time
 _FIRST_STEP, _GROWS, _SHRINKS = 0.15, 1.4, 0.9  # of the numbers between 0 and 1
 _SMALLEST, _LONGEST = 2e-3, 0.5
+_MANY = 12  # numbers of a test: of more some are moved at a time, so that one axis changes while the others stay
+_PARTS = (0.1, 0.3, 1.0)
+_CANDIDATES = 6  # of a search, that are tried in full
+_REDUCED = 0.95  # of a signal, where the result passes a limit
+_TRIES = 12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Purpose:
-    """Purpose of a test.
+class Plan(Protocol):
+    """A test that can be made smaller."""
 
-    Attributes:
-        joints: values of every parameter, one mapping a joint that it may be; first the one that is roughly known.
-        goal: what the test is to tell.
-        tap: where its torque will be logged.
-    """
-
-    loop: ClosedLoop
-    joints: tuple[Mapping[str, float], ...]
-    noise: Noise
-    goal: Goal
-    samples: int
-    sample_time: float
-    tap: Tap
-    filtering: Filtering
-    parameters: Mapping[str, Parameter]
-
-    def predict(
-        self, test: Record, *, motor_encoder: float | None = None, load_encoder: float | None = None
-    ) -> PredictedTest:
-        """Predict a test at the rough joint; see `predict_test`."""
-        return predict_test(
-            self.loop, self.joints[0], test, self.noise, filtering=self.filtering, parameters=self.parameters,
-            motor_encoder=motor_encoder, load_encoder=load_encoder,
-        )  # fmt: skip
-
-    def predict_roughly(self, test: Record) -> Iterator[RoughPrediction]:
-        """Predict a test at each joint; see `predict_roughly`."""
-        return predict_roughly(
-            self.loop, self.joints, test, self.noise, filtering=self.filtering, parameters=self.parameters
-        )
+    def scale(self, factor: float) -> Self:
+        """Return the test with smaller signals; itself where nothing can be scaled."""
+        ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Asked:
-    """The search problem.
+class Family(Protocol):
+    """One kind of test, as numbers between 0 and 1."""
 
-    Attributes:
-        purpose: what the test is planned for.
-        at, in_torque: where a signal is added, and whether the log contains it, see `Injection`.
-    """
+    @property
+    def size(self) -> int:
+        """How many numbers say one of its tests."""
+        ...
 
-    purpose: Purpose
-    limits: AxisLimits
-    room: Room
-    at: InjectionPoint = InjectionPoint.AFTER_LIMIT
-    in_torque: bool = True
 
-    def record(self, plan: Plan, samples: int | None = None) -> Record:
-        """Return a test as a record for the drive."""
-        reference, injected = plan.play(samples or self.purpose.samples, self.purpose.sample_time)
-        return planned_record(
-            self.purpose.loop, reference, self.purpose.sample_time, injected, at=self.at, in_torque=self.in_torque,
-            tap=self.purpose.tap,
-        )  # fmt: skip
+class Objective(Protocol):
+    """What a test is planned for: its candidates, and their worth."""
+
+    @property
+    def families(self) -> Sequence[Any]:
+        """Families to search."""
+        ...
+
+    def plan(self, family: Any, u: Sequence[float]) -> Any:
+        """Return a family's test for numbers between 0 and 1."""
+        ...
+
+    def try_plan(self, plan: Any, *, margin: float = MARGIN, than: Tried | None = None) -> Tried:
+        """Evaluate a test.
+
+        Args:
+            plan: the test.
+            margin: admissible share of each limit.
+            than: a test to beat; the evaluation may end where it clearly loses.
+        """
+        ...
+
+    def record(self, plan: Any, samples: int | None = None) -> tuple[Record, ...]:
+        """Return a test as a record of each axis for the drives."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,14 +92,14 @@ class Tried:
     """An evaluated test.
 
     Attributes:
-        score: of the goal, the smaller the better, see `Goal.score`; the mean over the joints.
-        reached: the largest of each quantity over the joints, by name.
+        score: of the goal, the smaller the better, see `Goal.score`.
+        reached: of each axis the largest of each quantity, by name.
         over: by how much the limit that is passed farthest is passed, at most 1 where none is.
     """
 
-    plan: Plan
+    plan: Any
     score: float
-    reached: Mapping[str, float]
+    reached: tuple[Mapping[str, float], ...]
     over: float
 
     @property
@@ -127,33 +108,14 @@ class Tried:
         return max(self.over, 1.0), self.score
 
 
-def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN, than: Tried | None = None) -> Tried:
-    """Evaluate a test at every joint.
-
-    Args:
-        asked: the search problem.
-        plan: the test.
-        margin: admissible share of each limit.
-        than: a test to beat; if it clearly loses at the first joint, the others are skipped.
-    """
-    test = asked.record(plan)
-    scores, most = [], dict[str, float]()
-    tried = Tried(plan, _ASTRAY, most, math.inf)
-    predictions = asked.purpose.predict_roughly(test)
-    for values in asked.purpose.joints:
-        try:
-            with np.errstate(all="ignore"):
-                one = next(predictions)
-        except (JointidError, np.linalg.LinAlgError):
-            return replace(tried, score=_ASTRAY, over=math.inf)
-        scores.append(asked.purpose.goal.score(one.covariance, one.names, values))
-        for name, size in one.reached.items():
-            most[name] = max(most.get(name, 0.0), size)
-        factors = find_excess(asked.limits, {name: size / margin for name, size in most.items()})
-        tried = Tried(plan, float(np.mean(scores)), most, max(factors.values(), default=0.0))
-        if than is not None and tried.rank > (than.rank[0], than.score + _CLEARLY):
-            break
-    return tried
+def worst_excess(limits: Sequence[AxisLimits], reached: Sequence[Mapping[str, float]], margin: float) -> float:
+    """Return the largest factor by which a share of the limits is exceeded; 0 where none is."""
+    beyond = ("lower", "upper")  # a position has no share
+    factors = [0.0]
+    for one, found in zip(limits, reached, strict=True):
+        asked = {name: size if name in beyond else size / margin for name, size in found.items()}
+        factors += find_excess(one, asked).values()
+    return max(factors)
 
 
 @dataclass(slots=True)
@@ -165,10 +127,13 @@ class _Line:
     tried: Tried
     step: float = _FIRST_STEP
 
-    def move(self, asked: Asked, rng: np.random.Generator) -> None:
+    def move(self, asked: Objective, rng: np.random.Generator) -> None:
         """Try two neighbouring tests, and move to the better one if it improves."""
-        moved = [np.clip(self.u + self.step * rng.standard_normal(self.u.size), 0.0, 1.0) for _ in range(2)]
-        tries = in_threads(lambda u: try_plan(asked, self.family.plan(list(u), asked.room), than=self.tried), moved)
+        moved = []
+        for _ in range(2):
+            which = rng.random(self.u.size) < rng.choice(_PARTS) if self.u.size > _MANY else True
+            moved.append(np.clip(self.u + self.step * which * rng.standard_normal(self.u.size), 0.0, 1.0))
+        tries = in_threads(lambda u: asked.try_plan(asked.plan(self.family, list(u)), than=self.tried), moved)
         first = min(range(2), key=lambda k: tries[k].rank)
         if tries[first].rank < self.tried.rank:
             self.u, self.tried, self.step = moved[first], tries[first], min(self.step * _GROWS, _LONGEST)
@@ -177,7 +142,7 @@ class _Line:
 
 
 def search(
-    asked: Asked,
+    asked: Objective,
     begin: Sequence[Plan],
     seconds: float,
     progress: Progress,
@@ -186,7 +151,7 @@ def search(
     seed: int = 0,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Tried]:
-    """Yield ever better tests until the time is over; at least one.
+    """Yield ever better tests until the time is over, or many tests bring no gain; at least one.
 
     Args:
         asked: the search problem.
@@ -200,28 +165,31 @@ def search(
     ends, rng = clock() + seconds, np.random.default_rng(seed)
     work = Work(progress, "looking for the test that tells most", 100.0, "%")
     best: Tried | None = None
-    for count, tried in enumerate(_try_all(asked, begin, families or families_in(asked.room), rng), start=1):
+    last = 0
+    for count, tried in enumerate(_try_all(asked, begin, families or asked.families, rng), start=1):
         if best is None or tried.rank < best.rank:
-            best = tried
+            best, last = tried, count
             yield best
         # On a busy machine the time may be over before any test that can be simulated was drawn.
-        if clock() > ends and (count >= _FEWEST or math.isfinite(best.over)):
+        over = clock() > ends or count >= _MOST or count - last >= _STUCK
+        if over and (count >= _FEWEST or math.isfinite(best.over)):
             break
         work.reach(min(100.0 * (1 - (ends - clock()) / seconds), 99.0))
     work.reach(100.0)
 
 
 def _try_all(
-    asked: Asked, begin: Sequence[Plan], families: Sequence[Family], rng: np.random.Generator
+    asked: Objective, begin: Sequence[Plan], families: Sequence[Family], rng: np.random.Generator
 ) -> Iterator[Tried]:
     """Yield every evaluated test: given ones, random ones, then steps of the best."""
-    yield from (try_plan(asked, plan) for plan in begin)
+    yield from (asked.try_plan(plan) for plan in begin)
     leader: _Line | None = None
+    led = _LED
     while True:
         lines: list[_Line] = []
         drawn = [(family, rng.uniform(size=family.size)) for _ in range(_DRAWN) for family in families]
         for pair in (drawn[k : k + 2] for k in range(0, len(drawn), 2)):
-            tries = in_threads(lambda one: try_plan(asked, one[0].plan(list(one[1]), asked.room)), pair)
+            tries = in_threads(lambda one: asked.try_plan(asked.plan(one[0], list(one[1]))), pair)
             lines += [_Line(family, u, tried) for (family, u), tried in zip(pair, tries, strict=True)]
             yield from tries
         best: dict[Family, _Line] = {}
@@ -234,6 +202,61 @@ def _try_all(
                 line.move(asked, rng)
                 yield line.tried
         leader = min([line for line in (leader, *lines) if line is not None], key=lambda line: line.tried.rank)
-        for _ in range(_LED):
+        for _ in range(led):
             leader.move(asked, rng)
             yield leader.tried
+        led *= 2
+
+
+def look(
+    asked: Objective, begin: Sequence[Plan], seconds: float, seed: int, progress: Progress
+) -> tuple[list[Tried], bool]:
+    """Return successively better tests, and whether the search was interrupted.
+
+    Raises:
+        MethodError: none could be simulated.
+    """
+    found: list[Tried] = []
+    interrupted = False
+    try:
+        for tried in search(asked, begin, seconds, progress, seed=seed):
+            found.append(tried)
+    except KeyboardInterrupt:
+        if not found:
+            raise
+        interrupted = True
+    if not found or math.isinf(found[-1].over):
+        raise MethodError(
+            "No test could be simulated within these limits; check the limits, the controller and the values."
+        )
+    return found, interrupted
+
+
+def choose(asked: Objective, found: Sequence[Tried], progress: Progress) -> tuple[Tried, bool]:
+    """Return the best test by a full objective, and whether it was interrupted.
+
+    A test that has to be reduced to keep the limits may be worse than its predecessor.
+    """
+    kept: list[Tried] = []
+    last = found[-_CANDIDATES:]
+    work = Work(progress, "trying the best of them in full", float(len(last)), "tests")
+    try:
+        for tried in reversed(last):
+            kept.append(_keep_within(asked, tried))
+            work.reach(float(len(kept)))
+            if kept[-1].plan is tried.plan and kept[-1].over <= 1.0:
+                break
+    except KeyboardInterrupt:
+        return min(kept or [found[-1]], key=lambda tried: tried.rank), True
+    return min(kept, key=lambda tried: tried.rank), False
+
+
+def _keep_within(asked: Objective, best: Tried) -> Tried:
+    """Reduce a test's signals until it keeps the limits."""
+    tried = asked.try_plan(best.plan, margin=1.0)
+    for _ in range(_TRIES):
+        smaller = tried.plan.scale(_REDUCED)
+        if tried.over <= 1.0 or math.isinf(tried.over) or smaller is tried.plan:
+            break
+        tried = asked.try_plan(smaller, margin=1.0)
+    return tried

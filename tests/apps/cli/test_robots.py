@@ -170,7 +170,6 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (("--plan", "weakest"), 'The test of a robot has the goal "all"; received "weakest"'),
         (("--no-profiles",), "neither profiles nor tuning; --no-profiles is for a joint file"),
         (("--no-tuning",), "neither profiles nor tuning; --no-tuning is for a joint file"),
         (("--held-out", "nope.csv"), "nope.csv cannot be opened"),

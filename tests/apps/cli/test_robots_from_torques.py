@@ -177,24 +177,24 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
     write_files(tmp_path, two(), 3.0)
     joint, out = tmp_path / "robot.toml", tmp_path / "test"
     with pytest.raises(RecordError, match="torque"):  # no limits, so that a first record is asked, which has no torque
-        run("design", joint, "--seconds", "1")
+        run("design", joint, "--search-time", "1")
     limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0, torque = 60.0 }\n"
     text = joint.read_text(encoding="utf-8").replace("[[joints]]\n", f"[[joints]]\n{limits}")
     joint.write_text(text, encoding="utf-8")
-    run("design", joint, "--seconds", "0.3", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
+    run("design", joint, "--search-time", "0.3", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
     assert "13 parameters to a tenth" in capsys.readouterr().out
     answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.robot_design/1" and answer["samples"] == 4000 and not answer["of_record"]
-    assert answer["reached"][0]["upper"] < 1.0 and not answer["passed"]
-    run("simulate", joint, "--record", out / "motion.csv", "--out", tmp_path / "log.csv")
-    run("design", joint, "--seconds", "0.3", "--record", tmp_path / "log.csv")
-    assert "of the present motion's on the geometric mean" in " ".join(capsys.readouterr().out.split())
-    run("design", joint, "--motion", out / "motion.csv")
+    assert answer["schema"] == "jointid.design/2" and "1 % of each joint" in answer["noise"]
+    assert answer["axes"][0]["reached"]["upper"] < 1.0 and not answer["passed"]
+    run("simulate", joint, "--record", out / "test.csv", "--out", tmp_path / "log.csv")
+    run("design", joint, "--search-time", "0.3", "--record", tmp_path / "log.csv")
+    assert "brings intervals on the geometric mean to" in " ".join(capsys.readouterr().out.split())
+    run("design", joint, "--motion", out / "test.csv")
     assert "1 % of each joint's usual torque" in capsys.readouterr().out
-    run("design", joint, "--motion", out / "motion.csv", "--record", tmp_path / "log.csv")
+    run("design", joint, "--motion", out / "test.csv", "--record", tmp_path / "log.csv")
     assert "the first record's residual" in capsys.readouterr().out
-    with pytest.raises(MethodError, match=r"within the limits of each of its .*--stroke is for a joint file"):
-        run("design", joint, "--stroke", "1")
+    with pytest.raises(MethodError, match="--within is of a joint; a robot is as its record or its model says"):
+        run("design", joint, "--within", "1")
 
 
 def test_a_payload_is_weighed_by_didim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -224,7 +224,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     joint = tmp_path / "robot.toml"
     with pytest.raises(JointFileError, match=r"motor_position is missing, but IDIM needs it"):
         run("identify", joint, "--method", "idim")
-    with pytest.raises(JointFileError, match=r"method\.estimator is a setting of another method than didim"):
+    with pytest.raises(JointFileError, match=r"method\.estimator is for IDIM, but the method is DIDIM"):
         run("identify", joint, "--set", "method.name=didim", "--set", "method.estimator=ols")
     text = joint.read_text(encoding="utf-8")
     joint.write_text(text[: text.rindex("[joints.controller]")], encoding="utf-8")
@@ -292,7 +292,7 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
     assert "log_delay" not in capsys.readouterr().out
     with pytest.raises(MethodError, match="This robot does not tell all of a payload"):
         run("payload", joint, "--without", one, "--with", two_)
-    with pytest.raises(JointFileError, match="iterations is a setting of another method than drive_side"):
+    with pytest.raises(JointFileError, match='iterations is not for the method "drive_side": leave it out, or use'):
         run("identify", joint, "--record", one, "--set", "method.iterations=3")
     with pytest.raises(MethodError, match="under its controllers; without one: joint1, joint2"):
         run("design", joint, "--record", one)

@@ -143,7 +143,7 @@ def plan(visit: Visit) -> None:
     page.wait_for_selector("#plan:has-text('You cancelled it')")
     page.evaluate("document.querySelector('#goal option').value = 'stiffness'")
     page.get_by_role("button", name="Plan it").click()
-    page.wait_for_selector("#plan:has-text('which is no free parameter of this joint')", timeout=PATIENCE)
+    page.wait_for_selector("#plan:has-text('which is no free parameter here')", timeout=PATIENCE)
     visit.looked_at("9-refused")
 
 

@@ -137,7 +137,7 @@ def test_a_plan_that_is_refused_or_cancelled_leaves_the_answer(finished: tuple[A
     asker.post(f"/runs/{run.number}/plan", {"goal": "<b>stiffness</b>"})
     assert ended(run) == "done"
     page = asker.client.get(f"/runs/{run.number}").text
-    assert "which is no free parameter of this joint; choose from inertia" in page
+    assert "which is no free parameter here; choose from inertia" in page
     assert "<b>" not in page
     asker.post(f"/runs/{run.number}/plan", {"goal": "all"})
     running(run, "identifying again")

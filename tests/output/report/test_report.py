@@ -227,14 +227,14 @@ def test_the_next_test_has_its_place() -> None:
     loop = estimate.settings.loop
     assert loop is not None
     limits = ji.AxisLimits(stroke=0.2, speed=0.3, acceleration=2.0, torque=100.0)
-    asked = {"values": estimate.values, "noise": ji.Noise(log=0.5), "limits": limits, "seconds": 0.1}
+    asked = {"values": estimate.values, "noise": ji.Noise(log=0.5), "limits": limits, "search_time": 0.1}
     found = ji.design(loop, duration=4.0, sample_time=1e-3, **asked)  # type: ignore[call-overload]
     planned = replace(told, design=found)
     text = planned.markdown()
     assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")
     assert found.description.split()[0] in text
     assert "test.svg" in text
-    assert json.loads(planned.answer())["design"]["schema"] == "jointid.design/1"
+    assert json.loads(planned.answer())["design"]["schema"] == "jointid.design/2"
     assert "What is to be played" in text
     chart = planned.charts["test"]
     assert svg(chart).startswith(b"<?xml") and "torque" in plot(chart)

@@ -53,7 +53,7 @@ def test_the_next_test_of_a_robot_has_its_place() -> None:
     text = replace(told, design=design).markdown()
     assert "## The next test\n" not in told.markdown()
     assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")
-    assert "test.svg" in text and "predicted intervals" in text
+    assert "test.svg" in text and "what the test reaches, of what is allowed" in text
 
 
 def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import DEFAULTS, Options, deliver, make_folder, show
+from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
 from jointid.apps.cli.places import Outputs
 from jointid.apps.cli.results import require_goal
-from jointid.common.errors import MethodError, RecordError
-from jointid.common.files import write_whole
+from jointid.common.errors import JointidError, MethodError, RecordError
 
 if TYPE_CHECKING:
     from jointid import AxisLimits, Record
     from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
     from jointid.config.robot_file import RobotFile
-    from jointid.planning.joint_design import Design
+    from jointid.planning.designed import Design
 
 
 @Parameter(name="*")
@@ -95,6 +94,18 @@ class Rough:
             )
         return False
 
+    def of_robot(self, joints: int) -> dict[str, Any]:
+        """Return what is stated of a robot: the noise of each joint's log, and the sample time.
+
+        Raises:
+            MethodError: something is given that is of a joint alone.
+        """
+        beside = {"--noise-force": self.noise_force, "--estimate": self.estimate, "--within": self.within}
+        if given := [name for name, value in beside.items() if value]:
+            raise MethodError(f"{given[0]} is of a joint; a robot is as its record or its model says: leave it out.")
+        found: dict[str, Any] = {"noise": [self.noise_log] * joints} if self.noise_log else {}
+        return found if self.sample_time is None else found | {"sample_time": self.sample_time}
+
     def plan(self, file: JointFile, record: Path | None, asked: Mapping[str, Any]) -> Design:
         """Plan a test from the stated values; only the motion of a record is read.
 
@@ -154,104 +165,91 @@ def design(
     rough: Rough = NOTHING_ROUGH,
     goal: str = "all",
     duration: float | None = None,
-    seconds: float = 60.0,
+    injection: bool = True,
+    search_time: float = 60.0,
     motion: Path | None = None,
     out: Path | None = None,
     figure: Path | None = None,
 ) -> None:
     """Plan the next test from a first record: the one that tells most of the joint within what its axis may do.
 
-    The joint is identified from the record by didim; tests that a drive can play are then searched for, at the joint as
-    it was found and at others of its interval. Ctrl-C ends the search and keeps the best test there is. With
-    --noise-log or --noise-force nothing is identified, and no record is needed: the joint is as an earlier answer, or
-    [parameters], says.
+    The joint, or the robot, is identified from the record. Tests that a drive can play are then searched for, of a
+    joint also at others of its interval. Ctrl-C ends the search and keeps the best test there is. With --noise-log or
+    --noise-force nothing is identified, and no record is needed: the joint is as an earlier answer, or [parameters],
+    says.
 
     Args:
         joint: the joint file (TOML), whose method is didim; or a robot file, which has the table [robot]: the motion
-            that tells most of it within the limits of its [[joints]], beside that of --record.
+            that tells most of it within the limits of its [[joints]], beside that of its record.
         options: those that most commands have.
-        limits: of the axis, in the place of those that [limits] of the joint file states.
+        limits: of the axis, in the place of those that [limits] of the joint file states; of a robot of every joint.
         rough: what is known of the joint and of the noise, where it is not identified from a record.
         goal: what the test is to tell: a parameter, a sum or a difference as "motor_viscous - load_viscous", "weakest"
             (what is known worst) or "all".
         duration: of the test, in s; without it that of the record.
-        seconds: that the search may take.
-        motion: a test of your own, predicted in the place of a search: a table with the columns t (s),
-            reference (m or rad) and, if a signal is added to the torque, injected (N, N m, or the torque's unit); or a
-            past record, logged as the joint file says.
-        out: also write the test into this folder: a CSV, a MAT file, and a page on how to run it; of a robot a CSV as
-            its file reads references, and the page.
+        injection: whether the drive can add a signal to the torque.
+        search_time: that the search may take, in s.
+        motion: a test of your own, predicted in the place of a search: a past record, or a table with its columns; of
+            a joint also a table with the columns t (s), reference (m or rad) and, if a signal is added to the torque,
+            injected (N, N m, or the torque's unit).
+        out: also write the test into this folder: a CSV and a MAT file in the columns, units and sides of the joint
+            file, and a page on how to run it.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
     from jointid import design as run
     from jointid import figures
     from jointid.config import JointFile
+    from jointid.config.test_layout import lay_out
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
     outputs.spare("--motion", motion)
     outputs.spare("--estimate", rough.estimate)
     file = options.load(joint, outputs)
-    if not isinstance(file, JointFile):
-        given = [name for one in (limits, rough) for name in one.__slots__ if getattr(one, name)]
-        if given or goal != "all":
-            options_given = [f"--{name.replace('_', '-')}" for name in given] + ["--goal"] * (goal != "all")
-            raise MethodError(
-                f"A robot's test tells all parameters within the limits of each of its [[joints]]; "
-                f"{', '.join(options_given)} is for a joint file: leave it out."
-            )
-        _design_robot(file, options, duration, seconds, motion, out, figure)
-        return
-    file = options.load_joint(joint, outputs, method="didim")
-    require_goal(file, goal)
     asked: dict[str, Any] = {
-        "goal": goal,
-        "limits": limits.beside(file.limits),
-        "duration": duration,
-        "seconds": seconds,
-        "motion": None if motion is None else _read(motion, file),
+        "goal": goal, "duration": duration, "search_time": search_time, "injection": injection,
         "progress": options.progress,
-    }
-    if rough.stated:
-        found = rough.plan(file, options.record, asked)
+    }  # fmt: skip
+    if isinstance(file, JointFile):
+        file = options.load_joint(joint, outputs, method="didim")
+        require_goal(file, goal)
+        asked |= {"limits": limits.beside(file.limits), "motion": None if motion is None else _read(motion, file)}
+        if rough.stated:
+            found = rough.plan(file, options.record, asked)
+        else:
+            record, estimate = options.identify(file, checks=False)
+            found = run(estimate, record, **asked)
     else:
-        record, estimate = options.identify(file, checks=False)
-        found = run(estimate, record, **asked)
+        asked |= {"limits": [limits.beside(one) for one in file.limits], **rough.of_robot(len(file.joints))}
+        found = _plan_robot(file, options, asked, None if motion is None else file.driving(motion))
+    found = lay_out(file, found)
     deliver(found, options.json, (figure, figures.draw))
     if out is not None:
         paths = found.write(out)
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
 
 
-def _design_robot(
-    file: RobotFile, options: Options, duration: float | None, seconds: float, motion: Path | None, out: Path | None,
-    figure: Path | None,
-) -> None:  # fmt: skip
-    """Plan the most informative motion of a robot, compared with a first record if any."""
-    from jointid import IDIM, figures
-    from jointid import design as run
+def _plan_robot(file: RobotFile, options: Options, asked: dict[str, Any], motion: tuple[Record, ...] | None) -> Design:
+    """Plan the test of a robot, from the record that is named or that its file names, or from its model alone."""
+    from jointid import IDIM, design
 
     loop = None if isinstance(file.method, IDIM) else file.loop
-    asked: dict[str, Any] = {
-        "limits": file.limits, "duration": duration, "filtering": file.filtering, "seconds": seconds,
+    asked |= {
         # Of a motion that was never played nothing is logged: such a robot is predicted without.
-        "feed_forward": "none" if file.feed_forward == "logged" else file.feed_forward, "progress": options.progress,
+        "motion": motion, "feed_forward": "none" if file.feed_forward == "logged" else file.feed_forward,
+        "filtering": file.filtering,
     }  # fmt: skip
-    complete = all({"lower", "upper", "speed"} <= one.stated.keys() for one in file.limits)
-    if motion is not None:
-        asked["motion"] = file.driving(motion)
-    if motion is not None and options.record is None:
-        found = run(loop or file.robot, **asked)
-    elif options.record is None and complete:
-        found = run(loop or file.robot, sample_time=file.source.sample_time, **asked)
-    else:
-        records = file.record(options.record)
-        found = run(file.identify(records, options.progress), records, loop=loop, **asked)
-    deliver(found, options.json, (figure, figures.draw))
-    if out is not None:
-        make_folder(out, "--out")
-        file.write(found.records(), out / "motion.csv")
-        write_whole(out / "design.md", found.to_document().markdown())
-        show(f"\nWritten to {out}: motion.csv, design.md")
+    enough = motion is not None or all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
+    if options.record is not None or file.source.file is not None or not enough:
+        try:
+            records = file.record(options.record)
+            estimate = file.identify(records, options.progress, checks=False)
+            return design(estimate, records, loop=loop, **asked)
+        except JointidError as error:
+            if options.record is not None or not enough:
+                raise
+            show(f"The record that the robot file names is not used, and the robot is as its model says: {error}")
+    sample_time = asked.pop("sample_time", None) or file.source.sample_time
+    return design(loop or file.robot, sample_time=None if motion is not None else sample_time, **asked)
 
 
 def _read(motion: Path, file: JointFile) -> Record:
@@ -263,18 +261,17 @@ def _read(motion: Path, file: JointFile) -> Record:
     from jointid import Column, inspect, read
     from jointid.common.parameters import POSITION_UNIT
 
-    joint = file.joint
+    joint, known = file.joint, {one.name for one in inspect(motion).channels}
+    try:
+        return file.driving(motion)
+    except RecordError as error:
+        if not {"t", "reference"} <= known <= {"t", "reference", "injected"}:
+            raise RecordError(
+                f"{error} It was read as a past record, as the joint file says; a test of your own has the columns t, "
+                "reference and, if a signal is added, injected, and no others."
+            ) from None
     columns = {
         "reference": Column("reference", POSITION_UNIT[joint.kind]),
         "injected": Column("injected", joint.force_unit, optional=True),
     }
-    found = {one.name for one in inspect(motion).channels}
-    if {"t", "reference"} <= found <= {"t", *columns}:
-        return read(motion, columns, time="t", kind=joint.kind)
-    try:
-        return file.record(motion)
-    except RecordError as error:
-        raise RecordError(
-            f"{error} It was read as a past record, as the joint file says; a test of your own has the columns t, "
-            "reference and, if a signal is added, injected, and no others."
-        ) from None
+    return read(motion, columns, time="t", kind=joint.kind)

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from jointid.config import JointFile
     from jointid.config.robot_file import RobotFile
     from jointid.output.report import Repetition
-    from jointid.planning.joint_design import Design
-    from jointid.planning.robot_design import RobotDesign
+    from jointid.planning.designed import Design
 
 
 def report(
@@ -68,6 +67,7 @@ def report(
     from jointid import Report, design
     from jointid import validate as validate_estimate
     from jointid.config import JointFile
+    from jointid.config.test_layout import lay_out
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
@@ -88,8 +88,6 @@ def report(
             "The report of a robot has neither profiles nor tuning",
             {"--no-profiles": no_profiles, "--no-tuning": no_tuning},
         )
-        if plan not in (None, "all"):
-            raise MethodError(f'The test of a robot has the goal "all"; received "{plan}": give --plan all.')
         again = repetition(joint, source, asked, options.changes, html_name, "robot")
         _report_robot(
             file, options, again, plan, held_out, partial(_save, page=page, markdown=markdown, figures=figures)
@@ -113,7 +111,8 @@ def report(
         stated = replace(stated, tuned=tuned)
     if plan is not None:
         stated = _with_test(
-            stated, lambda: design(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
+            stated,
+            lambda: lay_out(file, design(estimate, record, goal=plan, limits=file.limits, progress=options.progress)),
         )
     written = _save(stated, page, markdown, figures) + ([] if options.json is None else [options.json])
     deliver(stated.estimate, options.json)
@@ -131,6 +130,7 @@ def _report_robot(
     """Identify and report a robot, with a validation and the next test where they are asked for."""
     from jointid import IDIM, Report, design
     from jointid import validate as validate_estimate
+    from jointid.config.test_layout import lay_out
 
     unseen = None if held_out is None else file.record(held_out)
     asked: dict[str, Any] = {}
@@ -145,7 +145,9 @@ def _report_robot(
         estimate, records, checks, controllers=controllers, feed_forward=file.feed_forward, repetition=again
     )
     if asked:
-        stated = _with_test(stated, lambda: design(estimate, records, progress=options.progress, **asked))
+        stated = _with_test(
+            stated, lambda: lay_out(file, design(estimate, records, progress=options.progress, **asked))
+        )
     written = save(stated)
     deliver(checks[0] if checks else estimate)
     if options.json is not None:
@@ -154,7 +156,7 @@ def _report_robot(
     show("\nWritten: " + ", ".join(map(str, written)))
 
 
-def _with_test(stated: Report, plan: Callable[[], Design | RobotDesign]) -> Report:
+def _with_test(stated: Report, plan: Callable[[], Design]) -> Report:
     """Add the next test to a report, or the reason why there is none."""
     from numpy.linalg import LinAlgError
 

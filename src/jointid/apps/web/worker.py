@@ -168,6 +168,7 @@ def plan(folder: Path) -> None:
     from jointid.common.document import Facts, Table
     from jointid.common.matplotlib_backend import png
     from jointid.config import load_joint
+    from jointid.config.test_layout import lay_out
     from jointid.planning.design import design
     from jointid.simulation.warm_up import warm_up
 
@@ -177,19 +178,20 @@ def plan(folder: Path) -> None:
     warm_up()
     _print_progress("identifying again")
     estimate = file.identify(record, _print_progress, checks=False)
-    asked = {"goal": work["goal"], "seconds": work["seconds"], "limits": file.limits}
-    found = design(estimate, record, progress=_print_progress, **asked)
+    asked = {"goal": work["goal"], "search_time": work["seconds"], "limits": file.limits}
+    found = lay_out(file, design(estimate, record, progress=_print_progress, **asked))
     for name, content in {**found.files(), "test.png": png(found.chart())}.items():
         write_whole(folder / name, content)
-    table, facts = found.to_document().blocks
+    table, reached, _, facts = found.to_document().blocks
     assert isinstance(table, Table)
+    assert isinstance(reached, Table)
     assert isinstance(facts, Facts)
     stated = {
         "goal": found.goal.name,
         "sentence": found.sentence,
         "header": table.header,
         "rows": table.rows,
-        "facts": facts.pairs,
+        "facts": [*reached.rows, *facts.pairs],
     }
     write_whole(folder / "plan.json", json.dumps(stated))
 

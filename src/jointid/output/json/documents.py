@@ -116,9 +116,11 @@ SHAPES: Mapping[str, Shape] = {
         "predicts_as_well refusal"
     ),
     "Design": document_shape(
-        "jointid.design/1",
-        "record goal sentence description transmission tests reached limits passed present_passes from_present floor "
-        "modes interrupted",
+        "jointid.design/2",
+        "record=source goal sentence description axes tests noise passed peaks floor modes tried interrupted",
+    ),
+    "DesignedAxis": keys(
+        "name position_unit torque_unit transmission limits=limits.stated reached passed present_passes from_record"
     ),
     "PredictedTest": keys("name values std units covariance.correlation"),
     "Examination": document_shape(
@@ -225,12 +227,6 @@ SHAPES: Mapping[str, Shape] = {
         "jointid.robot_validation/1",
         "robot=robot.name joints=robot.names better_than_nominal=better bodies_better_than_nominal=bodies_better "
         "left=joint_errors nominal_left=nominal_errors bodies_left=body_errors",
-    ),
-    "RobotDesign": document_shape(
-        "jointid.robot_design/1",
-        "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits=allowed reached "
-        "passed modes tried",
-        samples=lambda design: len(design.reference),
     ),
     "RobotSimulation": {
         **keys("sample_time explanation=outcome.value events"),

@@ -29,8 +29,7 @@ from jointid.output.report.page import page
 from jointid.output.report.pages import Repetition, repetition, require_page
 from jointid.output.report.robots import RobotReportData, robot_blocks, robot_charts, robot_contents
 from jointid.output.report.sections import report_blocks
-from jointid.planning.joint_design import Design
-from jointid.planning.robot_design import RobotDesign
+from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 
 __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
@@ -61,7 +60,7 @@ class Report:
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
-    design: Design | RobotDesign | None = None
+    design: Design | None = None
 
     @classmethod
     def of(
@@ -134,9 +133,7 @@ class Report:
         if self.tuned is not None:
             drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
         if self.design is not None:
-            drawn["test"] = self.design.chart()
-            if isinstance(self.design, Design):
-                drawn["test"] = replace(drawn["test"], caption=_TEST)
+            drawn["test"] = replace(self.design.chart(), caption=_TEST)
         return drawn
 
     @property
@@ -172,9 +169,7 @@ class Report:
     def _blocks(self, interactive: bool) -> Iterable[Block]:
         given, charts, again, design = self.data, self.charts, self.repetition, self.design
         if isinstance(given, RobotReportData):
-            assert not isinstance(design, Design)
             return robot_blocks(given, charts, again, design, interactive=interactive)
-        assert not isinstance(design, RobotDesign)
         return report_blocks(given, charts, again, self.tuned, design, interactive=interactive)
 
     def __repr__(self) -> str:

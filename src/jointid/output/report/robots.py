@@ -18,7 +18,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
 from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import next_test, next_test_in_full
-from jointid.planning.robot_design import RobotDesign
+from jointid.planning.designed import Design
 
 REPORT_OF_ROBOT = "jointid.robot_report/1"
 
@@ -56,7 +56,7 @@ def robot_blocks(
     given: RobotReportData,
     charts: dict[str, Chart],
     repetition: Repetition,
-    design: RobotDesign | None,
+    design: Design | None,
     *,
     interactive: bool,
 ) -> Iterator[Block]:

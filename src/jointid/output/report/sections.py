@@ -29,7 +29,7 @@ from jointid.estimation.result.summary import (
 )
 from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import next_test_in_full, summary_blocks, verdicts_in_full
-from jointid.planning.joint_design import Design
+from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 
 

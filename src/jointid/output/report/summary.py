@@ -11,8 +11,7 @@ from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.answer import Trust, consequence, told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
-from jointid.planning.joint_design import Design
-from jointid.planning.robot_design import RobotDesign
+from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 
 _TONES: dict[Trust, Tone] = {
@@ -55,7 +54,7 @@ def summary_blocks(
     yield from next_test(design, given.absent)
 
 
-def next_test(design: Design | RobotDesign | None, absent: Mapping[str, str]) -> Iterator[Block]:
+def next_test(design: Design | None, absent: Mapping[str, str]) -> Iterator[Block]:
     """Yield the next test in short, or why there is none."""
     if (why := absent.get("design")) is not None:
         yield Heading("The next test")
@@ -66,7 +65,7 @@ def next_test(design: Design | RobotDesign | None, absent: Mapping[str, str]) ->
         yield next(block for block in design.to_document().blocks if isinstance(block, Table))
 
 
-def next_test_in_full(design: Design | RobotDesign | None, picture: Callable[[str], list[Block]]) -> tuple[Block, ...]:
+def next_test_in_full(design: Design | None, picture: Callable[[str], list[Block]]) -> tuple[Block, ...]:
     """Return the next test but for its intervals, with its picture."""
     if design is None:
         return ()

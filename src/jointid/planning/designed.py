@@ -1,0 +1,406 @@
+"""A designed test of one or several axes: what it tells, what it reaches, and its files."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Line, Mark, Panel
+from jointid.common.document import Document, Documented, Facts, Paragraph, Table, common_facts
+from jointid.common.files import write_folder
+from jointid.common.matplotlib_backend import Charted
+from jointid.common.text import join, number
+from jointid.common.transmission import Side, Transmission
+from jointid.models.limits import AxisLimits, describe_excess, units_of_limits
+from jointid.planning.goals import WEAKEST, Goal
+from jointid.planning.predict import PredictedTest
+from jointid.records.formats import format_of
+from jointid.records.record import InjectionPoint, Record
+from jointid.records.writing import write_columns
+
+_LINE = 0.6
+_KNOWN = 0.1  # of a value, that its deviation is less than
+_QUANTITIES = ("stroke", "speed", "acceleration", "jerk", "torque", "rms_torque", "windup")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DesignedAxis:
+    """One axis of a designed test.
+
+    Attributes:
+        name: of a robot's joint; empty of a joint alone.
+        test: as a record without a torque yet.
+        torque: (samples,) that is predicted.
+        sample_time: of the torque, s.
+        position_unit, torque_unit: of all numbers.
+        transmission: on whose `side` they are.
+        limits: that the test keeps.
+        from_record: names of the limits that are those of the present test.
+        reached: the largest of each quantity, over the joints of the interval.
+        present_passes: clauses on limits that the present test passes.
+        modes: Hz, as they are roughly known, by name; none of a rigid joint.
+    """
+
+    name: str
+    test: Record
+    torque: FloatArray
+    sample_time: float
+    position_unit: str
+    torque_unit: str
+    transmission: Transmission | None
+    limits: AxisLimits
+    from_record: tuple[str, ...]
+    reached: Mapping[str, float]
+    present_passes: tuple[str, ...]
+    modes: Mapping[str, float]
+
+    @property
+    def passed(self) -> tuple[str, ...]:
+        """Clauses on limits that are passed; none as a rule."""
+        return tuple(describe_excess(self.limits, self.reached, self.units, self.name))
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the limited quantities."""
+        return units_of_limits(self.position_unit, self.torque_unit)
+
+    def word(self, quantity: str) -> str:
+        """Return a quantity with the axis's name before it, where it has one."""
+        return f"{self.name} {quantity}".strip()
+
+    def cell(self, quantity: str) -> str:
+        """Return what is reached of a quantity, of what is allowed."""
+        if quantity == "positions":
+            return f"{number(self.reached['lower'], 3)} to {number(self.reached['upper'], 3)} {self.position_unit}"
+        if quantity not in self.reached:
+            return "-"
+        allowed = self.limits.given.get(quantity)
+        of = "" if allowed is None else f" of {number(allowed, 3)}"
+        return f"{number(self.reached[quantity], 3)}{of} {self.units[quantity]}"
+
+
+@dataclass(frozen=True, slots=True)
+class PlayedAxis:
+    """How a file that drives play says one axis.
+
+    Attributes:
+        position, torque: factors from the joint's numbers to the file's.
+        position_unit, torque_unit: of the file.
+        side: of the transmission; None without one.
+        injected: column of an added signal, where the file has one.
+    """
+
+    position: float
+    torque: float
+    position_unit: str
+    torque_unit: str
+    side: Side | None
+    injected: str
+
+
+class Layout(Protocol):
+    """The columns of a file that drives play."""
+
+    @property
+    def axes(self) -> Sequence[PlayedAxis]:
+        """How each axis is said."""
+        ...
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """Options of the format of its text files."""
+        ...
+
+    def columns(self, records: Sequence[Record]) -> Mapping[str, FloatArray]:
+        """Return the columns of a test by their names."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design(Charted, Documented):
+    """A proposed test of a joint or a robot, and its predicted intervals.
+
+    Attributes:
+        source: record of what is roughly known; empty where it was stated.
+        goal: what the test is to tell.
+        description: of the test, in words.
+        axes: what it does to each axis.
+        tests: predictions by the name of the test: "proposed", and where they are known "present", the test there is
+            already, "with motor encoder" where that tells something new, "with load encoder" of a flexible joint, and
+            "twice the time".
+        noise: what disturbs the tests, in words.
+        floor: standard deviation of the goal below which no motion comes; None where it is not known.
+        tried: tests of the search.
+        interrupted: whether the search was, before its time was over.
+        notes: clauses on what is doubtful; none as a rule.
+        layout: of the file that drives play; None for SI units on the joint's side.
+    """
+
+    source: str
+    goal: Goal
+    description: str
+    axes: tuple[DesignedAxis, ...]
+    tests: Mapping[str, PredictedTest]
+    noise: str
+    floor: float | None = None
+    tried: int = 0
+    interrupted: bool = False
+    notes: tuple[str, ...] = ()
+    layout: Layout | None = None
+
+    @property
+    def proposed(self) -> PredictedTest:
+        """Prediction of the new test."""
+        return self.tests["proposed"]
+
+    @property
+    def present(self) -> PredictedTest | None:
+        """Prediction of the test there is already; None without one, or if it does not tell every parameter."""
+        return self.tests.get("present")
+
+    @property
+    def passed(self) -> tuple[str, ...]:
+        """Clauses on limits that are passed; none as a rule."""
+        return (*self.notes, *(clause for axis in self.axes for clause in axis.passed))
+
+    @property
+    def modes(self) -> dict[str, float]:
+        """Frequencies of the modes, Hz, by name."""
+        return {axis.word(name): hertz for axis in self.axes for name, hertz in axis.modes.items()}
+
+    @property
+    def well_known(self) -> tuple[str, ...]:
+        """Names of the parameters that will be known to a tenth of their value, one standard deviation."""
+        proposed = self.proposed
+        return tuple(n for n, std in proposed.std.items() if std < _KNOWN * abs(proposed.values[n]))
+
+    @property
+    def peaks(self) -> tuple[str, ...]:
+        """Largest torque of each axis, first as the file of the test says it."""
+        found = []
+        for k, axis in enumerate(self.axes):
+            size, own = axis.reached["torque"], f"{number(axis.reached['torque'], 3)} {axis.torque_unit}"
+            if self.layout is not None:
+                as_played = self.layout.axes[k]
+                stated = f"{number(size * as_played.torque, 3)} {as_played.torque_unit}"
+                side = f" of the {as_played.side}" if as_played.side else ""
+                own = stated + side if stated == own else f"{stated}{side} ({own})"
+            found.append(axis.word(own))
+        return tuple(found)
+
+    @property
+    def sentence(self) -> str:
+        """Predicted interval of the goal, compared with the present test."""
+        over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
+        return f"{self._summary}.{over}"
+
+    @property
+    def _summary(self) -> str:
+        present = self.present
+        gain = None if present is None else self._score(self.proposed) - self._score(present)
+        over = "; ".join(clause for axis in self.axes for clause in axis.present_passes)
+        if over:
+            first = f"Of the present test: {over}. The best test found within the limits"
+        else:
+            better = gain is None or not gain >= 0
+            first = "The proposed test" if better else "No better test than the present one was found: the best one"
+        if self.goal.weights:
+            unit = self.proposed.units[next(iter(self.goal.weights))]
+            stated = f"{first} tells {self.goal.name.replace('_', ' ')} to {self._width(self.proposed)} {unit}"
+            return stated if present is None else f"{stated}, the present one to {self._width(present)} {unit}"
+        stated = f"{first} tells {len(self.well_known)} of {len(self.proposed.joint)} parameters to a tenth"
+        if gain is None:
+            return stated
+        if not math.isfinite(gain):
+            return f"{stated}; the present one does not tell all"
+        what = "the worst known direction" if self.goal.name == WEAKEST else "intervals on the geometric mean"
+        return f"{stated}, and brings {what} to {number(100 * math.exp(gain), 3)} % of the width of the present one"
+
+    def _width(self, prediction: PredictedTest) -> str:
+        std = prediction.std_of(self.goal.weights)
+        return f"+- {number(2 * std, 2)}" if math.isfinite(std) else "no bound"
+
+    def _score(self, prediction: PredictedTest) -> float:
+        return self.goal.score(prediction.covariance.matrix, prediction.joint, prediction.values)
+
+    def to_document(self, *, details: bool = False) -> Document:
+        """Intervals side by side, the test, and its maxima."""
+        del details
+        tests, proposed = self.tests, self.proposed
+        rows = []
+        for name in proposed.joint:
+            stds = (_sigma(prediction.std[name]) for prediction in tests.values())
+            rows.append((proposed.symbols[name], number(proposed.values[name], 4), *stds, proposed.units[name]))
+        # Torque alone hardly separates the parameters of both sides.
+        for motor, load in self._sides():
+            for sign in (1.0, -1.0):
+                shown = f"{proposed.symbols[motor]} {'+' if sign > 0 else '-'} {proposed.symbols[load]}"
+                value = proposed.values[motor] + sign * proposed.values[load]
+                stds = (_sigma(prediction.std_of({motor: 1.0, load: sign})) for prediction in tests.values())
+                rows.append((shown, number(value, 4), *stds, proposed.units[motor]))
+        header = ("symbol", "about", *tests, "unit")
+        reached = [
+            (name.replace("_", " "), *(axis.cell(name) for axis in self.axes))
+            for name in ("positions", *_QUANTITIES)
+            if any(name in ("positions", *axis.reached) for axis in self.axes)
+        ]
+        facts = [("test", self.description), ("peak torque", "; ".join(self.peaks)), ("noise", self.noise)]
+        facts += [fact for axis in self.axes for fact in common_facts(None, axis.transmission)]
+        if taken := [axis.word(name.replace("_", " ")) for axis in self.axes for name in axis.from_record]:
+            facts.append(("limits", f"not stated, and those which the present test reaches: {join(taken)}"))
+        if self.floor is not None and self.goal.weights:
+            unit = proposed.units[next(iter(self.goal.weights))]
+            facts.append(("floor", f"no motion within these limits comes below +- {number(2 * self.floor, 2)} {unit}"))
+        if self.modes:
+            facts.append(("modes", ", ".join(f"{name} {number(hertz, 3)} Hz" for name, hertz in self.modes.items())))
+        cut = "interrupted; this is the best that was found until then" if self.interrupted else ""
+        tried = f"{self.tried} better tests were found" if self.tried else "none: one test was predicted"
+        facts.append(("search", cut or tried))
+        return Document(
+            self.sentence,
+            (
+                Table(header, tuple(rows), caption="predicted 2 sigma of", words=(0, len(header) - 1)),
+                Table(
+                    ("", *(axis.name or "reached" for axis in self.axes)), tuple(reached),
+                    "what the test reaches, of what is allowed", tuple(range(len(self.axes) + 1)),
+                ),
+                Paragraph("Neither obstacles nor the machine's own body are known here: play the test slowly first."),
+                Facts(tuple(facts)),
+            ),
+        )  # fmt: skip
+
+    def _sides(self) -> list[tuple[str, str]]:
+        """Pairs of the parameters of motor and load of one kind, inertias aside."""
+        names = self.proposed.joint
+        pairs = [(name, f"load_{name[6:]}") for name in names if name.startswith("motor_") and "inertia" not in name]
+        pairs += [(name, name.replace(".", ".link_", 1)) for name in names if "." in name]
+        return [pair for pair in pairs if pair[1] in names]
+
+    def chart(self) -> Chart:
+        """Plot reference and predicted torque of each axis, and the spectra of the torques beside the modes."""
+        panels: list[Panel] = []
+        for axis in self.axes:
+            torque, T, u = axis.torque, axis.sample_time, axis.torque_unit
+            lines = [Line(_times(torque.size, T), torque, SIMULATED, "torque", width=_LINE)]
+            if axis.test.injected is not None:
+                added = axis.test.injected.channel
+                lines.append(
+                    Line(_times(len(added), added.sample_time), added.values, LOAD, "of it injected", width=_LINE)
+                )
+            reference = axis.test.reference
+            assert reference is not None
+            motion = Line(_times(len(reference), reference.sample_time), reference.values, MEASURED)
+            hertz = np.asarray(np.fft.rfftfreq(torque.size, T)[1:], dtype=np.float64)
+            size = np.abs(np.fft.rfft(torque - torque.mean()))[1:] * 2 / torque.size
+            kept = hertz <= 4 * max([*axis.modes.values(), 25.0])
+            marks = (Mark(f, name.replace("_", " "), row) for row, (name, f) in enumerate(axis.modes.items()))
+            spectrum = Line(hertz[kept], size[kept], SIMULATED, width=_LINE)
+            shown = f"{axis.name}, " if axis.name else ""
+            panels += [
+                Panel("time [s]", f"{shown}reference [{axis.position_unit}]", (motion,), height=170, group="time"),
+                Panel("time [s]", f"{shown}torque [{u}]", tuple(lines), height=170, group="time"),
+                Panel("frequency [Hz]", f"{shown}torque [{u}]", (spectrum, *marks), height=170),
+            ]
+        return Chart("test", "", tuple(panels), title="the proposed test")
+
+    def records(self) -> tuple[Record, ...]:
+        """Return the test as a record of each axis, with its reference and what is added to its torque."""
+        return tuple(
+            replace(axis.test, name="test", torque=None, motor_position=None, load_position=None) for axis in self.axes
+        )
+
+    def write(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write CSV and MAT tables and instructions into a folder; return the paths."""
+        return write_folder(folder, self.files())
+
+    def files(self) -> dict[str, bytes]:
+        """Files of `write`, by name."""
+        records = self.records()
+        columns = _columns(self.axes, records) if self.layout is None else self.layout.columns(records)
+        options = {} if self.layout is None else self.layout.options
+        files: dict[str, bytes] = {}
+        with tempfile.TemporaryDirectory() as place:
+            for name, given in (("test.csv", options), ("test.mat", {})):
+                path = Path(place) / name
+                legal = format_of(path).legal_name
+                write_columns({legal(one, list(columns)): values for one, values in columns.items()}, path, **given)
+                files[name] = path.read_bytes()
+        return files | {"how-to-run.md": self._page(columns).encode("utf-8")}
+
+    def _page(self, columns: Mapping[str, FloatArray]) -> str:
+        reference = self.axes[0].test.reference
+        assert reference is not None
+        every, length = number(1e3 * reference.sample_time, 6), number(len(reference) * reference.sample_time, 4)
+        steps = [
+            f"`test.csv` and `test.mat` hold the columns {join([f'`{name}`' for name in columns])}, a row every "
+            f"{every} ms, {length} s."
+        ]
+        injections = []
+        for k, axis in enumerate(self.axes):
+            assert axis.test.reference is not None
+            own = _PLAIN if self.layout is None else self.layout.axes[k]
+            q, u = own.position_unit or axis.position_unit, own.torque_unit or axis.torque_unit
+            played = axis.test.reference.values * own.position
+            start, low, high = (number(float(one), 4) for one in (played[0], played.min(), played.max()))
+            gear = axis.transmission
+            side = own.side or (None if gear is None else gear.side)
+            said = axis.name or "The reference"
+            said += f" begins at {start} {q} and stays between {low} and {high} {q}"
+            if gear is not None and side is not None:
+                other: Side = "motor" if side == "load" else "load"
+                far = gear.torque(other) / gear.torque(side)
+                said += (
+                    f". All numbers are of the {side} side: on the {other} side positions are {far:g} times, torques "
+                    f"{1 / far:g} times as large"
+                )
+            steps.append(f"{said}. Bring the axis there first. Its peak torque is {self.peaks[k]}.")
+            injected = axis.test.injected
+            if injected is not None:
+                before = injected.at is InjectionPoint.BEFORE_LIMIT
+                where = "before the controller's limit" if before else "after its limit"
+                inside, sided = "true" if injected.in_torque else "false", f', side = "{side}"' if side else ""
+                declared = (
+                    f'and declare it in the joint file: `injected = {{ column = "injected", unit = "{u}", '
+                    f'at = "{injected.at}", in_torque = {inside}{sided} }}`'
+                )
+                injections.append(
+                    f"Add the signal, in {u}, to the controller's output, {where}. Log it with the same clock, "
+                    f"{f'in the column `{own.injected}`' if own.injected else declared}."
+                )
+        kind = "robot" if self.axes[0].name else "joint"
+        steps += [
+            "Begin slowly, with half of the speed" + (" and a tenth of the added signal" if injections else "") + ".",
+            *injections,
+            "Log torque and reference, and the motor's position where the drive can: it checks the controller, too.",
+            f"Then `jointid examine {kind}.toml --record RECORD`, and `jointid identify {kind}.toml --record RECORD`.",
+        ]
+        numbered = "\n".join(f"{i}. {step}" for i, step in enumerate(steps, 1))
+        return f"# A test of this {kind}\n\n{self.description}.\n\n{numbered}\n\n{self.to_document().markdown()}\n"
+
+
+_PLAIN = PlayedAxis(1.0, 1.0, "", "", None, "")
+
+
+def _columns(axes: Sequence[DesignedAxis], records: Sequence[Record]) -> dict[str, FloatArray]:
+    """Columns in SI units, by the names of axis and channel."""
+    found: dict[str, FloatArray] = {}
+    for axis, record in zip(axes, records, strict=True):
+        for name, channel in record.items():
+            found.setdefault("t", channel.time)
+            found[f"{axis.name}.{name}" if axis.name else name] = channel.values
+    return found
+
+
+def _sigma(std: float) -> str:
+    return number(2 * float(std), 2) if math.isfinite(std) else "not told"
+
+
+def _times(samples: int, sample_time: float) -> FloatArray:
+    return np.asarray(np.arange(samples) * sample_time, dtype=np.float64)

@@ -1,0 +1,353 @@
+"""Tests of a joint: what each tells and reaches, at the rough joint and at others of its interval.
+
+A test is simulated with noise at several joints; its objective is the mean, its maxima the largest. The search uses a
+few joints, and the best test is then simulated at many more, so that none exceeds a limit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError, MethodError
+from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
+from jointid.diagnostics.other_experiments import choose_encoder_steps
+from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.limits import AxisLimits, describe_excess, find_excess, units_of_limits
+from jointid.planning.bound import Floor, least_deviation
+from jointid.planning.designed import DesignedAxis
+from jointid.planning.goals import Goal, parse_goal
+from jointid.planning.plans import Family, Plan, Room, Table, TorqueTable, families_in, room_of
+from jointid.planning.predict import (
+    Noise,
+    PredictedTest,
+    RoughPrediction,
+    planned_record,
+    predict_roughly,
+    predict_test,
+    reach,
+)
+from jointid.planning.search import ASTRAY, MARGIN, Tried, worst_excess
+from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing
+from jointid.records.signals.filtering import Filtering
+
+_JOINTS = 2  # of the interval, beside the one that is roughly known, in the search
+_MORE_JOINTS = 20  # of the interval, at which the result is simulated
+_LEAST = 0.2  # of an inertia or a stiffness that is drawn: less is no joint that was identified
+_TELLS_MORE = 0.95  # of a deviation
+_CLEARLY = 0.02  # of a score: other joints change it by as much
+_NEEDED = ("stroke", "speed", "acceleration", "torque")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Purpose:
+    """Purpose of a test.
+
+    Attributes:
+        joints: values of every parameter, one mapping a joint that it may be; first the one that is roughly known.
+        goal: what the test is to tell.
+        tap: where its torque will be logged.
+    """
+
+    loop: ClosedLoop
+    joints: tuple[Mapping[str, float], ...]
+    noise: Noise
+    goal: Goal
+    samples: int
+    sample_time: float
+    tap: Tap
+    filtering: Filtering
+    parameters: Mapping[str, Parameter]
+
+    def predict(
+        self, test: Record, *, motor_encoder: float | None = None, load_encoder: float | None = None
+    ) -> PredictedTest:
+        """Predict a test at the rough joint; see `predict_test`."""
+        return predict_test(
+            self.loop, self.joints[0], test, self.noise, filtering=self.filtering, parameters=self.parameters,
+            motor_encoder=motor_encoder, load_encoder=load_encoder,
+        )  # fmt: skip
+
+    def predict_roughly(self, test: Record) -> Iterator[RoughPrediction]:
+        """Predict a test at each joint; see `predict_roughly`."""
+        return predict_roughly(
+            self.loop, self.joints, test, self.noise, filtering=self.filtering, parameters=self.parameters
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointTests:
+    """The search problem of a joint.
+
+    Attributes:
+        purpose: what the test is planned for.
+        limits: that it keeps.
+        room: ranges of the families.
+        at, in_torque: where a signal is added, and whether the log contains it, see `Injection`.
+        injection: whether the drive can add a signal.
+        given: names of the limits that were stated; the others are those of the present test.
+        before: what the present test reaches; None without one.
+        floor: of the goal; None where it is not known.
+        encoder: steps of the encoders that are predicted beside the test, m or rad.
+    """
+
+    purpose: Purpose
+    limits: AxisLimits
+    room: Room | None
+    at: InjectionPoint = InjectionPoint.AFTER_LIMIT
+    in_torque: bool = True
+    injection: bool = True
+    present: Record | None = None
+    given: AxisLimits = field(default_factory=AxisLimits)
+    before: Mapping[str, float] | None = None
+    floor: Floor | None = None
+    encoder: float | None = None
+
+    @property
+    def families(self) -> tuple[Family, ...]:
+        """Families to search."""
+        assert self.room is not None
+        return families_in(self.room, injection=self.injection)
+
+    def plan(self, family: Family, u: Sequence[float]) -> Plan:
+        """Return a family's test for numbers between 0 and 1."""
+        assert self.room is not None
+        return family.plan(u, self.room)
+
+    @property
+    def goal(self) -> Goal:
+        """What the test is to tell."""
+        return self.purpose.goal
+
+    @property
+    def rough(self) -> JointTests:
+        """The same at few joints, for the search."""
+        return replace(self, purpose=replace(self.purpose, joints=self.purpose.joints[: 1 + _JOINTS]))
+
+    @property
+    def begin(self) -> tuple[Plan, ...]:
+        """The present test as a first candidate, if it has the log's sample time and keeps the positions."""
+        if self.present is None or find_excess(self.limits, _positions(self.present)):
+            return ()
+        reference, injected = self.present.reference, self.present.injected
+        assert reference is not None
+        rates = {reference.sample_time, *([] if injected is None else [injected.channel.sample_time])}
+        if rates != {self.purpose.sample_time} or (injected is not None and not self.injection):
+            return ()
+        added = None if injected is None else TorqueTable(injected.channel.values)
+        return (Plan(Table(reference.values), added),)
+
+    def record(self, plan: Plan, samples: int | None = None) -> tuple[Record, ...]:
+        """Return a test as a record for the drive."""
+        reference, injected = plan.play(samples or self.purpose.samples, self.purpose.sample_time)
+        return (
+            planned_record(
+                self.purpose.loop, reference, self.purpose.sample_time, injected, at=self.at, in_torque=self.in_torque,
+                tap=self.purpose.tap,
+            ),
+        )  # fmt: skip
+
+    def longer(self, plan: Plan) -> tuple[Record, ...] | None:
+        """Return the test for twice the time."""
+        return self.record(plan, 2 * self.purpose.samples)
+
+    def describe(self, plan: Plan) -> str:
+        """Return a test in words."""
+        joint = self.purpose.loop.joint
+        return plan.describe(POSITION_UNIT[joint.kind], joint.force_unit)
+
+    def try_plan(self, plan: Plan, *, margin: float = MARGIN, than: Tried | None = None) -> Tried:
+        """Evaluate a test at every joint; if it clearly loses at the first one, the others are skipped."""
+        (test,) = self.record(plan)
+        scores, most = [], dict[str, float]()
+        tried = Tried(plan, ASTRAY, (most,), math.inf)
+        predictions = self.purpose.predict_roughly(test)
+        for values in self.purpose.joints:
+            try:
+                with np.errstate(all="ignore"):
+                    one = next(predictions)
+            except (JointidError, np.linalg.LinAlgError):
+                return replace(tried, score=ASTRAY, over=math.inf)
+            scores.append(self.purpose.goal.score(one.covariance, one.names, values))
+            for name, size in one.reached.items():
+                most[name] = max(most.get(name, 0.0), size)
+            tried = Tried(plan, float(np.mean(scores)), (most,), worst_excess((self.limits,), (most,), margin))
+            if than is not None and tried.rank > (than.rank[0], than.score + _CLEARLY):
+                break
+        return tried
+
+    def take(self, motion: Sequence[Record]) -> Tried:
+        """Evaluate a test of one's own, or a past record."""
+        (test,) = motion
+        if test.reference is None:
+            raise MethodError("A test of your own has a reference; give the position that the axis is to follow.")
+        injected = test.injected
+        plan = Plan(Table(test.reference.values), None if injected is None else TorqueTable(injected.channel.values))
+        most = dict[str, float]()
+        for prediction in self.purpose.predict_roughly(self._with_torque(test)):
+            most = {name: max(size, most.get(name, 0.0)) for name, size in prediction.reached.items()}
+        return Tried(plan, 0.0, (most,), 0.0)
+
+    def _with_torque(self, test: Record) -> Record:
+        """Return a test as one whose log has the torque's rate."""
+        if test.torque is not None:
+            return test
+        zeros = np.zeros(self.purpose.samples)
+        unit = self.purpose.loop.joint.force_unit
+        return replace(test, torque=Channel(zeros, unit, self.purpose.sample_time, Timing.HELD))
+
+    def predict(self, test: Sequence[Record], longer: Sequence[Record] | None) -> dict[str, PredictedTest]:
+        """Predict the present test, a new one, and the new one with encoders and for twice the time."""
+        purpose, (record,) = self.purpose, map(self._with_torque, test)
+        found: dict[str, PredictedTest] = {}
+        if self.present is not None:
+            with contextlib.suppress(JointidError):  # one that does not tell every parameter
+                found["present"] = purpose.predict(self.present)
+        found["proposed"] = proposed = purpose.predict(record)
+        steps = choose_encoder_steps(record if self.present is None else self.present, self.encoder)
+        on_motor = purpose.predict(record, motor_encoder=steps[0])
+        if any(on_motor.std[name] < _TELLS_MORE * std for name, std in proposed.std.items()):
+            found["with motor encoder"] = on_motor
+        if isinstance(purpose.loop.joint, FlexibleJoint):
+            found["with load encoder"] = purpose.predict(record, load_encoder=steps[1])
+        if longer is not None:
+            found["twice the time"] = purpose.predict(*longer)
+        return found
+
+    def axes(self, test: Sequence[Record], tried: Tried, proposed: PredictedTest) -> tuple[DesignedAxis, ...]:
+        """Return what the test does to the axis."""
+        (record,), joint = test, self.purpose.loop.joint
+        units = units_of_limits(q := POSITION_UNIT[joint.kind], joint.force_unit)
+        return (
+            DesignedAxis(
+                "", record, proposed.torques[0], proposed.sample_time, q, joint.force_unit, joint.transmission,
+                self.limits,
+                tuple(name for name in self.limits.given if name not in self.given.given),
+                {**_positions(record), **tried.reached[0]},
+                tuple(describe_excess(self.given, self.before or {}, units)),
+                FlexibleJoint.frequencies(self.purpose.joints[0]) if isinstance(joint, FlexibleJoint) else {},
+            ),
+        )  # fmt: skip
+
+    @property
+    def noise(self) -> str:
+        """The noise in words."""
+        noise, unit = self.purpose.noise, self.purpose.loop.joint.force_unit
+        parts = [] if noise.left is None else ["the residual of the present test"]
+        parts += [f"white, {noise.log:.3g} {unit} on the log"] if noise.log else []
+        return " and ".join([*parts, *([f"a white force of {noise.force:.3g} {unit}"] if noise.force else [])])
+
+    @property
+    def least(self) -> float | None:
+        """Standard deviation of the goal below which no motion comes; None where it is not known."""
+        return None if self.floor is None or math.isnan(self.floor.deviation) else self.floor.deviation
+
+
+def joint_tests(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    noise: Noise,
+    *,
+    goal: str,
+    limits: AxisLimits,
+    samples: int,
+    sample_time: float,
+    present: Record | None,
+    covariance: FloatArray | None,
+    tap: Tap,
+    filtering: Filtering,
+    parameters: Mapping[str, Parameter],
+    encoder: float | None,
+    injection: bool,
+    seed: int,
+    searched: bool,
+) -> JointTests:
+    """Pose the tests of a joint whose values are roughly known; see `jointid.design`.
+
+    `present` is the test there is already, `searched` whether limits are needed for a search.
+    """
+    free = [p for p in (parameters.get(p.name, p) for p in loop.joint.parameters) if p.free]
+    wanted = parse_goal(goal, {p.name: loop.joint.unit(p) for p in free})
+    draws = _draw(values, free, covariance, _MORE_JOINTS, seed)
+    purpose = Purpose(loop, (dict(values), *draws), noise, wanted, samples, sample_time, tap, filtering, parameters)
+    if not searched:
+        return JointTests(purpose, limits, None, present=present, given=limits, encoder=encoder)
+    before = None if present is None else reach(loop, values, present, noise, filtering, parameters)
+    whole, found = _complete(limits, before)
+    resolved = filtering.resolve(sample_time, loop.joint.model)
+    assert resolved.cutoff is not None
+    highest = min(whole.highest or resolved.cutoff, resolved.cutoff)
+    floor = _floor(loop, values, noise, wanted, whole, samples, sample_time, highest)
+    flexible = isinstance(loop.joint, FlexibleJoint)
+    mode = FlexibleJoint.frequencies(values)["free_free"] if flexible else 0.5 * highest
+    positions = np.zeros(1) if present is None or present.reference is None else present.reference.values
+    stroke = whole.given["stroke"]
+    low = 0.5 * float(positions.min() + positions.max() - stroke)
+    if whole.lower is not None or whole.upper is not None:
+        low = whole.lower if whole.lower is not None else whole.stated["upper"] - stroke
+    lines = () if floor is None else floor.lines
+    room = room_of(whole.given, found, min(whole.lowest, highest), highest, mode, lines, low)
+    added = None if present is None else present.injected
+    how = (InjectionPoint.AFTER_LIMIT, True) if added is None else (added.at, added.in_torque)
+    return JointTests(purpose, whole, room, *how, injection, present, limits, before, floor, encoder)
+
+
+def _positions(test: Record) -> dict[str, float]:
+    """Extreme positions of a test's reference."""
+    assert test.reference is not None
+    return {"lower": float(test.reference.values.min()), "upper": float(test.reference.values.max())}
+
+
+def _complete(limits: AxisLimits, before: Mapping[str, float] | None) -> tuple[AxisLimits, dict[str, float]]:
+    """Complete the limits from the present test, and return its maxima."""
+    if before is None:
+        missing = [name for name in _NEEDED if name not in limits.given]
+        if missing:
+            raise MethodError(
+                f"Without a test there is already, a search needs limits of {', '.join(_NEEDED)}; "
+                f"{', '.join(missing)} {'are' if len(missing) > 1 else 'is'} missing: give them."
+            )
+        return limits, {name: limits.given[name] for name in _NEEDED}
+    taken = {name: before[name] for name in ("stroke", "torque", "rms_torque") if name not in limits.given}
+    return replace(limits, **taken), dict(before)
+
+
+def _floor(
+    loop: ClosedLoop, values: Mapping[str, float], noise: Noise, goal: Goal, limits: AxisLimits, samples: int,
+    sample_time: float, cutoff: float,
+) -> Floor | None:  # fmt: skip
+    """Lower bound of a goal; white noise of equal size replaces a first record's."""
+    known = noise.left is None
+    size = 1.0 if noise.left is None else float(np.sqrt(np.mean(noise.left**2)))
+    asked = goal if goal.weights else Goal("stiffness", {"stiffness": 1.0})
+    try:
+        floor = least_deviation(
+            loop, values, noise if known else Noise(force=size), asked, limits, samples=samples,
+            sample_time=sample_time, cutoff=cutoff,
+        )  # fmt: skip
+    except MethodError:
+        return None
+    return floor if known and goal.weights else replace(floor, deviation=math.nan)
+
+
+def _draw(
+    values: Mapping[str, float], free: Sequence[Parameter], covariance: FloatArray | None, count: int, seed: int
+) -> list[dict[str, float]]:
+    """Draw joints from the interval, within the parameters' bounds, if known."""
+    if covariance is None:
+        return []
+    rng = np.random.default_rng([seed, 1])
+    moved = rng.multivariate_normal(np.zeros(len(free)), covariance, size=count, method="eigh")
+    drawn = []
+    for row in moved:
+        one = dict(values)
+        for p, by in zip(free, map(float, row), strict=True):
+            least = _LEAST * values[p.name] if p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) else p.lower
+            one[p.name] = min(max(values[p.name] + by, least), p.upper)
+        drawn.append(one)
+    return drawn
