@@ -70,8 +70,9 @@ LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
 }
 
 
-@pytest.mark.parametrize("fault", LOGS)
-@pytest.mark.parametrize("joint", [1, 4])
+@pytest.mark.parametrize(  # a wrist's couplings are below the noise of the base: with a wrong sign it has a mirrored fit
+    ("joint", "fault"), [*((1, fault) for fault in LOGS), (4, "log_gain"), (4, "log_delay")]
+)
 def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_others(fault: str, joint: int) -> None:
     records = logged_torque(records_of(arm(), 2, noise=0.05), joint, LOGS[fault])
     found = identify(records, arm(), IDIM())
