@@ -70,7 +70,7 @@ LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
 }
 
 
-@pytest.mark.parametrize(  # a wrist's couplings are below the noise of the base: with a wrong sign it has a mirrored fit
+@pytest.mark.parametrize(  # a wrist's couplings are below the base's noise: its sign is not seen
     ("joint", "fault"), [*((1, fault) for fault in LOGS), (4, "log_gain"), (4, "log_delay")]
 )
 def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_others(fault: str, joint: int) -> None:
