@@ -37,10 +37,31 @@ _NOTHING = 1e-13  # kg and kg m2: a link without a mass is given it, as MuJoCo m
 _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _PLACED = ("pos", *_TURNED)
 _GEOM = ("name", "class", "type", "size", "fromto", "mass", "density", "shellinertia", "group", *_PLACED)
-_JOINT = ("name", "class", "type", "axis", "pos", "ref", "damping", "armature", "frictionloss", "stiffness")
+_JOINT = (
+    "name",
+    "class",
+    "type",
+    "axis",
+    "pos",
+    "ref",
+    "damping",
+    "armature",
+    "frictionloss",
+    "stiffness",
+    "range",
+    "limited",
+)
 _MJCF: Mapping[str, tuple[str, ...]] = {
     "mujoco": ("model",),
-    "compiler": ("angle", "eulerseq", "inertiafromgeom", "inertiagrouprange", "balanceinertia", "settotalmass"),
+    "compiler": (
+        "angle",
+        "autolimits",
+        "eulerseq",
+        "inertiafromgeom",
+        "inertiagrouprange",
+        "balanceinertia",
+        "settotalmass",
+    ),
     "option": ("gravity",),
     "default": ("class",),
     "worldbody": (),
@@ -62,6 +83,7 @@ _URDF: Mapping[str, tuple[str, ...]] = {
     "child": ("link",),
     "axis": ("xyz",),
     "dynamics": ("damping", "friction"),
+    "limit": ("lower", "upper", "effort", "velocity"),
 }
 _REFUSED: Mapping[str, str] = {
     "include": "reads another file; write its content into this one",
@@ -435,7 +457,19 @@ def _robot(mujoco: Any, model: Any, name: str, called: str) -> Robot:
                 origin = origin + rotation @ axis * back
             joints.append(_joint(model, joint, called))
             last = joint == first + count - 1
-            links.append(Link(body if last else f"{body} {joint - first + 1}", carrier, kind, axis, rotation, origin))
+            low, high = map(float, model.jnt_range[joint])
+            called_link = body if last else f"{body} {joint - first + 1}"
+            links.append(
+                Link(
+                    called_link,
+                    carrier,
+                    kind,
+                    axis,
+                    rotation,
+                    origin,
+                    limits=(low, high) if model.jnt_limited[joint] else None,
+                )
+            )
             carrier, rotation, origin = len(links) - 1, np.eye(3), -anchor
         placed[number] = (carrier, rotation, origin)
         if carrier >= 0:

@@ -11,6 +11,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.parameters import POSITION_UNIT
+from jointid.diagnostics.axis_faults import find_axis_faults, find_follower
 from jointid.diagnostics.axis_parameters import AxisParameter, parameters_by_axis
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.check_loop import LoopTests, SearchState, search_faults
@@ -28,10 +29,9 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
-from jointid.uncertainty.residual_tests import Coupling, coupling, whiteness
+from jointid.uncertainty.residual_tests import Coupling, whiteness
 
 _FEWER = 0.67  # times: what a feed-forward must leave of the controllers' rest to be named
-_FEWEST_ROWS = 100
 
 FeedForwardName = Literal["none", "gravity", "inverse-model", "logged"]
 
@@ -135,7 +135,7 @@ def diagnose_joint(
     torques, joint = torques_of_loop(problem, x), problem.joint
     axis = _diagnose_axis(
         "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit), parameters_by_axis(estimate),
-        compare_law(record, problem.loop), faults,
+        compare_law(record, problem.loop), faults, find_follower(torques),
     )  # fmt: skip
     return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
 
@@ -157,10 +157,11 @@ def diagnose_robot(
             "that is not known."
         )
     laws = _laws(robot, records, controllers)
+    units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
+    faults, follows = find_axis_faults(torques, units, LoopTests().level)
     axes = tuple(
         _diagnose_axis(
-            name, k, torques, (robot.position_unit(k), robot.torque_unit(k)), parameters, laws[k],
-            AxisFaults((), (), LoopTests().level, {}, {}, of_loop=False),
+            name, k, torques, units[k], parameters, laws[k], faults[k], follows[k],
         )
         for k, name in enumerate(robot.names)
     )  # fmt: skip
@@ -180,6 +181,7 @@ def _diagnose_axis(
     parameters: Sequence[AxisParameter],
     law: LawOnPosition | None,
     faults: AxisFaults,
+    follows: tuple[str, Coupling] | None,
 ) -> AxisDiagnosis:
     """Return the diagnosis of one axis; `units` are of its position and its torque."""
     inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
@@ -187,7 +189,7 @@ def _diagnose_axis(
         name,
         float(np.linalg.norm(torques.error[axis])) / whole,
         whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff),
-        _strongest_coupling(torques, axis),
+        follows,
         float(np.ptp(torques.position[axis])),
         float(np.max(np.abs(torques.velocity[axis]))),
         float(np.mean(inside)),
@@ -196,21 +198,6 @@ def _diagnose_axis(
         law,
         faults,
     )
-
-
-def _strongest_coupling(torques: AxisTorques, axis: int) -> tuple[str, Coupling] | None:
-    """Return the shape that an axis' residual correlates with most, or None."""
-    inside = torques.seen[axis]
-    error = torques.error[axis][inside]
-    if np.count_nonzero(inside) < _FEWEST_ROWS or not np.any(error):
-        return None
-    found = {name: coupling(error, columns[inside]) for name, columns in torques.shapes[axis].items()}
-    seen = {name: one for name, one in found.items() if one.seen}
-    if not seen:
-        return None
-    # Beyond chance, not in all: a shape of eight columns explains more of anything than one of one.
-    name = max(seen, key=lambda one: seen[one].explained - seen[one].by_chance)
-    return name, seen[name]
 
 
 def _laws(

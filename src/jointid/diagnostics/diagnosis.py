@@ -8,7 +8,7 @@ tested. The controller is compared without a model of the axis, so its faults ar
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from jointid.common.document import Block, Document, Documented, Heading, Listing, Paragraph, Table
 from jointid.common.messages import Message
@@ -102,8 +102,9 @@ class AxisDiagnosis:
 
     @property
     def as_declared(self) -> bool | None:
-        """False if a fault was found or the controller does not hold; None if neither was tested."""
-        if self.faults.findings or self.law_holds is False:
+        """False if loop or log has a fault, or the controller does not hold; None if neither was tested."""
+        counts = (one for one in self.faults.findings if self.faults.of_loop or not one.test.fault.of_model)
+        if any(counts) or self.law_holds is False:
             return False
         return True if self.law_holds or self.faults.of_loop else None
 
@@ -217,6 +218,15 @@ class Diagnosis(Documented):
     def reasons(self) -> tuple[Message, ...]:
         """The faults found, and what was tested where none was, of all axes."""
         return tuple(reason for one in self.axes for reason in one.faults.reasons)
+
+    def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
+        """Return the faults found of models, or of loops and logs, each with its axis."""
+        return tuple(
+            replace(reason, words=f"{axis.subject}{reason}", clause=f"{axis.subject}{reason.brief}")
+            for axis in self.axes
+            for finding, reason in zip(axis.faults.findings, axis.faults.reasons, strict=False)
+            if finding.test.fault.of_model is of_model
+        )
 
     @property
     def untested(self) -> tuple[str, ...]:

@@ -100,18 +100,25 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
     if bad or found.zeros:
         rest = [f"what the model leaves of the torque of {join(bad)} is no noise"] if bad else []
         said = "; ".join([*rest, *map(str, found.zeros)])
-        residual = Verdict(Subject.REPEATABLE, Status.FAILED, (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),))
+        residual = Verdict(
+            Subject.REPEATABLE,
+            Status.FAILED,
+            (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said), *found.name_faults(of_model=True)),
+        )
     none = "no motor position and reference of a declared controller were logged"
     loop = skip_test(Subject.LOOP, found.untested_clause or none, found.untested)
-    if found.as_declared:
+    wrong = [joint.name for joint in found.axes if joint.law_holds is False]
+    if all(joint.law_holds for joint in found.axes):
         said = "the declared controllers make the logged torques of the logged positions"
         loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
-    elif found.as_declared is False:
-        wrong = join([joint.name for joint in found.axes if joint.law_holds is False])
-        said = f"the declared controller of {wrong} does not make the logged torque of the logged positions"
+    elif wrong:
+        said = f"the declared controller of {join(wrong)} does not make the logged torque of the logged positions"
         said = "; ".join(filter(None, (said, found.untested_clause)))
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
-    return CheckResults((residual, loop) if part.has_controllers else (residual,), diagnosis=found)
+    if of_logs := found.name_faults(of_model=False):
+        loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
+    tested = part.has_controllers or of_logs
+    return CheckResults((residual, loop) if tested else (residual,), diagnosis=found)
 
 
 def widen_for_faults(check: AxisFaults) -> list[Widening]:

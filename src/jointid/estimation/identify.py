@@ -18,7 +18,7 @@ from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
-from jointid.estimation.record_warnings import ask_about_gains
+from jointid.estimation.record_warnings import ask_about_gains, check_robot_records, robot_record_warnings
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
@@ -57,7 +57,9 @@ def fit(
                 "A robot is identified from the records of its joints, without SeveralRecords or windows; give the "
                 "records alone."
             )
-        return fit_robot(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
+        found = fit_robot(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
+        robot = model if isinstance(model, Robot) else model.robot
+        return replace(found, after=robot_record_warnings(record, robot))
     if isinstance(record, Sequence):
         if not all(isinstance(one, Record) for one in record):
             raise MethodError("Several records of a joint are a list of records; received something else in it.")
@@ -106,8 +108,9 @@ def fit_robot(
     Raises:
         MethodError: the method does not fit the model.
     """
-    known = parameters or {}
-    require_friction(model if isinstance(model, Robot) else model.robot, known)
+    known, robot = parameters or {}, model if isinstance(model, Robot) else model.robot
+    require_friction(robot, known)
+    check_robot_records(records, robot)
     if method is not None:
         method.require_settings_of("robot")
     if isinstance(method, IDIM) and method.effects:

@@ -7,10 +7,13 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
 from jointid.common.text import number
 from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.robots.regression import Records, each_log
 from jointid.models.controllers import Cascade, Controller
-from jointid.records.checks import find_record_warnings
+from jointid.models.robots.robot import Robot
+from jointid.records.checks import find_record_warnings, range_faults, scale_faults
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import differentiate_twice, lowpass
 from jointid.uncertainty.residual_tests import coupling
@@ -21,6 +24,36 @@ _FEWEST = 4  # rows to a column of the regression
 def record_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...]:
     """Return warnings on the record of an estimate, one sentence each."""
     return (*find_record_warnings(record, estimate.data.channels), *coupling_warnings(record, estimate))
+
+
+def robot_record_warnings(records: Records, robot: Robot) -> tuple[str, ...]:
+    """Return warnings on the records of a robot's joints, one sentence each, which names its joint."""
+    found = (
+        f"{name}: {said}"
+        for log in each_log(records)
+        for name, record in zip(robot.names, log, strict=False)
+        for said in find_record_warnings(record, record.channels)
+    )
+    return tuple(dict.fromkeys(found))
+
+
+def check_robot_records(records: Records, robot: Robot) -> None:
+    """Check the units and scales of the records of a robot's joints, also by the limits of its model.
+
+    Raises:
+        RecordError: one cannot be in its units; each sentence names its joint.
+    """
+    back = np.linalg.inv(robot.coupling)
+    faults = []
+    for log in each_log(records):
+        for k, (name, record) in enumerate(zip(robot.names, log, strict=False)):
+            faults += [f"{name}: {said}" for said in scale_faults(record)]
+            limits, alone = robot.links[k].limits, np.count_nonzero(back[k]) == 1
+            position = record.motor_position or record.reference
+            if limits is not None and alone and position is not None:
+                faults += [f"{name}: {said}" for said in range_faults(position, limits)]
+    if faults:
+        raise RecordError(dict.fromkeys(faults))
 
 
 def coupling_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...]:

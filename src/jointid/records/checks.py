@@ -29,6 +29,8 @@ _LONGEST = {"m": 1e3}  # travel that no joint has; a revolute joint may turn for
 _FOLLOWS = 0.95  # correlation from which one signal is taken to follow another, so that their ratio means something
 _RATIO_BAND = (0.5, 2.0)  # of motor position to reference, that a controller can explain; outside, one is mis-scaled
 _RATIO_TOLERANCE = 0.1  # relative distance of a ratio from a unit's factor within which that unit is named
+_BEYOND = 3.0  # times the range of the model's limits, that a position may travel
+_PLURAL = {"deg": "degrees"}
 _GEAR_TOLERANCE = 0.02  # likewise of a gear's ratio
 _ROUNDING = 0.01  # of a torque's rms, that its rounding may be: the EMPS axis leaves 4 % for other reasons
 _LATE = 0.9  # of the encoders' difference, that a lag may be: of motorbench it is 0.3 %, of the paper's twin 41 %
@@ -70,6 +72,30 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
         faults += [] if limit is None else limit_faults(record, limit, side)
     if faults:
         raise RecordError(faults)
+
+
+def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
+    """Faults of a position that travels far beyond the limits of its joint.
+
+    Args:
+        position: of the joint, behind its gear.
+        limits: of the joint as its model states them, in the position's unit.
+    """
+    travel, room = float(np.ptp(position.values)), limits[1] - limits[0]
+    if not travel > _BEYOND * room > 0:
+        return []
+    larger = [one for one in map(unit, units_of(unit(position.unit).dimension)) if one.factor < 1]
+    fitting = [one for one in larger if travel * one.factor <= room * (1 + _RATIO_TOLERANCE)]
+    looks = max(fitting, key=lambda one: one.factor, default=None)
+    remedy = (
+        "check its unit, its gain and the side of its gear, or the limits of the model"
+        if looks is None
+        else f'positions look like {_PLURAL.get(looks.name, looks.name)}: give unit = "{looks.name}"'
+    )
+    return [
+        f"The position travels {travel:.3g} {position.unit} within limits of {limits[0]:.3g} to {limits[1]:.3g} "
+        f"{position.unit}: {remedy}."
+    ]
 
 
 def still_faults(record: Record) -> list[str]:

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
 from jointid.diagnostics.axis_parameters import Told, parameters_by_axis
-from jointid.diagnostics.axis_torques import DIRECTION, FRICTION
 from jointid.diagnostics.diagnose import diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
+from jointid.diagnostics.faults.friction import ASYMMETRIC_FRICTION, STRIBECK
+from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.simulation.synthesis import simulate
+from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots.twin import arm, axis_errors, identified, motion, records_of
 from tests.robots_plants import two
 
@@ -47,10 +50,90 @@ def asked(loop: RobotLoop, records: Sequence[Record], laws: Sequence[Controller]
     return diagnose_robot(identified(loop.robot, records), records, laws)
 
 
+def named(found: Diagnosis) -> list[tuple[str, str]]:
+    """Return the faults found, each with its axis."""
+    return [(axis.name, one.test.name) for axis in found.axes for one in axis.faults.findings]
+
+
+def logged_torque(records: Sequence[Record], joint: int, of: Callable[[FloatArray], FloatArray]) -> tuple[Record, ...]:
+    """Return records with the torque of one joint logged otherwise."""
+    torque = records[joint].torque
+    assert torque is not None
+    other = replace(records[joint], torque=replace(torque, values=of(torque.values)))
+    return (*records[:joint], other, *records[joint + 1 :])
+
+
+LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "log_gain": lambda torque: 0.8 * torque,
+    "torque_sign": lambda torque: -torque,
+    "log_delay": lambda torque: np.concatenate([np.full(5, torque[0]), torque[:-5]]),
+}
+
+
+@pytest.mark.parametrize(  # a wrist's couplings are below the base's noise: its sign is not seen
+    ("joint", "fault"), [*((1, fault) for fault in LOGS), (4, "log_gain"), (4, "log_delay")]
+)
+def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_others(fault: str, joint: int) -> None:
+    records = logged_torque(records_of(arm(), 2, noise=0.05), joint, LOGS[fault])
+    found = identify(records, arm(), IDIM())
+    diagnosis = found.checks.diagnosis
+    assert isinstance(diagnosis, Diagnosis)
+    assert named(diagnosis) == [(f"joint{joint + 1}", fault)]
+    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    assert loop.status is Status.FAILED and loop.said.startswith(f"joint{joint + 1}: the ")
+    if fault == "log_gain":
+        test = diagnosis.axes[joint].faults.findings[0].test
+        assert test.size == pytest.approx(-0.2, abs=max(3 * test.std, 2e-3))
+
+
+def test_torques_that_are_exchanged_are_named_at_both_joints() -> None:
+    records = list(records_of(arm(), 2, noise=0.05))
+    second, third = records[1], records[2]
+    records[1], records[2] = replace(second, torque=third.torque), replace(third, torque=second.torque)
+    found = diagnose_robot(identified(arm(), records), records)
+    assert named(found) == [("joint2", "swapped_channels"), ("joint3", "swapped_channels")]
+    assert any("joint2: this is the torque of joint3" in one for one in found.sentences)
+
+
+def test_a_friction_that_grows_with_the_load_is_named() -> None:
+    records = records_of(arm(), 2, noise=0.02)
+    v, torque = motion(2)[1][:, 1], records[1].torque
+    assert torque is not None
+    more = with_torque(records, 1, 0.1 * np.abs(torque.values) * np.sign(v))
+    found = diagnose_robot(identified(arm(), more), more)
+    assert named(found) == [("joint2", "load_dependent_friction")]
+    assert found.axes[1].faults.findings[0].test.size == pytest.approx(0.09, abs=0.02)
+
+
+def test_positions_in_degrees_are_named_by_the_limits_of_the_model() -> None:
+    records = records_of(arm(), 2)
+    links = tuple(replace(link, limits=(-3.0, 3.0)) for link in arm().links)
+    robot = replace(arm(), links=links)
+    assert identified(robot, records).fit.filtered_error < 1e-2
+    in_degrees = [
+        replace(one, motor_position=replace(one.motor_position, values=np.degrees(one.motor_position.values)))
+        for one in records
+        if one.motor_position is not None
+    ]
+    with pytest.raises(RecordError) as caught:
+        identified(robot, in_degrees)
+    assert len(caught.value.faults) == 6
+    assert caught.value.faults[0].startswith("joint1: The position travels ")
+    assert caught.value.faults[0].endswith('positions look like degrees: give unit = "deg".')
+
+
+def test_a_torque_that_is_refreshed_seldom_is_warned_of_at_its_joint() -> None:
+    records = records_of(arm(), 2, noise=0.02)
+    held = logged_torque(records, 3, lambda torque: np.repeat(torque[::10], 10)[: torque.size])
+    assert not any("refreshed" in one for one in identified(arm(), records).checks.warnings)
+    (said,) = (one for one in identified(arm(), held).checks.warnings if "refreshed" in one)
+    assert said.startswith("joint4: the torque changes only every 10 samples") and "update_time = 0.02" in said
+
+
 def test_a_model_that_holds_leaves_noise() -> None:
     records = records_of(arm(), 2, noise=0.2)
     found = diagnose_robot(identified(arm(), records), records)
-    assert found.explained
+    assert found.explained and named(found) == []
     assert found.as_declared is None
     assert "Whether the controllers are as declared is not asked" in found.answer
     assert all(one.whiteness is not None and one.whiteness.white for one in found.axes)
@@ -66,8 +149,9 @@ def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     found = diagnose_robot(identified(arm(), more), more)
     assert [one.name for one in found.axes if not one.explained] == ["joint4"]
     follows = found.axes[3].follows
-    assert follows is not None and follows[0] == FRICTION
-    assert any(one.startswith("joint4: the model leaves") and "standstill" in one for one in found.sentences)
+    assert follows is not None and follows[0] == STRIBECK.phrase
+    assert named(found) == [("joint4", "stribeck")]
+    assert any(one.startswith("joint4: towards standstill, below some 0.") for one in found.sentences)
 
 
 def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() -> None:
@@ -77,7 +161,7 @@ def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() ->
     records = logged_by(RobotLoop(other, loop.controllers))
     found = diagnose_robot(identified(loop.robot, records), records).axes[0]
     assert not found.explained
-    assert found.follows is not None and found.follows[0] == DIRECTION
+    assert found.follows is not None and found.follows[0] == ASYMMETRIC_FRICTION.phrase
     assert diagnose_robot(identified(other, records), records).axes[0].left < 0.2 * found.left
 
 
@@ -95,8 +179,7 @@ def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
 def test_the_motion_of_another_joint_is_named() -> None:
     records = records_of(arm(), 2, noise=0.02)
     more = with_torque(records, 4, 0.3 * motion(2)[2][:, 5])
-    found = diagnose_robot(identified(arm(), more), more).axes[4]
-    assert found.follows is not None and found.follows[0].startswith("the motion of joint6")
+    assert named(diagnose_robot(identified(arm(), more), more)) == [("joint5", "coupled_joint6")]
 
 
 def test_controllers_that_make_the_torque_hold_and_others_do_not() -> None:
@@ -212,4 +295,4 @@ def test_little_that_is_left_is_not_called_noise_where_it_is_coloured() -> None:
     joint = found.axes[3]
     assert joint.explained and joint.coloured
     assert "but for noise" not in found.answer and "joint4 is no white noise" in found.answer
-    assert any("which is little, but no white noise" in one and "stribeck_speed" in one for one in found.sentences)
+    assert named(found) == [("joint4", "stribeck")]

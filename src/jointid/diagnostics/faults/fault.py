@@ -57,6 +57,7 @@ class Fault:
         called: noun phrase of a sentence; "a" and the title if empty.
         describe: returns the clause that states the fault, its size and, on request, its interval.
         vary: yields the signatures of this fault, and of others that share it.
+        along: yields the signatures along the motion of one axis, raw, of this fault and of others that share it.
         try_mechanics: yields the joints that have it, of a flexible joint without it.
         search: returns its signatures, whose shape is searched for beside the other tests.
         applies: whether a joint can have a fault that is only searched for: the best of many shapes is large by chance.
@@ -89,6 +90,7 @@ class Fault:
     called: str = ""
     describe: Callable[[Finding, AxisFaults, bool], str] | None = None
     vary: Callable[[ClosedLoopProblem, FloatArray], Iterable[FaultSignature]] | None = None
+    along: Callable[[AxisMotion], Iterable[FaultSignature]] | None = None
     try_mechanics: Callable[[FlexibleJoint, Simulation, Mapping[str, float]], Iterable[Trial]] | None = None
     search: Callable[[ClosedLoopProblem, FloatArray, Hint], Sequence[FaultSignature]] | None = None
     applies: Callable[[Joint], bool] | None = None
@@ -113,6 +115,11 @@ class Fault:
     doubt: str = ""
     refine: Callable[[Fit, ClosedLoop], Fit] | None = None
     judge: Callable[[Hypothesis, Fit | None, float], tuple[float | None, float] | None] | None = None
+
+    @property
+    def of_model(self) -> bool:
+        """True of a fault of the joint's mechanics or friction, False of one of loop and log."""
+        return self.mechanical or bool(self.table)
 
     @property
     def phrase(self) -> str:
@@ -150,6 +157,18 @@ class FaultSignature:
     shape: float | None = None
     raw: FloatArray | None = None
     tried: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisMotion:
+    """Motion and torque of one axis, (samples,) each, and velocity and acceleration of the other axes by name."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray
+    sample_time: float
+    others: Mapping[str, tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.text import number, pluralise
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest, Hint, Measure, words
+from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, FaultTest, Hint, Measure, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import describe_number
 from jointid.diagnostics.faults.trials import with_joint
@@ -26,6 +26,7 @@ from jointid.simulation.simulated import require_success
 from jointid.uncertainty.verdict import Reason
 
 _STEP = 1e-4  # of the known signal
+_WAVES = 4  # periods in the travel
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
 _FEWEST = 12  # steps of an injected signal
 _CLEAR = 10.0  # times the median change of a sample: size of a step
@@ -250,7 +251,39 @@ COGGING = Fault(
     remedy=lambda test: f"; to identify it, declare it: [ripple] period = {number(test.shape, 3)}",
 )  # fmt: skip
 
-FAULTS = (OFFSET, INJECTED_GAIN, INJECTED)
+
+def _along_position(motion: AxisMotion) -> Iterator[FaultSignature]:
+    """Yield waves of one to four periods in the travel."""
+    turns = 2.0 * np.pi * (motion.position - motion.position.min()) / (np.ptp(motion.position) or 1.0)
+    for wave in range(1, _WAVES + 1):
+        yield FaultSignature(POSITION_FORCE, np.sin(wave * turns), float(wave))
+        yield FaultSignature(POSITION_FORCE, np.cos(wave * turns), -float(wave))
+
+
+def _along_others(motion: AxisMotion) -> Iterator[FaultSignature]:
+    """Yield velocity, acceleration and direction of the other axes."""
+    for name, (velocity, acceleration) in motion.others.items():
+        called = f"the motion of {name}: motors or gears that are coupled"
+        fault = replace(COUPLED, name=f"coupled_{name}", called=called)
+        for shape, column in enumerate((velocity, acceleration, np.sign(velocity))):
+            yield FaultSignature(fault, column, float(shape))
+
+
+def _describe_follower(finding: Finding, *_: object) -> str:
+    return f"a part of the torque follows {finding.test.fault.phrase}"
+
+
+POSITION_FORCE = Fault(
+    "position_force", "force that follows the position",
+    "the axis' own position: a gear that turns unevenly, a cable or a counterbalance", _describe_follower,
+    along=_along_position, mechanical=True, reason=Reason.FORCE_FOLLOWS_POSITION,
+)  # fmt: skip
+COUPLED = Fault(
+    "coupled_axes", "coupling with another axis", "the motion of another axis", _describe_follower,
+    along=_along_others, mechanical=True,
+)  # fmt: skip
+
+FAULTS = (OFFSET, INJECTED_GAIN, INJECTED, POSITION_FORCE, COUPLED)
 
 
 def find_steps(record: Record) -> Message | None:

@@ -11,12 +11,13 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, Measure, words
+from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, Measure, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.trials import Trial
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import (
     PARTS,
+    AsymmetricFriction,
     AsymmetricStribeckFriction,
     DriftingFriction,
     LoadDependentFriction,
@@ -67,6 +68,23 @@ def _vary_stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
             yield FaultSignature(PRESLIDING, -column, speed, -raw)
 
 
+def _along_stribeck(motion: AxisMotion) -> Iterator[FaultSignature]:
+    """Yield the friction that is larger, or smaller, at low speed."""
+    for share in (*_SPEEDS, 2 * _SPEEDS[-1]):
+        speed = share * float(np.max(np.abs(motion.velocity))) or 1.0
+        column = np.exp(-((motion.velocity / speed) ** 2)) * np.sign(motion.velocity)
+        yield FaultSignature(STRIBECK, column, speed)
+        yield FaultSignature(PRESLIDING, -column, speed)
+
+
+def _along_load(motion: AxisMotion) -> Iterator[FaultSignature]:
+    yield FaultSignature(LOAD_DEPENDENT_FRICTION, np.sign(motion.velocity) * np.abs(motion.torque))
+
+
+def _along_direction(motion: AxisMotion) -> Iterator[FaultSignature]:
+    yield FaultSignature(ASYMMETRIC_FRICTION, np.abs(motion.velocity))
+
+
 def _describe_stribeck(sense: str, finding: Finding, check: AxisFaults, spread: bool) -> str:
     s = finding.test
     speed, size = f"{number(s.shape, 2)} {check.on_side('velocity')}", s.show_size(check.units["torque"], spread=spread)
@@ -75,7 +93,8 @@ def _describe_stribeck(sense: str, finding: Finding, check: AxisFaults, spread: 
 
 STRIBECK = Fault(
     "stribeck", "friction that rises towards standstill", describe=partial(_describe_stribeck, "larger"),
-    vary=_vary_stribeck, one_sided=True, kin="low-speed friction", measure=Measure.TORQUE, table="friction",
+    vary=_vary_stribeck, along=_along_stribeck, one_sided=True, kin="low-speed friction", measure=Measure.TORQUE,
+    table="friction",
     laws=_AT_LOW_SPEED,
 )  # fmt: skip
 PRESLIDING = replace(
@@ -132,7 +151,7 @@ def _describe_load_friction(finding: Finding, _: AxisFaults, spread: bool) -> st
 
 LOAD_DEPENDENT_FRICTION = Fault(
     "load_dependent_friction", "friction that grows with the load's torque", describe=_describe_load_friction,
-    try_mechanics=_try_load_friction, mechanical=True, one_sided=True, measure=Measure.SHARE,
+    try_mechanics=_try_load_friction, along=_along_load, mechanical=True, one_sided=True, measure=Measure.SHARE,
     reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(LoadDependentFriction.name,),
 )  # fmt: skip
 
@@ -159,4 +178,12 @@ CHANGING_FRICTION = Fault(
     table="friction", laws=(DriftingFriction.name,),
 )  # fmt: skip
 
-FAULTS = (STRIBECK, PRESLIDING, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION)
+ASYMMETRIC_FRICTION = Fault(
+    "asymmetric_friction", "friction that differs by direction", along=_along_direction, mechanical=True,
+    describe=lambda finding, *_: "the viscous friction is "
+    f"{'larger' if finding.test.size > 0 else 'smaller'} forwards than backwards",
+    reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(AsymmetricFriction.name,),
+)  # fmt: skip
+FAULTS = (
+    STRIBECK, PRESLIDING, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION, ASYMMETRIC_FRICTION,
+)  # fmt: skip

@@ -12,10 +12,14 @@ from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
+import numpy as np
+
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import (
     MICROSECOND,
+    AxisMotion,
     Fault,
+    FaultSignature,
     FaultTest,
     Hypothesis,
     Measure,
@@ -113,10 +117,12 @@ def _describe_no_size(name: str, share: float, deviation: float, more: bool) -> 
     return None
 
 
-def _describe_delay(what: str, than: str, finding: Finding, _: AxisFaults, spread: bool) -> str:
+def _describe_delay(what: str, than: str, finding: Finding, check: AxisFaults, spread: bool) -> str:
     s = finding.test
     unit, factor = ("ms", 1e3) if abs(s.size) >= MICROSECOND else ("us", 1e6)
-    size = s.show_size(unit, spread=spread, factor=factor)
+    size = s.show_size(unit, spread=spread and check.of_loop, factor=factor)
+    if size and not check.of_loop:  # one column says a long delay too small
+        size = f"some {size}"
     clause = words(what, size, "later" if s.size > 0 else "earlier", f"than {than}")
     if s.fault is DELAY and s.size < 0 and s.declared <= 0.0:  # no torque comes before its command
         clause += ", as where the controller runs faster than the log: declare its period"
@@ -293,9 +299,16 @@ REFERENCE_DELAY = Fault(
     correct=partial(_try_delay, "reference_delay"), clause="the law sees the reference about {ms} ms late",
     negligible=partial(_is_short, "reference_delay"),
 )  # fmt: skip
+
+
+def _along_log(motion: AxisMotion) -> Iterator[FaultSignature]:
+    yield FaultSignature(LOG_DELAY, -np.gradient(motion.torque, motion.sample_time))
+
+
 LOG_DELAY = Fault(
     "log_delay", "delay of the log", "the log delay",
-    partial(_describe_delay, "the logged torque is", "its time stamps say"), declared=None, measure=Measure.TIME,
+    partial(_describe_delay, "the logged torque is", "its time stamps say"), along=_along_log, declared=None,
+    measure=Measure.TIME,
 )  # fmt: skip
 LOG_GAIN = Fault("log_gain", "size of the logged torque", "the logged torque", describe_number, declared=None)
 GAIN = Fault("gain", "gain of the controller's output", "the gain", describe_number, declared=None, last=True)

@@ -66,7 +66,10 @@ def _explain_sign(*_: object) -> Iterator[Meaning]:
     yield REFERENCE_SIGN, "the reference has the wrong sign", None
 
 
-TORQUE_SIGN = Fault("torque_sign", "sign of the torque", correct=_invert_torque, meanings=_explain_sign)
+TORQUE_SIGN = Fault(
+    "torque_sign", "sign of the torque", correct=_invert_torque, meanings=_explain_sign,
+    describe=lambda *_: "the torque has the wrong sign: give its channel sign = -1",
+)  # fmt: skip
 
 
 def _swap_channels(declared: Hypothesis) -> Iterator[Hypothesis]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hint, Measure, words
+from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, Hint, Measure, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.trials import Trial, list_trials, search
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -108,4 +108,17 @@ SECOND_MODE = Fault(
     reason=Reason.LOAD_NOT_RIGID, table="spring", laws=(ElasticLoad.name,),
 )  # fmt: skip
 
-FAULTS = (CUBIC_SPRING, BACKLASH, SECOND_MODE)
+
+def _along_bend(motion: AxisMotion) -> Iterator[FaultSignature]:
+    """Yield the second derivative of the acceleration, which a spring adds to a rigid joint's torque."""
+    change = np.gradient(np.gradient(motion.acceleration, motion.sample_time), motion.sample_time)
+    yield FaultSignature(COMPLIANCE, change)
+
+
+COMPLIANCE = Fault(
+    "compliance", "gear that bends", "changes of the acceleration: a gear that bends",
+    lambda *_: "a part of the torque follows changes of the acceleration, as where a gear bends",
+    along=_along_bend, mechanical=True, reason=Reason.LOAD_NOT_RIGID,
+)  # fmt: skip
+
+FAULTS = (CUBIC_SPRING, BACKLASH, SECOND_MODE, COMPLIANCE)

@@ -72,6 +72,7 @@ class Link:
         rotation: (3, 3) of the link's frame to its parent's at q = 0.
         origin: (3,) of the link's frame, which lies on the joint, in its parent's at q = 0, m.
         inertial: (10,) see `inertial`.
+        limits: of the joint's position as the model states them, rad or m; None where it states none.
     """
 
     name: str
@@ -81,6 +82,7 @@ class Link:
     rotation: FloatArray = field(default_factory=lambda: np.eye(3))
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
     inertial: FloatArray = field(default_factory=lambda: np.zeros(10))
+    limits: tuple[float, float] | None = None
 
     def turn(self, zero: float) -> Link:
         """Return the link with its joint's zero at a position of this one, rad or m; its frame moves with it."""

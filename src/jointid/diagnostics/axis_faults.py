@@ -1,0 +1,278 @@
+"""Tests of faults along the motion of axes, where each fault adds a column to the torque of one axis.
+
+A fault of one joint's friction adds to that joint's torque alone, and a wrong scale or a delay of one log changes that
+joint's torque alone. The other joints show that: they share the inertias of the links. So the rows of all joints are
+regressed on the columns of the free parameters and of a fault, each joint by the size of its error. The tests are those
+of a joint's loop (`fault_tests`). The most significant fault is taken, and the rest is tested again.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray, column_norms
+from jointid.diagnostics.axis_torques import AxisTorques
+from jointid.diagnostics.fault_tests import score_signatures
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
+from jointid.diagnostics.faults.findings import AxisFaults, Finding
+from jointid.diagnostics.faults.numbers import LOG_GAIN
+from jointid.diagnostics.faults.record import SWAPPED_CHANNELS, TORQUE_SIGN
+from jointid.uncertainty.position_dependent_error import cells
+from jointid.uncertainty.residual_tests import Coupling, coupling
+from jointid.uncertainty.verdict import POOR_FIT
+
+_MOST = 3  # faults of one axis
+_FEWEST = 4  # rows to a column
+_FEWEST_ROWS = 100
+_GAINS = (-10.0, -3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 10.0)
+_FINER = (1.2, 1.1, 1.05, 1.02, 1.01, 1.005, 1.002, 1.001)  # times: steps of the search
+_CLEARLY = 0.5  # of what is left of one axis: a gain is the cause if it lowers the squares by more
+_MUCH = 0.25  # of what is left of an axis, that a fault explains at least
+_RANK = 1e-9  # of the largest singular value
+
+
+Follows: TypeAlias = tuple[str, Coupling] | None
+"""What a residual correlates with most, in words."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shape:
+    """A fault of one axis, and its column among the rows of all axes, (rows,)."""
+
+    axis: int
+    fault: Fault
+    shape: float | None
+    column: FloatArray
+
+    @property
+    def key(self) -> Fault:
+        """The fault of this axis alone."""
+        return replace(self.fault, name=f"{self.axis}.{self.fault.name}")
+
+
+def find_axis_faults(
+    torques: AxisTorques, units: Sequence[tuple[str, str]], level: float
+) -> tuple[tuple[AxisFaults, ...], tuple[Follows, ...]]:
+    """Return the faults of each axis, and what its residual correlates with most.
+
+    Args:
+        torques: of all axes, with the columns of their free parameters.
+        units: of position and torque, of each axis.
+        level: largest share of records without a fault in which one is found.
+    """
+    n = len(units)
+    seen = torques.seen
+    sigma = [
+        float(np.sqrt(np.mean(e[s] ** 2))) if np.any(e[s]) else 1.0 for e, s in zip(torques.error, seen, strict=True)
+    ]
+    ends = np.cumsum([0, *(int(np.count_nonzero(one)) for one in seen)])
+    rows = [slice(*pair) for pair in itertools.pairwise(ends)]
+
+    def stack(each: FloatArray) -> FloatArray:
+        """Return the rows of all axes that are seen, each by the size of its error."""
+        return np.concatenate([part[s] / size for part, s, size in zip(each, seen, sigma, strict=True)])
+
+    def place(axis: int, column: FloatArray) -> FloatArray:
+        found = np.zeros(ends[-1])
+        found[rows[axis]] = column[seen[axis]] / sigma[axis]
+        return found
+
+    own = _drop_idle(stack(torques.own))
+    shapes = [
+        _Shape(k, one.fault, one.shape, place(k, one.column))
+        for k, all_of in enumerate(torques.shapes)
+        for one in all_of
+    ]
+    shapes += [_Shape(k, LOG_GAIN, None, place(k, torques.predicted[k])) for k in range(n) if n > 1]
+    shapes = [one for one in shapes if np.any(one.column)]
+    found: list[list[Finding]] = [[] for _ in range(n)]
+    first: list[tuple[int, FaultTest]] = []
+    where = np.concatenate([3.0 * k + _scale(torques.position[k][seen[k]]) for k in range(n)])
+    speed = np.concatenate([_scale(torques.velocity[k][seen[k]]) for k in range(n)])
+    residual, open_ones = stack(torques.error), shapes
+    basis = _basis_of(own)
+    follows = tuple(
+        _strongest_coupling(residual, basis, [o for o in shapes if o.axis == k and o.fault != LOG_GAIN], rows[k])
+        for k in range(n)
+    )
+    if torques.linear and (swapped := _find_swap(torques)):
+        for axis, other in (swapped, swapped[::-1]):
+            fault = replace(SWAPPED_CHANNELS, describe=partial(_describe_swap, torques.names[other]))
+            test = FaultTest(fault, (), 0.0, 1.0, 0.0, 0.0, 0.0)
+            found[axis].append(Finding(test, None, (), {}))
+        open_ones = []
+    elif torques.linear and n > 1 and (scaled := _find_scale(own, stack(torques.measured), rows, shapes, where, speed)):
+        axis, test, residual = scaled
+        found[axis].append(Finding(test, test.declared + test.size, (), {}))
+        first.append((axis, test))
+        open_ones = [one for one in shapes if (one.axis, one.fault) != (axis, LOG_GAIN)]
+    while open_ones and residual.size > _FEWEST * (own.shape[1] + len(open_ones)) and np.any(residual):
+        keys = {one.key: (one.axis, one.fault) for one in open_ones}
+        signatures = [FaultSignature(one.key, one.column, one.shape) for one in open_ones]
+        tested = score_signatures(residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed))
+        tests = [_of_axis(one, keys) for one in tested]
+        first = [*first, *tests] if len(first) < n else first
+        basis = _basis_of(own)
+        rest = residual - basis @ (basis.T @ residual)
+        likely = ((_shape_of(one, k, open_ones), one) for k, one in tests if one.p_value <= level)
+        best = next(
+            (
+                (shape, one)
+                for shape, one in likely
+                if len(found[shape.axis]) < _MOST
+                and _gain_of(shape.column, basis, rest) > _MUCH * float(rest[rows[shape.axis]] @ rest[rows[shape.axis]])
+            ),
+            None,
+        )
+        if best is None:
+            break
+        (taken, test), axis = best, best[0].axis
+        found[axis].append(Finding(test, None, (), {}))
+        own = np.column_stack([own, taken.column])
+        kin = {test.name, test.fault.kin} - {""}
+        open_ones = [o for o in open_ones if o.axis != axis or not kin & {o.fault.name, o.fault.kin}]
+    faults = tuple(
+        AxisFaults(
+            tuple(found[k]), tuple(one for at, one in first if at == k), level, {},
+            {"position": units[k][0], "velocity": f"{units[k][0]}/s", "torque": units[k][1]}, of_loop=False,
+        )
+        for k in range(n)
+    )  # fmt: skip
+    return faults, follows
+
+
+def _find_scale(
+    own: FloatArray,
+    torque: FloatArray,
+    rows: Sequence[slice],
+    shapes: Sequence[_Shape],
+    where: FloatArray,
+    speed: FloatArray,
+) -> tuple[int, FaultTest, FloatArray] | None:
+    """Return the axis whose log is larger or smaller than its torque, its test, and the residual without that.
+
+    With the rows of an axis g times as large as its equations say, the rest is least at the log's gain. The gain is
+    searched for, as it may be far from 1. It is the fault if no other fault of one axis leaves less.
+    """
+    own = own / column_norms(own)
+    products = [own[one].T @ own[one] for one in rows]
+    projected = [own[one].T @ torque[one] for one in rows]
+    square, whole, target = float(torque @ torque), sum(products), sum(projected)
+
+    def left(axis: int, gain: float) -> float:
+        normal = whole + (gain**2 - 1.0) * products[axis]
+        right = target + (gain - 1.0) * projected[axis]
+        return square - float(right @ np.linalg.lstsq(normal, right, rcond=None)[0])
+
+    before = left(0, 1.0)
+    axis, gain = min(((k, g) for k in range(len(rows)) for g in _GAINS), key=lambda pair: left(*pair))
+    for step in _FINER:
+        gain = min((gain * one for one in (1.0 / step, 1.0, step)), key=partial(left, axis))
+    basis = _basis_of(own)
+    rest = torque - basis @ (basis.T @ torque)
+    most = max((_gain_of(one.column, basis, rest) for one in shapes if one.fault != LOG_GAIN), default=0.0)
+    if before - left(axis, gain) < max(_CLEARLY * before / len(rows), most):
+        return None
+    scaled = own.copy()
+    scaled[rows[axis]] *= gain
+    values = np.linalg.lstsq(scaled, torque, rcond=None)[0]
+    column = np.zeros(torque.size)
+    column[rows[axis]] = own[rows[axis]] @ values
+    fault = TORQUE_SIGN if gain < 0.0 else LOG_GAIN
+    signature = FaultSignature(fault, column)
+    (test,) = score_signatures(torque - scaled @ values, scaled, [signature], {fault: 1.0}, lambda: cells(where, speed))
+    size = gain - 1.0
+    corrected = torque.copy()
+    corrected[rows[axis]] /= gain
+    return (
+        axis,
+        replace(test, size=size, statistic=size / test.std, p_value=0.0),
+        corrected - basis @ (basis.T @ corrected),
+    )
+
+
+def _describe_swap(other: str, *_: object) -> str:
+    return f"this is the torque of {other}, and that is of this joint: exchange the columns"
+
+
+def _of_axis(test: FaultTest, keys: dict[Fault, tuple[int, Fault]]) -> tuple[int, FaultTest]:
+    """Return the axis of a test, and the test of its fault there."""
+    axis, fault = keys[test.fault]
+    alike = tuple(other for at, other in (keys[one] for one in test.alike) if at == axis)
+    return axis, replace(test, fault=fault, alike=alike, declared=1.0 if fault == LOG_GAIN else 0.0)
+
+
+def find_follower(torques: AxisTorques) -> Follows:
+    """Return what the residual of a joint alone correlates with most, or None."""
+    inside = torques.seen[0]
+    shapes = [_Shape(0, one.fault, one.shape, one.column[inside]) for one in torques.shapes[0]]
+    basis = _basis_of(_drop_idle(torques.own[0][inside]))
+    return _strongest_coupling(torques.error[0][inside], basis, shapes, slice(None))
+
+
+def _strongest_coupling(residual: FloatArray, basis: FloatArray, shapes: Sequence[_Shape], rows: slice) -> Follows:
+    """Return the fault that an axis' residual correlates with most beside the free parameters, or None."""
+    error = residual[rows]
+    if error.size < _FEWEST_ROWS or not np.any(error):
+        return None
+    groups: dict[str, list[FloatArray]] = {}
+    for one in shapes:
+        apart = one.column - basis @ (basis.T @ one.column)
+        groups.setdefault(one.fault.phrase, []).append(apart[rows])
+    found = {phrase: coupling(error, np.column_stack(columns)) for phrase, columns in groups.items()}
+    seen = {phrase: one for phrase, one in found.items() if one.seen}
+    if not seen:
+        return None
+    # Beyond chance, not in all: a fault of eight columns explains more of anything than one of one.
+    phrase = max(seen, key=lambda one: seen[one].explained - seen[one].by_chance)
+    return phrase, seen[phrase]
+
+
+def _find_swap(torques: AxisTorques) -> tuple[int, int] | None:
+    """Return the two axes whose torques are exchanged: with them the other way round far less is left."""
+    n, both = len(torques.measured), np.all(torques.seen, axis=0)
+    basis = _basis_of(_drop_idle(np.concatenate(torques.own[:, both])))
+
+    def left(order: Sequence[int]) -> float:
+        torque = np.concatenate(torques.measured[list(order)][:, both])
+        return float(np.linalg.norm(torque - basis @ (basis.T @ torque)) / np.linalg.norm(torque))
+
+    before = left(range(n))
+    if before < POOR_FIT or np.count_nonzero(both) < _FEWEST_ROWS:
+        return None
+    pairs = {(i, j): [j if k == i else i if k == j else k for k in range(n)] for i, j in combinations(range(n), 2)}
+    best = min(pairs, key=lambda pair: left(pairs[pair]), default=None)
+    return best if best is not None and left(pairs[best]) < _CLEARLY * before else None
+
+
+def _basis_of(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of columns, (rows, rank)."""
+    basis, sizes, _ = np.linalg.svd(columns / column_norms(columns), full_matrices=False)
+    return np.asarray(basis[:, sizes > _RANK * sizes[0]])
+
+
+def _gain_of(column: FloatArray, basis: FloatArray, rest: FloatArray) -> float:
+    """Return by how much a column beside a basis lowers the squares that are left."""
+    apart = column - basis @ (basis.T @ column)
+    size = float(apart @ apart)
+    return float(apart @ rest) ** 2 / size if size > _RANK * float(column @ column) else 0.0
+
+
+def _shape_of(test: FaultTest, axis: int, shapes: Sequence[_Shape]) -> _Shape:
+    return next(one for one in shapes if (one.axis, one.fault, one.shape) == (axis, test.fault, test.shape))
+
+
+def _drop_idle(columns: FloatArray) -> FloatArray:
+    return columns[:, np.any(columns, axis=0)]
+
+
+def _scale(values: FloatArray) -> FloatArray:
+    """Return values within 0 and 1 by their range, or of either sign by their largest."""
+    return values / (float(np.max(np.abs(values), initial=0.0)) or 1.0)
