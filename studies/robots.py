@@ -30,8 +30,9 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.consistent import mass_matrix_at
-from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, identify_flexible_drive_side
+from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.simulated import problem_of

@@ -18,7 +18,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.check_loop import check_loop
+from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -121,7 +121,7 @@ def identify_plant(seed: int, *, loop_checks: bool = True) -> BoundRun:
     if not loop_checks:
         return run
     try:
-        found = check_loop(estimate, plant.record)
+        found = diagnose(estimate, plant.record).axes[0].faults
     except JointidError as error:
         return replace(run, alarm=f"error: {error}")
     return replace(run, alarm=", ".join(f"{f.test.name} {f.test.statistic:+.1f}" for f in found.findings))

@@ -14,7 +14,7 @@ from jointid import MethodError
 from jointid.config import load
 from jointid.config.robot_file import RobotFile
 from jointid.controller import Cascade
-from jointid.diagnostics.robots.diagnose import diagnose_robot
+from jointid.diagnostics.diagnose import diagnose_robot
 from jointid.diagnostics.validation import validate
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
@@ -107,9 +107,9 @@ def test_no_law_of_reference_and_position_makes_its_torque(file: RobotFile, data
     laws = [Cascade(position_gain=15.0, velocity_gain=gain) for gain in (3e4, 3e4, 2e4, 2e3, 2e3, 1e3)]
     found = diagnose_robot(identified(file.robot, records), records, laws)
     assert found.as_declared is False
-    free = [one.law.noise for one in found.joints if one.law is not None]
+    free = [one.law.noise for one in found.axes if one.law is not None]
     assert len(free) == 6
     assert min(free) > 0.15 and max(free) < 0.45
     assert any("Where no law does, something else is added" in one for one in found.sentences)
-    assert not any(one.explained for one in found.joints)
-    assert [one.name for one in found.joints if "% of it follows" in one.sentences[0]] == ["A2", "A4", "A6"]
+    assert not any(one.explained for one in found.axes)
+    assert [one.name for one in found.axes if "% of it follows" in one.sentences[0]] == ["A2", "A4", "A6"]

@@ -92,5 +92,5 @@ def test_an_estimate_says_that_its_checks_were_left_out(tmp_path: Path) -> None:
     (said,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject is Subject.LOOP)
     assert said.status is Status.UNKNOWN
     assert "left out" in said.said
-    assert estimate.checks.loop is None
+    assert estimate.checks.diagnosis is None
     assert estimate.answer.trust.code == "not_checked"

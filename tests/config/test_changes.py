@@ -114,4 +114,4 @@ def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:
         if "JOINT" in names:
             taking.add(name)
             assert "--set" in names, name
-    assert {"identify", "report", "simulate", "tune", "diagnose loop"} <= taking
+    assert {"identify", "report", "simulate", "tune", "diagnose"} <= taking

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
-from jointid.config import dumps, load, load_to_learn, loads, robot_file, save
+from jointid.config import contents, dumps, load, load_to_learn, loads, save
 from jointid.config.loading import parse_toml
 from jointid.config.robot_file import RobotFile, RobotFileTable
+from jointid.config.schema import keys_of
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.controllers import PD
@@ -132,7 +134,10 @@ def test_a_fault_of_one_joint_names_it(folder: Path) -> None:
 def test_joints_that_are_not_those_of_the_model(folder: Path) -> None:
     tables = parse_toml(TEXT)
     tables["joints"] = tables["joints"][:2]
-    with pytest.raises(JointFileError, match=r"joints lacks joint2; expected every joint of arm\.xml"):
+    with pytest.raises(
+        JointFileError,
+        match=r"joints lacks joint2; expected every joint of arm\.xml: .* locked = \{ joint2 = 0\.0 \}",
+    ):
         RobotFile.of(tables, folder / "robot.toml")
     tables = parse_toml(TEXT)
     tables["joints"].reverse()
@@ -140,10 +145,23 @@ def test_joints_that_are_not_those_of_the_model(folder: Path) -> None:
         RobotFile.of(tables, folder / "robot.toml")
 
 
+def test_joints_that_the_log_lacks_stand_still(folder: Path) -> None:
+    text = TEXT[: TEXT.rindex("[[joints]]")]
+    assert loads(text.replace("[robot]", "[robot]\nlocked = { joint2 = 0.3 }"), folder).robot.names == (
+        "joint0",
+        "joint1",
+    )
+    both = text.replace("[robot]", '[robot]\nlocked = ["joint1", "joint2"]')
+    with pytest.raises(JointFileError, match=r"robot\.locked names joint1 of \[\[joints\]\], which move"):
+        loads(both, folder)
+
+
 def test_every_key_of_its_own_is_on_the_page() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
     tables = RobotFileTable.model_json_schema()["$defs"]
-    for name in ("RobotTable", "RobotMethodTable", "RobotJointTable", "JointSpringTable"):
+    for method in (IDIM, DIDIM, DriveSideFit):
+        assert all(f"`{key}`" in page for key in keys_of(method, "robot"))
+    for name in ("RobotTable", "RobotJointTable", "JointSpringTable"):
         for key in tables[name].get("anyOf", [tables[name]])[-1]["properties"]:
             assert f"`{key}`" in page, key
     for table in RobotFileTable.model_fields:
@@ -168,7 +186,7 @@ def test_every_key_of_its_own_is_on_the_page() -> None:
         (
             "[[joints]]",
             '[method]\nestimator = "ols"\nname = "didim"\n[[joints]]',
-            "a setting of another method than didim",
+            r'method\.estimator is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim"',
         ),
     ],
 )
@@ -219,8 +237,29 @@ def test_a_feed_forward_that_was_logged_is_there(folder: Path) -> None:
 
 def test_remedies_name_the_tables_of_a_robot_file(folder: Path) -> None:
     text = TEXT.replace("viscous = 3.0\n", "parameters = { stiffness = 1e4 }\n")
-    with pytest.raises(JointFileError, match=r'^joints\.1\.parameters\.stiffness .* set joints\.model = "flexible"'):
+    with pytest.raises(JointFileError, match=r'^joints\.1\.parameters\.stiffness .* set joints\.1\.model = "flexible"'):
         RobotFile.of(parse_toml(text), folder / "robot.toml")
+
+
+@pytest.mark.parametrize(
+    ("said", "sentence"),
+    [
+        (
+            "parameters = { harmonic_1_cos = 1.0 }",
+            r"^joints\.1\.parameters\.harmonic_1_cos .* set joints\.1\.ripple\.period",
+        ),
+        ("parameters = { load_weight = 1.0 }", r"^joints\.1\.parameters\.load_weight "),
+        (
+            'channels.motor_position = { column = "q0", unit = "mm" }',
+            r"^joints\.1\.channels\.motor_position\.unit is .*, or make the joint prismatic in the robot.s model\.$",
+        ),
+    ],
+)
+def test_places_of_a_joint_are_those_of_the_robot_file(folder: Path, said: str, sentence: str) -> None:
+    with pytest.raises(JointFileError, match=sentence) as caught:
+        loads(TEXT.replace("viscous = 3.0", said), folder)
+    (fault,) = caught.value.faults
+    assert fault.place[:2] == ("joints", 0) and "joint.kind" not in fault
 
 
 def test_other_commands_say_that_it_is_a_robot_file(folder: Path) -> None:
@@ -311,7 +350,9 @@ def test_a_robot_takes_the_laws_of_its_joints_and_their_numbers(folder: Path) ->
     }  # fmt: skip
     again = loads(dumps(file), folder)
     assert again.robot.joints == file.robot.joints and again.joints == file.joints
-    with pytest.raises(MethodError, match=r'takes friction and springs for lines; received the law "hysteretic" of j'):
+    with pytest.raises(
+        MethodError, match=r'The drive side .* received the law "presliding" of joint0: declare another'
+    ):
         file.identify(file.record())
 
 
@@ -393,8 +434,8 @@ def test_a_joint_is_checked_as_in_a_joint_file(folder: Path, said: str, fault: s
 
 
 def test_the_record_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read, paths = robot_file.read_table, list[Path]()
-    monkeypatch.setattr(robot_file, "read_table", lambda path, **options: paths.append(path) or read(path, **options))
+    read, paths = contents.read_table, list[Path]()
+    monkeypatch.setattr(contents, "read_table", lambda path, **options: paths.append(path) or read(path, **options))
     file = load(folder / "robot.toml")
     assert len(file.record()) == 3 and paths == [folder / "log.csv"]
 

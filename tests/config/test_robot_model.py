@@ -95,15 +95,18 @@ def mjcf(inside: str, beside: str = "") -> str:
             "<joint> k is of the type ball; expected joints that turn",
         ),
         (mjcf("<body><freejoint/></body>"), "<freejoint> floats"),
-        (mjcf("", '<equality><connect body1="b" anchor="0 0 0"/></equality>'), "closes a loop"),
-        (mjcf("", '<equality><joint joint1="j"/></equality>'), "ties joints by <equality>"),
+        (mjcf("", '<equality><connect body1="b" anchor="0 0 0"/></equality>'), "<connect> ties j; .*robot.locked"),
+        (mjcf("", '<equality><joint joint1="j"/></equality>'), "Every joint of the model stands still"),
         (mjcf("", '<include file="/etc/passwd"/>'), "reads another file"),
         (mjcf('<body name="m"><joint/><geom type="mesh" mesh="m"/></body>'), "<body> m follows from a mesh"),
         (mjcf('<body><joint name="s" stiffness="3"/></body>'), "the joint s has a spring to its parent"),
         (mjcf('<body name="b"/>'), "is no robot that MuJoCo reads"),
         ("<mujoco><worldbody><body/></worldbody></mujoco>", "has 0 joints"),
         (URDF.replace('type="continuous"', 'type="floating"'), "turn is of the type floating"),
-        (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="lift"/>'), "<mimic> ties one joint to another"),
+        (
+            URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="lift"/>'),
+            r"<mimic> ties lift, .*; expected .* locked = \{",
+        ),
         (URDF.replace('<child link="rod"/>', '<child link="base"/>'), "is no robot that MuJoCo reads"),
         ("<!DOCTYPE x><robot/>", "declares a DOCTYPE"),
         ('<?x <!-- ?><!DOCTYPE x [<!ENTITY a "b">]><robot/><!-- -->', "declares a DOCTYPE"),
@@ -187,3 +190,63 @@ def test_nothing_is_drawn_from_elsewhere(tmp_path: Path, monkeypatch: pytest.Mon
     robot = read_robot(mjcf('<geom type="mesh" mesh="m"/>', asset))
     assert robot.inertials[0][0] == 1.0
     assert replace(robot).names == ("j",)
+
+
+HAND = """<mujoco><worldbody>
+<body name="arm"><joint name="lift" axis="0 1 0"/><inertial pos="0.3 0 0" mass="3" diaginertia="0.1 0.2 0.3"/>
+<body name="wrist" pos="0.5 0 0"><joint name="turn" axis="0 0 1"/>
+<inertial pos="0.1 0.02 0" mass="1" diaginertia="0.01 0.02 0.02"/>
+<body name="left" pos="0.2 0 0"><joint name="grip" type="slide" axis="0 1 0"/>
+<inertial pos="0 0.01 0" mass="0.4" diaginertia="1e-3 2e-3 2e-3"/>
+<body name="tip" pos="0 0.1 0"><joint name="bend" axis="1 0 0"/>
+<inertial pos="0 0 0.05" mass="0.2" diaginertia="1e-3 1e-3 1e-3"/></body></body></body></body>
+</worldbody>{}</mujoco>"""
+TIE = '<equality><joint joint1="bend" joint2="grip" polycoef="0.2 30"/></equality>'
+"""Of a gripper whose tip bends by 0.2 rad and 30 rad for each metre that it slides."""
+
+
+@pytest.mark.parametrize(
+    ("tie", "locked"), [("", {"grip": 0.03, "bend": 1.1}), (TIE, {"grip": 0.03}), ("", {"turn": 0.7, "bend": -0.4})]
+)
+def test_locked_joints_load_the_others_as_if_they_stood_still(tie: str, locked: dict[str, float]) -> None:
+    whole, left = read_robot(HAND.format("")), read_robot(HAND.format(tie), locked=locked)
+    stands = {"bend": 1.1, **locked}  # of the tie, 0.2 + 30 * 0.03
+    moving = [k for k, name in enumerate(whole.names) if name in left.names]
+    assert left.names == tuple(name for name in whole.names if name not in stands or name not in (*locked, "bend"))
+    rng = np.random.default_rng(4)
+    motion = rng.standard_normal((3, 20, len(left)))
+    full = np.zeros((3, 20, len(whole)))
+    full[:, :, moving] = motion
+    for k, name in enumerate(whole.names):
+        if k not in moving:
+            full[0, :, k] = stands[name]
+    torque = inverse_dynamics(left.tree, left.inertials, *motion)
+    assert torque == pytest.approx(inverse_dynamics(whole.tree, whole.inertials, *full)[:, moving], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("tie", "locked", "said"),
+    [
+        (TIE, {}, r"<equality> ties bend, grip; .* robot\.locked, as locked = \{ grip = 0\.0 \}"),
+        (TIE, {"bend": 0.1}, r"<equality> ties grip;"),
+        ("", {"lid": 0.1}, r"robot\.locked is "),
+        ('<equality><weld body1="tip" body2="wrist"/></equality>', {"bend": 0.1}, "<weld> ties grip;"),
+    ],
+)
+def test_a_tie_between_joints_that_move_names_the_key(tie: str, locked: dict[str, float], said: str) -> None:
+    with pytest.raises(JointFileError, match=said):
+        read_robot(HAND.format(tie), locked=locked)
+
+
+def test_a_tie_of_bodies_that_stand_still_is_none() -> None:
+    weld = '<equality><weld body1="tip" body2="wrist"/></equality>'
+    assert read_robot(HAND.format(weld), locked={"grip": 0.0, "bend": 0.1}).names == ("lift", "turn")
+
+
+def test_the_inertia_of_an_axis_is_that_of_the_mass_matrix() -> None:
+    robot = read_robot(HAND.format("").replace("<mujoco>", '<mujoco><option gravity="0 0 0"/>'))
+    for k in range(len(robot)):
+        a = np.zeros((1, len(robot)))
+        a[0, k] = 1.0
+        torque = inverse_dynamics(robot.tree, robot.inertials, 0 * a, 0 * a, a)
+        assert robot.axis_inertia(k) == pytest.approx(torque[0, k], rel=1e-12)

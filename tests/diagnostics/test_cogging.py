@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import jointid as ji
-from jointid.diagnostics.check_loop import LoopTests, check_loop
+from jointid.diagnostics.check_loop import LoopTests
 from jointid.diagnostics.faults.forces import COGGING
 from jointid.models.position_forces import PositionHarmonics
 from jointid.uncertainty.verdict import Reason
 from studies.mechanics import spoiled
 from tests.estimates import identify
+from tests.tested import faults_of
 
 
 @pytest.mark.parametrize("seed", [100, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (102, 103))])
 def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     made = spoiled(seed, "cogging", 8.0)
     assert made is not None
-    check = check_loop(identify(made.record, made.axis.loop), made.record, LoopTests(most=1))
+    check = faults_of(identify(made.record, made.axis.loop), made.record, LoopTests(most=1))
     first = check.findings[0]
     assert first.test.fault is COGGING
     assert first.test.shape is not None
@@ -38,7 +38,7 @@ def test_the_period_of_a_ripple_is_found(seed: int) -> None:
 def test_none_is_found_where_there_is_none() -> None:
     made = spoiled(103, "none", 8.0)
     assert made is not None
-    tests = check_loop(identify(made.record, made.axis.loop), made.record).tests
+    tests = faults_of(identify(made.record, made.axis.loop), made.record).tests
     assert next(one.p_value for one in tests if one.fault is COGGING) > 0.05
 
 
@@ -47,7 +47,7 @@ def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
     assert made is not None
     joint = replace(made.axis.loop.joint, ripple=PositionHarmonics(made.truth["pitch"]))
     loop = replace(made.axis.loop, joint=joint)
-    check = ji.diagnose(identify(made.record, loop), made.record)
+    check = faults_of(identify(made.record, loop), made.record)
     assert COGGING not in {one.fault for one in check.tests}
 
 
@@ -55,5 +55,5 @@ def test_it_can_be_asked_for_by_itself() -> None:
     made = spoiled(103, "cogging", 8.0)
     assert made is not None
     estimate = identify(made.record, made.axis.loop)
-    check = check_loop(estimate, made.record, LoopTests(faults=(COGGING.name,), most=1))
+    check = faults_of(estimate, made.record, LoopTests(faults=(COGGING.name,), most=1))
     assert [one.fault for one in check.tests] == [COGGING]

@@ -10,8 +10,8 @@ import pytest
 import jointid as ji
 from jointid.diagnostics import check_loop as checking
 from jointid.diagnostics import find_causes as searching
-from jointid.diagnostics.check_loop import LoopTests, check_loop
-from jointid.diagnostics.faults.findings import LoopCheck
+from jointid.diagnostics.check_loop import LoopTests
+from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.other_laws import PERIOD
 from jointid.diagnostics.find_causes import find_causes
 from jointid.models.controllers import PD, Cascade
@@ -20,12 +20,13 @@ from jointid.records.record import Record
 from jointid.uncertainty.verdict import Reason, Status
 from tests.estimates import identify
 from tests.faster_drives import CASCADE, FLEXIBLE, LOG, RIGID, SERVO, drive
+from tests.tested import faults_of
 
 
-def _checked(record: Record, loop: ClosedLoop, asked: str) -> tuple[LoopCheck, float, float, float]:
+def _checked(record: Record, loop: ClosedLoop, asked: str) -> tuple[AxisFaults, float, float, float]:
     """The check, value and two deviations of what is asked, and the value with the first finding corrected."""
     estimate = identify(record, loop)
-    check, row = check_loop(estimate, record, LoopTests(most=1)), estimate[asked]
+    check, row = faults_of(estimate, record, LoopTests(most=1)), estimate[asked]
     assert row.value is not None
     assert row.stderr is not None
     by = check.findings[0].changes[asked].by if check.findings else 0.0
@@ -72,15 +73,15 @@ def test_a_declared_period_is_not_doubted(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(checking, "faster_problem", fails)
     record, loop = drive(CASCADE, 8)
     declared = replace(loop, controller=replace(CASCADE, delay=LOG / 8, period=LOG / 8))
-    assert check_loop(identify(record, declared), record).as_declared
+    assert faults_of(identify(record, declared), record).as_declared
 
 
 def test_the_check_of_one_fault_leaves_the_period_out() -> None:
     record, loop = drive(CASCADE, 8, noise=0.05)
     estimate = identify(record, loop)
-    only = check_loop(estimate, record, LoopTests(faults=("delay",)))
+    only = faults_of(estimate, record, LoopTests(faults=("delay",)))
     assert [one.test.name for one in only.findings] == ["delay"]
-    both = check_loop(estimate, record, LoopTests(faults=("delay", PERIOD.name)))
+    both = faults_of(estimate, record, LoopTests(faults=("delay", PERIOD.name)))
     assert both.findings[0].test.fault is PERIOD
 
 

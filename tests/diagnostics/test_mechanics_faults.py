@@ -11,7 +11,6 @@ import pytest
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.check_loop import check_loop
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.diagnostics.faults.forces import COGGING
 from jointid.diagnostics.faults.friction import (
@@ -36,6 +35,7 @@ from studies.healthy import drive
 from studies.mechanics import Spoiled, simulate, spoiled
 from tests.estimates import identify
 from tests.faults import problem, setting
+from tests.tested import faults_of
 
 MECHANICS = {one for one in FAULTS if one.mechanical}
 
@@ -93,7 +93,7 @@ def identified(fault: str, seed: int, longest: float = 8.0) -> tuple[Spoiled, Es
 )
 def test_what_is_wrong_is_named_first(fault: str, seed: int, named: Fault) -> None:
     made, estimate = identified(fault, seed, 8.0 if seed < 1000 else 12.0)
-    check = check_loop(estimate, made.record)
+    check = faults_of(estimate, made.record)
     assert check.findings[0].test.fault is named
     assert {CUBIC_SPRING, BACKLASH} - {one.test.fault for one in check.findings}  # two words for one thing
     asked = {CUBIC_SPRING: "three-piece", BACKLASH: "backlash", SECOND_MODE: "elastic-load"}.get(named)
@@ -105,7 +105,7 @@ def test_a_small_second_mode_is_found_by_a_search() -> None:
     made = spoiled(125, "second mode", 8.0)
     assert made is not None
     estimate = identify(made.record, made.axis.loop)
-    check = check_loop(estimate, made.record)
+    check = faults_of(estimate, made.record)
     assert [one.test.fault for one in check.findings] == [SECOND_MODE]
     assert check.findings[0].test.shape == pytest.approx(made.size * made.axis.about["mode"], rel=0.5)
 
@@ -155,7 +155,7 @@ def test_a_stiffness_beside_a_friction_that_grows_with_the_load_is_not_relied_on
     assert made is not None
     found = ji.identify(made.record, made.axis.loop)
     assert Reason.FRICTION_NOT_AS_MODELLED in found.answer.trust.values["reasons"]
-    assert 'declare the joint with friction = "load-dependent"' in str(check_loop(found, made.record).sentences)
+    assert 'declare the joint with friction = "load-dependent"' in str(faults_of(found, made.record).sentences)
 
 
 def test_a_rigid_joint_has_no_spring() -> None:
@@ -163,7 +163,7 @@ def test_a_rigid_joint_has_no_spring() -> None:
     rigid = ji.ClosedLoop(ji.RigidJoint(kind=axis.loop.joint.kind), axis.loop.controller)
     record = axis.record.without("motor_position", "load_position")
     estimate = identify(record, rigid, ji.DIDIM())
-    assert not {one.fault for one in check_loop(estimate, record).tests} & MECHANICS
+    assert not {one.fault for one in faults_of(estimate, record).tests} & MECHANICS
 
 
 def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> None:

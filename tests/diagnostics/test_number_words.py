@@ -13,7 +13,7 @@ import jointid as ji
 from jointid.config import loads
 from jointid.config.contents import JointFile
 from jointid.diagnostics.faults.fault import FaultTest
-from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import describe_in_drive, number_fault
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -132,12 +132,12 @@ def test_a_number_is_told_as_the_drive_shows_it(
     assert describe_in_drive(there, test, {there.number: declared}, spread=True) == said
 
 
-def _check(*shown: DriveNumber) -> LoopCheck:
+def _check(*shown: DriveNumber) -> AxisFaults:
     test = FaultTest(number_fault("velocity_gain"), (number_fault("gain"),), 5.5, -1.0, 0.1, -10.0, 1e-9)
     law = {"velocity_gain": 5.5, "gain": 0.5}
     units = {"torque": "N m", "position": "rad", "velocity": "rad/s"}
     rival = replace(test, fault=number_fault("integral_gain"), alike=())
-    return LoopCheck(
+    return AxisFaults(
         (Finding(test, 4.5, (rival,), {}),), (test,), 0.05, {}, units,
         law=law, shown={one.number: one for one in shown},
     )  # fmt: skip
@@ -158,7 +158,7 @@ def test_the_times_of_a_pid_change_with_its_position_gain() -> None:
     there = DriveNumber("position_gain", "position_gain", "A/rad", 1.0, declared=4.0)
     time = DriveNumber("derivative_gain", "derivative_time", "ms", 1e3, declared=66.0, per="position_gain")
     test = FaultTest(number_fault("position_gain"), (), 4.0, 0.4, 0.04, 10.0, 1e-9)
-    check = LoopCheck(
+    check = AxisFaults(
         (Finding(test, 4.4, (), {}),), (test,), 0.05, {}, {"torque": "A", "position": "rad", "velocity": "rad/s"},
         law={"position_gain": 4.0, "derivative_gain": 0.264}, shown={one.number: one for one in (there, time)},
     )  # fmt: skip

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.check_loop import LoopTests, check_loop
+from jointid.diagnostics.check_loop import LoopTests
 from jointid.diagnostics.faults.fault import FaultTest
-from jointid.diagnostics.faults.findings import Finding, LoopCheck, OtherLaw, ParameterShift
+from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, ParameterShift
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.faults.other_laws import MEASURED_VELOCITY, PERIOD, PRESENT_SAMPLE, list_other_laws
 from jointid.estimation.result.answer import Trust, moved_by_loop
@@ -31,6 +31,7 @@ from jointid.records.record import Record
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
 from tests.estimates import amended, identify
 from tests.mistakes import Axis, axis, run
+from tests.tested import faults_of
 
 T = 1e-3
 
@@ -77,7 +78,7 @@ def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> No
     declared = replace(made.controller, velocity_filter=(1.0,))
     earlier = replace(declared, velocity_filter=(1.5, -0.5))
     record, loop = run(made, earlier), ClosedLoop(made.joint, declared)
-    check = check_loop(identify(record, loop), record, LoopTests(most=1))
+    check = faults_of(identify(record, loop), record, LoopTests(most=1))
     [first] = check.findings
     assert first.test.fault is MEASURED_VELOCITY
     assert check.sentences[0].startswith("the velocity is measured or observed, half a period earlier")
@@ -90,11 +91,11 @@ def test_a_law_of_two_parts_is_named_as_both_and_neither_is_looked_for_again() -
     declared = replace(made.controller, velocity_filter=(1.0,))
     true = replace(with_present_sample(declared, made.rate), velocity_filter=(1.5, -0.5))
     record, loop = run(made, true), ClosedLoop(made.joint, declared)
-    check = check_loop(identify(record, loop), record)
+    check = faults_of(identify(record, loop), record)
     [first, *others] = [one.test.name for one in check.findings]
     assert first == "measured_velocity and present_sample"
     assert not {"measured_velocity", "present_sample"} & {*others}
-    only = check_loop(identify(record, loop), record, LoopTests(faults=(MEASURED_VELOCITY.name, "delay")))
+    only = faults_of(identify(record, loop), record, LoopTests(faults=(MEASURED_VELOCITY.name, "delay")))
     assert first not in [one.test.name for one in only.findings]
 
 
@@ -109,7 +110,7 @@ def test_laws_that_explain_as_much_are_told_once() -> None:
     test = FaultTest(measured.fault, (), 0.0, 1.0, 0.1, 10.0, 1e-9)
     changes = {"inertia": ParameterShift(1.0, 5.0)}
     first = Finding(test, None, (), changes, measured, 0.01, (both, *rates))
-    check = LoopCheck(
+    check = AxisFaults(
         (first,), (), 0.05, {"inertia": "ZZ"}, {"inertia": "kg", "torque": "N", "position": "m", "velocity": "m/s"}
     )
     [told] = check.sentences
@@ -127,12 +128,12 @@ def _quiet() -> Axis:
     return replace(made, ripple=0.1, noise=0.5, log_noise=0.3)
 
 
-def _checked(*, present: bool) -> tuple[Estimate, Record, LoopCheck]:
+def _checked(*, present: bool) -> tuple[Estimate, Record, AxisFaults]:
     made = _quiet()
     true = with_present_sample(made.controller, made.rate) if present else made.controller
     record = run(made, true)
     estimate = identify(record, ClosedLoop(made.joint, made.controller))
-    return estimate, record, check_loop(estimate, record)
+    return estimate, record, faults_of(estimate, record)
 
 
 def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
@@ -185,9 +186,9 @@ def test_what_the_record_does_not_exclude_speaks_against_the_value_where_it_woul
 
 def test_the_check_of_one_fault_leaves_the_law_out() -> None:
     estimate, record, _ = _checked(present=True)
-    check = check_loop(estimate, record, LoopTests(faults=("delay",)))
+    check = faults_of(estimate, record, LoopTests(faults=("delay",)))
     assert PRESENT_SAMPLE not in [one.test.fault for one in check.findings]
-    [found, *_] = check_loop(estimate, record, LoopTests(faults=(PRESENT_SAMPLE.name, "delay"))).findings
+    [found, *_] = faults_of(estimate, record, LoopTests(faults=(PRESENT_SAMPLE.name, "delay"))).findings
     assert found.test.fault is PRESENT_SAMPLE
 
 

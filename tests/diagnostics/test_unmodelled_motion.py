@@ -11,7 +11,7 @@ import jointid as ji
 from jointid.common.messages import Message
 from jointid.diagnostics import run_checks
 from jointid.diagnostics.check_loop import SearchState
-from jointid.diagnostics.faults.findings import LoopCheck
+from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, _responses, predict_residual
 from jointid.estimation.identify import fit as fit_records
@@ -81,11 +81,11 @@ def test_it_is_said_where_loop_and_log_pass_their_check(monkeypatch: pytest.Monk
     before = Verdict(Subject.REPEATABLE, Status.FAILED, (repeats,))
     verdicts = tuple(before if one.subject is before.subject else one for one in fit.checks.verdicts)
     fit = amended(fit, checks={"verdicts": verdicts})
-    nothing_found = LoopCheck((), (), 0.05, {}, {}, None, None, {})
+    nothing_found = AxisFaults((), (), 0.05, {}, {}, None, None, {})
     assert fit.problem is not None
     assert fit.x is not None
     state = SearchState(fit.problem, fit.x)
-    monkeypatch.setattr(run_checks, "search_faults", lambda *_, **__: (nothing_found, state))
+    monkeypatch.setattr("jointid.diagnostics.diagnose.search_faults", lambda *_, **__: (nothing_found, state))
     monkeypatch.setattr(run_checks, "explain_misfit", lambda *_: None)
     checked = assemble(fit, run_checks.run_checks(fit))
     (said,) = (one for one in checked.checks.verdicts if one.subject is Subject.REPEATABLE)

@@ -12,11 +12,13 @@ import pytest
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.diagnostics.check_loop import LoopTests, check_loop, search_faults
+from jointid.diagnostics.axis_torques import AxisTorques
+from jointid.diagnostics.check_loop import LoopTests, search_faults
+from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.fault_tests import compute_signatures, fit_whitener, rank_tests, score_signatures
 from jointid.diagnostics.faults.fault import Fault as KnownFault
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
-from jointid.diagnostics.faults.findings import Finding, LoopCheck, ParameterShift
+from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.faults.registry import FAULTS as KNOWN
 from jointid.estimation.descent import descend
@@ -35,7 +37,7 @@ from studies.healthy import drive
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faults import FAULTS, Fault, line_7, on, problem, setting, solved
-from tests.text import unwrapped
+from tests.tested import faults_of
 
 SIZES = {
     "position_gain": 0.03 * 160.18,
@@ -169,17 +171,17 @@ def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate
     axis = twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
     estimate = identified("L19", DIDIM(frequency=30.0), noise="white")
-    assert check_loop(estimate, record).as_declared
-    only = check_loop(estimate, record, LoopTests(faults=("position_gain", "delay")))
+    assert faults_of(estimate, record).as_declared
+    only = faults_of(estimate, record, LoopTests(faults=("position_gain", "delay")))
     assert {s.name for s in only.tests} == {"position_gain", "delay"}
     with pytest.raises(
         MethodError, match="No fault called derivative_gain can be tested in this record; choose from gain"
     ):
-        check_loop(estimate, record, LoopTests(faults=("derivative_gain",)))
+        faults_of(estimate, record, LoopTests(faults=("derivative_gain",)))
     with pytest.raises(MethodError, match="has another torque"):
-        check_loop(estimate, twin(noise="white", seed=2).record)
+        faults_of(estimate, twin(noise="white", seed=2).record)
     with pytest.raises(MethodError, match="IDIM simulates no loop"):
-        check_loop(identify(axis.record, axis.loop, IDIM()), axis.record)
+        faults_of(identify(axis.record, axis.loop, IDIM()), axis.record)
 
 
 @pytest.mark.parametrize("wrong", [{"level": 0.0}, {"level": 1.0}, {"most": 0}])
@@ -193,7 +195,7 @@ def named(name: str) -> KnownFault:
     return next((one for one in KNOWN if one.name == name), None) or number_fault(name)
 
 
-def _check(name: str, size: float, std: float, declared: float = 0.0, **more: object) -> LoopCheck:
+def _check(name: str, size: float, std: float, declared: float = 0.0, **more: object) -> AxisFaults:
     suspect = FaultTest(named(name), (), declared, size, std, size / std, 1e-9, None)
     finding = Finding(
         suspect, None, (), {"motor_viscous": ParameterShift(-59.0, -3.1), "stiffness": ParameterShift(1.0, 0.1)}
@@ -203,7 +205,15 @@ def _check(name: str, size: float, std: float, declared: float = 0.0, **more: ob
     changed = replace(finding, test=replace(suspect, **{k: v for k, v in more.items() if k != "value"}))  # type: ignore[arg-type]
     if "value" in more:
         changed = replace(changed, value=more["value"])  # type: ignore[arg-type]
-    return LoopCheck((changed,), (changed.test,), 0.05, symbols, units)
+    return AxisFaults((changed,), (changed.test,), 0.05, symbols, units)
+
+
+def _diagnosis(faults: AxisFaults) -> Diagnosis:
+    """Return the diagnosis of a joint with these faults, without a residual."""
+    axis = AxisDiagnosis("", 0.0, None, None, 1.0, 1.0, 1.0, "m", "N", (), None, faults)
+    none = np.zeros((1, 0))
+    torques = AxisTorques(none[0], 1e-3, 60.0, none, none, None, none.astype(bool), none, none, ({},))
+    return Diagnosis("run", "didim", (axis,), torques)
 
 
 _TAKEN = " (p < 1e-6); correcting it changes Fv1 by -59.0 N s/m (3.1 sigma)"
@@ -256,7 +266,7 @@ _TAKEN = " (p < 1e-6); correcting it changes Fv1 by -59.0 N s/m (3.1 sigma)"
         ),
     ],
 )
-def test_every_fault_is_told_in_a_sentence(check: LoopCheck, sentence: str) -> None:
+def test_every_fault_is_told_in_a_sentence(check: AxisFaults, sentence: str) -> None:
     assert check.sentences == (sentence + _TAKEN,)
 
 
@@ -294,7 +304,7 @@ _CAUSES = "torque, reference, ratio or a gain is wrong by a "
         (_check("offset", 1.0, 0.5), "a constant force is not declared"),
     ],
 )
-def test_no_absurd_size_is_said(check: LoopCheck, sentence: str) -> None:
+def test_no_absurd_size_is_said(check: AxisFaults, sentence: str) -> None:
     """Nothing is smaller by more than all of it, and an interval that holds 0 is no size beside p < 1e-6."""
     said = check.sentences[0].partition(" (p <")[0]
     assert said.startswith(sentence)
@@ -324,7 +334,7 @@ def test_a_check_that_is_not_possible_ends_no_identification(
     def refuse(*_: object, **__: object) -> None:
         raise failure("There is no derivative.")
 
-    monkeypatch.setattr("jointid.diagnostics.run_checks.search_faults", refuse)
+    monkeypatch.setattr("jointid.diagnostics.diagnose.search_faults", refuse)
     axis = twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
     estimate = ji.identify(record, axis.loop, DIDIM(frequency=30.0))
@@ -362,7 +372,7 @@ def test_changes_are_measured_by_the_deviations_of_the_table() -> None:
         ),
     ],
 )
-def test_behind_a_transmission_a_fault_names_its_side(check: LoopCheck, sentence: str) -> None:
+def test_behind_a_transmission_a_fault_names_its_side(check: AxisFaults, sentence: str) -> None:
     assert sentence in replace(check, side="load").sentences[0]
 
 
@@ -387,11 +397,12 @@ def test_what_cannot_be_told_apart_is_said() -> None:
     rivalled = replace(check, findings=(replace(check.findings[0], rivals=(of("log_gain"),)),))
     assert (
         "or so is the gain, which this loop cannot distinguish from the velocity gain; the logged torque would explain "
-        "nearly as much" in unwrapped(str(rivalled))
+        "nearly as much" in " ".join(rivalled.sentences)
     )
-    assert "velocity_gain or gain" in str(rivalled).splitlines()[-1]
+    printed = str(_diagnosis(rivalled))
+    assert "velocity_gain or gain" in printed.splitlines()[-1]
     several = replace(check, findings=(replace(check.findings[0], rivals=(of("log_gain", "injected_gain"),)),))
-    assert "; the logged torque or the injected signal would explain" in unwrapped(str(several))
+    assert "; the logged torque or the injected signal would explain" in " ".join(several.sentences)
     assert check.reasons[0].brief == "the velocity gain is 4.2 % smaller than declared, or so is the gain"
 
 
@@ -408,9 +419,10 @@ def test_what_is_significant_stands_first_however_strong_the_others_are() -> Non
 
 
 def test_a_check_is_written_to_json() -> None:
-    answer = json.loads(dumps(to_dict(_check("delay", 4e-4, 2.5e-5))))
-    assert answer["schema"] == "jointid.loop/1"
+    answer = json.loads(dumps(to_dict(_diagnosis(_check("delay", 4e-4, 2.5e-5)))))
+    assert answer["schema"] == "jointid.diagnosis/1"
     assert answer["as_declared"] is False
+    answer = answer["axes"][0]
     assert answer["findings"][0]["changes"]["motor_viscous"] == {"by": -59.0, "sigmas": -3.1}
     assert answer["suspects"][0]["name"] == "delay"
 
@@ -419,7 +431,7 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
     """Both records say the same: less friction towards standstill, and a torque that acts 0.15 to 0.25 ms late."""
     loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
     for record in (emps, emps_pulses):
-        check = check_loop(identify(record, loop), record, LoopTests(most=2))
+        check = faults_of(identify(record, loop), record, LoopTests(most=2))
         friction, late = (f.test for f in check.findings)
         assert (friction.name, late.name) == ("presliding", "delay")
         assert friction.size == pytest.approx(7.7, abs=0.3)
@@ -432,9 +444,9 @@ def test_what_forces_in_the_loop_show_by_themselves_is_no_fault(monkeypatch: pyt
     """Nothing is wrong with this drive; a white force on it looks like less friction near standstill, at p < 1e-4."""
     axis = drive(147, longest=12.0)
     estimate = identify(axis.record, axis.loop)
-    assert check_loop(estimate, axis.record).as_declared
+    assert faults_of(estimate, axis.record).as_declared
     monkeypatch.setattr("jointid.diagnostics.check_loop.find_force", lambda *_: None)
-    assert check_loop(estimate, axis.record).findings[0].test.p_value < 1e-3
+    assert faults_of(estimate, axis.record).findings[0].test.p_value < 1e-3
 
 
 @pytest.mark.slow

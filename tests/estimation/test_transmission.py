@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from jointid.common.transmission import OtherSide, Side, Transmission
-from jointid.diagnostics.check_loop import check_loop
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
@@ -35,6 +34,7 @@ from jointid.uncertainty.verdict import StiffnessBound
 from tests.estimates import identify
 from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
 from tests.geared import LAW as UNFILTERED
+from tests.tested import faults_of
 from tests.text import unwrapped
 
 GEAR = Transmission(load="revolute", ratio=100.0)
@@ -380,7 +380,7 @@ def test_a_limit_that_is_not_declared_is_told_in_the_torque_of_the_side() -> Non
     declared = replace(law, limit=math.inf, ratio=TURNED.torque("motor"))
     geared = on_side(record, TURNED)
     estimate = identify(geared, ClosedLoop(joint_of("flexible", TURNED), declared))
-    check = check_loop(estimate, geared)
+    check = faults_of(estimate, geared)
     (finding,) = check.findings
     assert re.match(r"the controller's output stops at \d+\.?\d* N m on the load side, which is", check.sentences[0])
     assert finding.test.name == "limit"

@@ -90,7 +90,7 @@ COMMANDS = {
     "validate joint.toml --estimate estimate.json": "was identified from",
     "compare estimate.json estimate.json": "ZZ",
     "diagnose methods joint.toml": "DIDIM",
-    "diagnose loop joint.toml": "Controller and log",
+    "diagnose joint.toml": "Loop and log",
     "advise joint.toml": "encoder",
     "diagnose intervals joint.toml --of inertia": "ZZ",
     "tune joint.toml": "position_gain",

@@ -35,7 +35,7 @@ COMMANDS = {
     "simulate": ("simulate joint.toml --estimate estimate.json -q", "--out", "o.csv", "--json", "o.json"),
     "tune": ("tune joint.toml -q", "--json", "o.json", "--figure", "o.png"),
     "diagnose methods": ("diagnose methods joint.toml -q", "--json", "o.json"),
-    "diagnose loop": ("diagnose loop joint.toml -q", "--json", "o.json"),
+    "diagnose": ("diagnose joint.toml -q", "--json", "o.json"),
     "advise": ("advise joint.toml -q", "--json", "o.json"),
     "report": ("report joint.toml -q --no-profiles", "--html", "o.html", "--markdown", "pages", "--json", "o.json"),
     "demo": ("demo again -q",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import itertools
 import random
 from collections.abc import Callable
@@ -13,7 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointid.common.errors import JointidError, RecordError
-from jointid.records.formats import Table, read_table, write_table
+from jointid.records.columns import Column
+from jointid.records.formats import Table, read_blocks, read_table, write_table
+from jointid.records.formats.table import join_tables
+from jointid.records.inspection import inspect
+from jointid.records.reading import read as read_record
 
 NAN = float("nan")
 Read = Callable[..., Table]
@@ -88,6 +93,52 @@ AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
     "UTF-16": ("t\tq\r\n0\t1\r\n".encode("utf-16"), {"t": [0], "q": [1]}),
     "no last line end": ("t,q\n0,1\n1,2", {"t": [0, 1], "q": [1, 2]}),
     "carriage returns": ("t,q\r0,1\r1,2\r", {"t": [0, 1], "q": [1, 2]}),
+    "comma in names and rows": ("t,q,\n0,1\n1,2\n", {"t": [0, 1], "q": [1, 2]}),
+    "commas and blanks beside decimal commas": ("t, q\n0,5, 1,5\n1,5, 2\n", {"t": [0.5, 1.5], "q": [1.5, 2]}),
+    "commas and blanks between whole numbers": ("t, q\n0, 1\n1, 2\n", {"t": [0, 1], "q": [1, 2]}),
+    "STARTER": (
+        "Time;r63;r80\n[ms];[1/min];[Nm]\n0;1,5;2\n",
+        {"Time [ms]": [0], "r63 [1/min]": [1.5], "r80 [Nm]": [2]},
+    ),
+    "PicoScope": (
+        "Time,Channel A,Channel B\n(ms),(V),(mV)\n\n0.5,1,2\n",
+        {
+            "Time [ms]": [0.5],
+            "Channel A [V]": [1],
+            "Channel B [mV]": [2],
+        },
+    ),
+    "units without brackets": (
+        "Zeit;Strom;Temp\ns;A;°C\n0;1;2\n",
+        {"Zeit [s]": [0], "Strom [A]": [1], "Temp [°C]": [2]},
+    ),
+    "oscilloscope": (
+        "X,Y,X,Y\n0,1,2,3\n",
+        {
+            "column 1: X": [0],
+            "column 2: Y": [1],
+            "column 3: X": [2],
+            "column 4: Y": [3],
+        },
+    ),
+    "names nobody uses": (
+        "t,q,Not selected,Not selected\n0,1,0,0\n",
+        {
+            "t": [0],
+            "q": [1],
+            "column 3: Not selected": [0],
+            "column 4: Not selected": [0],
+        },
+    ),
+    "a column of words": ("t,q,state\n0,1,idle\n1,2,run\n", {"t": [0, 1], "q": [1, 2]}),
+    "a first column of truth": ("on;t;q\nTrue;0;1,5\nFalse;1;2,5\n", {"t": [0, 1], "q": [1.5, 2.5]}),
+    "words with the delimiter in them": ('t,state,q\n0,"a, b",1\n1,"c, d",2\n', {"t": [0, 1], "q": [1, 2]}),
+    "events between empty cells": (
+        "t,q,event\n0,1,\n1,2,\n2,3,start\n3,4,\n4,5,\n5,6,\n",
+        {"t": [0, 1, 2, 3, 4, 5], "q": [1, 2, 3, 4, 5, 6]},
+    ),
+    "words between blanks": ("t state q\n0 idle 1\n1 run 2\n", {"t": [0, 1], "q": [1, 2]}),
+    "words without names": ("0;idle;1,5\n1;run;2,5\n", {"1": [0, 1], "3": [1.5, 2.5]}),
     "infinity": ("q\ninf\n-Infinity\n", {"q": [np.inf, -np.inf]}),
 }
 
@@ -96,6 +147,87 @@ AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
 def test_an_awkward_file_gives_the_right_table(name: str, read: Read) -> None:
     content, columns = AWKWARD[name]
     assert_same(read(content), columns)
+
+
+STAMPED = {
+    "ISO 8601": ("2031-05-06T23:59:59.500,1\n2031-05-07T00:00:00.250,2\n", 0.75),
+    "a blank for the T": ("2031-05-06 10:00:00.5,1\n2031-05-06 10:00:01,2\n", 0.5),
+    "without hyphens": ("20310506T100000.5,1\n20310506T100002,2\n", 1.5),
+    "Greenwich": ("2031-05-06T10:00:00.1Z,1\n2031-05-06T10:00:00.3Z,2\n", 0.2),
+    "the zone changes": ("2031-10-26T02:59:59+02:00,1\n2031-10-26T02:00:00+01:00,2\n", 1.0),
+    "decimal comma": ("2031-05-06 10:00:00,004;1,5\n2031-05-06 10:00:00,012;2,5\n", 0.008),
+    "day first": ("31.01.2031 23:59:59;1\n01.02.2031 00:00:01;2\n", 2.0),
+    "month first": ("01/31/2031 11:59:59 PM,1\n02/01/2031 12:00:00 AM,2\n", 1.0),
+    "day or month first": ("01/02/2031 23:59:59,1\n02/02/2031 00:00:02,2\n", 3.0),
+    "times of day": ("10:00:00.125,1\n10:00:00.375,2\n", 0.25),
+    "midnight": ("23:59:59.900,1\n00:00:00.100,2\n", 0.2),
+    "milliseconds behind a colon": ("10:00:00:996,1\n10:00:01:004,2\n", 0.008),
+    "minutes": ("59:59.5,1\n00:00.5,2\n", 1.0),
+    "nanoseconds": ("10:00:00.000000001,1\n10:00:00.000000004,2\n", 3e-9),
+}
+
+
+@pytest.mark.parametrize("name", STAMPED)
+@pytest.mark.parametrize("heading", ["t", "Zeitstempel [hh:mm:ss]", None])
+def test_instants_are_a_clock_from_the_first(name: str, heading: str | None, read: Read) -> None:
+    rows, later = STAMPED[name]
+    mark = ";" if ";" in rows else ","
+    table = read(rows if heading is None else f"{heading}{mark}q\n{rows}")
+    clock, channel = (heading or "1"), ("q" if heading else "2")
+    assert table.columns[clock].tolist() == [0.0, later]
+    assert table.units == {clock: "s"}
+    assert table.clocks == ({} if heading == "t" else {channel: clock})
+    assert np.floor(table.columns[channel]).tolist() == [1, 2]
+
+
+def test_a_clock_of_instants_needs_no_name(tmp_path: Path) -> None:
+    rows = "".join(f"12:00:{k // 100:02d}.{k % 100:02d};{k % 7};{np.sin(k)}\n" for k in range(300))
+    (tmp_path / "run.csv").write_text(f"Zeitstempel [hh:mm:ss];i;ms\n{rows}")
+    columns = {"torque": Column("i", unit="A")}
+    record = read_record(tmp_path / "run.csv", columns)
+    assert record.torque is not None
+    assert record.torque.sample_time == 0.01
+    assert inspect(tmp_path / "run.csv").channels[1].time == "Zeitstempel [hh:mm:ss]"
+
+
+def test_times_of_day_go_on_over_blocks(tmp_path: Path) -> None:
+    seconds = [86390 + 4 * k for k in range(50_000)]  # over two midnights
+    rows = "".join(f"{s // 3600 % 24:02d}:{s // 60 % 60:02d}:{s % 60:02d},{k}\n" for k, s in enumerate(seconds))
+    (tmp_path / "run.csv").write_text(f"t,q\n{rows}")
+    blocks = [block.table() for block in read_blocks(tmp_path / "run.csv", 7000)]
+    np.testing.assert_array_equal(join_tables(blocks).columns["t"], np.arange(50_000) * 4.0)
+    np.testing.assert_array_equal(read_table(tmp_path / "run.csv").columns["t"], np.arange(50_000) * 4.0)
+
+
+PASSED = {
+    "words": ("t,q,state\n0,1,idle\n1,2,run\n", "state", 'it holds words, such as "idle" in line 2'),
+    "truth": ("t,q,on\n0,1,true\n1,2,false\n", "on", 'it holds words, such as "true" in line 2'),
+    "dates": ("day,q\n2031-05-06,1\n2031-05-06,2\n", "day", 'it holds dates without a time, such as "2031-05-06"'),
+    "names": ("t,q,q\n0,1,2\n", "q", 'the name of 2 columns; they are "column 2: q" and so on'),
+}
+
+
+@pytest.mark.parametrize("name", PASSED)
+def test_what_is_passed_over_is_listed_and_refused_by_name(name: str, read: Read, tmp_path: Path) -> None:
+    content, column, why = PASSED[name]
+    path = tmp_path / "run.csv"
+    path.write_text(content)
+    assert inspect(path).passed[column].startswith(why)
+    with pytest.raises(RecordError) as error:
+        read_record(path, {"torque": Column(column, unit="N m")}, sample_time=0.1)
+    (fault,) = error.value.faults
+    assert f'run.csv has no column "{column}" (for torque) ({why}' in fault
+
+
+@pytest.mark.parametrize("suffix", [".csv.gz", ".TXT.GZ", ".dat.gz"])
+def test_a_packed_text_is_read(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    path.write_bytes(gzip.compress(b"t;q\n0;1,5\n"))
+    assert_same(read_table(path), {"t": [0], "q": [1.5]})
+    assert next(read_blocks(path, 5)).table().rows == 1
+    path.write_bytes(gzip.compress(b"t;q\n" + b"0;1\n" * 9000)[:-20])
+    with pytest.raises(RecordError, match=r"cannot be unpacked by gzip: it is damaged or cut off"):
+        read_table(path)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".txt", ".TSV", ".dat"])
@@ -132,7 +264,6 @@ REFUSED: dict[str, tuple[str | bytes, list[str]]] = {
     "decimal and delimiting comma": ("t,q\n0,1,5,2\n1,1,5,3\n", ["2 names for 4 columns", "decimal point"]),
     "too few names": ("t;q\n0;1;2\n", ["line 1 has 2 names for 3 columns", "header = false"]),
     "a short row of two": ("0,1\n1,2\n1\n", ["two ways"]),
-    "the same name twice": ("q,q\n0,1\n", ['more than one column called "q"', "header = false"]),
     "names only": ("t,q\n", ["no row of numbers"]),
     "prose": ("Dear reader,\nno numbers here.\n", ["no row of numbers"]),
     "comments only": ("# t,q\n# 1,2\n", ["no row of numbers"]),

@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from jointid.diagnostics.examine_record import Question, examine
+from jointid.models.joints import RigidJoint
 from jointid.records.checks import find_hunting, find_record_warnings
 from jointid.records.record import Channel, Record
 from studies.healthy import drive
@@ -41,6 +43,7 @@ def test_a_limit_cycle_of_the_integral_in_friction_is_told() -> None:
     record = at_rest(sticking=1.6, integral_time=0.08)
     found = find_hunting(record)
     assert found is not None
+    assert found.seen
     assert 0.7 * 1.6 * COULOMB < found.high < 1.3 * 1.6 * COULOMB
     assert -1.3 * 1.6 * COULOMB < found.low < -0.7 * 1.6 * COULOMB
     [warning] = find_record_warnings(record, ("torque", "reference"))
@@ -66,6 +69,24 @@ def test_what_rings_out_or_turns_fast_does_not_hunt() -> None:
     ):
         record = Record(torque=Channel(torque, "N m", T), reference=Channel(reference, "rad", T), name="run")
         assert find_hunting(record) is None
+
+
+def test_a_log_too_slow_for_saw_teeth_is_told_so_and_no_hunting_is_said() -> None:
+    """A load that varies at 10 Hz turns every few samples, as a saw tooth would."""
+    record = at_rest(sticking=1.6, integral_time=0.08, seconds=30.0)
+    assert record.torque is not None and record.reference is not None
+    every = 100
+    load = np.random.default_rng(3).standard_normal(record.torque.values[::every].size)
+    slow = Record(
+        torque=Channel(5.0 * (load + 0.7 * np.roll(load, 1)), "N m", every * T),
+        reference=Channel(record.reference.values[::every], "rad", every * T),
+        name="slow",
+    )
+    found = find_hunting(slow)
+    assert found is not None and not found.seen
+    assert find_record_warnings(slow, ("torque", "reference")) == ()
+    said = [one for one in examine(slow, RigidJoint("revolute")).answers if one.question is Question.MOTION]
+    assert said[0].good and "the log is too slow to see stick-slip at rest" in said[0].said[0]
 
 
 @pytest.mark.slow

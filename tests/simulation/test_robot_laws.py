@@ -161,12 +161,6 @@ def test_a_joint_has_the_numbers_of_its_laws() -> None:
         JointSpring(900.0, law=ElasticLoad())
 
 
-def test_an_identification_refuses_what_it_does_not_know() -> None:
-    robot = robot_of(FlexibleJoint("revolute", spring=SPRINGS["backlash"]()))
-    with pytest.raises(MethodError, match='received the law "backlash" of one'):
-        robot.require_lines("An identification of a robot takes")
-
-
 @pytest.mark.parametrize("backwards", [None, 2.0])
 @pytest.mark.parametrize("law", [None, SPRINGS["linear"]()])
 def test_numbers_of_an_axis_become_the_axis_again(backwards: float | None, law: object) -> None:

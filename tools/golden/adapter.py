@@ -474,7 +474,7 @@ def report(folder: Path, joint: Path, record: Path, *, profiles: bool = True) ->
         "estimate": estimate(answer["estimate"]),
         "validation": None if answer["validation"] is None else _validation(answer["validation"]),
         "checks": [_validation(check) for check in answer["checks"]],
-        "loop": None if answer["loop"] is None else _loop_check(answer["loop"]),
+        "loop": None if answer["diagnosis"] is None else _loop_check(answer["diagnosis"]),
         "profiles": [_profile_answer(one) for one in answer["profiles"]],
         "frequencies": _named(answer["frequencies"]),
         "revealing": None if answer["revealing"] is None else _revealing(answer["revealing"]),
@@ -885,9 +885,10 @@ def _loop_check(answer: Json) -> Json:
             "p_value": number(s["p_value"]),
         }
 
+    [axis] = answer["axes"]
     return {
         "as_declared": answer["as_declared"],
-        "level": number(answer["level"]),
+        "level": number(axis["level"]),
         "findings": [
             {
                 "suspect": suspect(finding["suspect"]),
@@ -895,10 +896,10 @@ def _loop_check(answer: Json) -> Json:
                 "rivals": [code(rival) for rival in finding["rivals"]],
                 "changes": {_name(name): _named(change) for name, change in finding["changes"].items()},
             }
-            for finding in answer["findings"]
+            for finding in axis["findings"]
         ],
-        "suspects": [suspect(s) for s in answer["suspects"]],
-        "sentences": len(answer["sentences"]),
+        "suspects": [suspect(s) for s in axis["suspects"]],
+        "sentences": len(answer["reasons"]),
     }
 
 

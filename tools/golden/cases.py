@@ -1336,7 +1336,7 @@ def answers_emps(at: Workspace) -> Any:
         "identify": ask.answer(folder, "identify", *given),
         "idim": ask.answer(folder, "identify", *given, "--method", "idim"),
         "examine": ask.answer(folder, "examine", *given),
-        "loop": ask.answer(folder, "diagnose", "loop", *given),
+        "loop": ask.answer(folder, "diagnose", *given),
         "sensors": ask.answer(folder, "advise", *given),
         "simulate": ask.answer(folder, "simulate", *given, *of),
         "validate": ask.answer(folder, "validate", joint, "--record", at.emps_pulses, "--quiet", *of),
@@ -1384,7 +1384,7 @@ def answers_to_mistakes(at: Workspace) -> Any:
     folder, given = at.folder("mistakes"), ("--record", at.emps)
     return {
         "gain": ask.answer(folder, "identify", ask.joint_file(folder, "emps", "wrong_gain"), *given, "--quiet"),
-        "gain_loop": ask.answer(folder, "diagnose", "loop", folder / "joint.toml", *given, "--quiet"),
+        "gain_loop": ask.answer(folder, "diagnose", folder / "joint.toml", *given, "--quiet"),
         "sign": ask.failure("identify", ask.joint_file(folder, "emps", "wrong_sign", name="sign.toml"), *given),
         "limit": ask.failure("identify", ask.joint_file(folder, "emps", "wrong_limit", name="limit.toml"), *given),
     }

@@ -92,31 +92,23 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     starts = case.varied.starts if isinstance(case.varied, Started) else ()
     changes = [f"parameters.{name}.start={value!r}" for name, value in starts]
     file = _file(case.joint_file, (*case.settings, *case.changes, *changes))
-    if not isinstance(file, JointFile):
-        return _identify_robot(case, file, path)
     if file.runs:
         raise MethodError(
             f"The joint file of {case.joint} lists several [[records]], and a campaign identifies from one at a time; "
             "leave them out."
         )
-    record = file.record(path)
-    if isinstance(case.varied, Simulated):
-        record = _simulate_joint(file, record, case.varied)
-    elif isinstance(case.varied, Redrawn):
-        explained, left = _explain(case.joint_file, case.changes, path, record_sha256)
-        length = min(BANDWIDTHS * bandwidth(left.size), left.size)
-        begins = np.random.default_rng([case.varied.seed]).integers(left.size, size=-(-left.size // length))
-        at = (begins[:, np.newaxis] + np.arange(length)).ravel()[: left.size]
-        assert record.torque is not None
-        torque = replace(record.torque, values=explained + np.take(left, at, mode="wrap"))
-        record = replace(record, torque=torque)
-    estimate = file.identify(record)
+    vary: Any = _vary_joint if isinstance(file, JointFile) else _vary_robot
+    estimate = file.identify(vary(case, file, path, record_sha256))
+    of_robot = estimate.robot is not None  # of which every number counts, those of its logs, too
     found = {
         p.name: Found(finite(p.value), finite(p.stderr) if p.free else None, p.unit)
         for p in estimate.params.rows
-        if p.of_joint
+        if p.of_joint or of_robot
     }
     found |= {name: Found(finite(one.value), finite(one.std), one.combination.unit) for name, one in _totals(estimate)}
+    truth: Iterator[tuple[str, float]] = iter(())
+    if isinstance(case.varied, Simulated):
+        truth = _robot_truth(estimate) if of_robot else _truth(estimate, case.varied)
     return {
         "outcome": Outcome.IDENTIFIED,
         "sentence": estimate.sentence,
@@ -125,8 +117,24 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
         "converged": bool(estimate.fit.converged),
         "error_percent": finite(100 * estimate.fit.filtered_error),
         "simulations": int(estimate.fit.simulations),
-        "truth": dict(_truth(estimate, case.varied)) if isinstance(case.varied, Simulated) else {},
+        "truth": dict(truth),
     }
+
+
+def _vary_joint(case: Case, file: JointFile, path: Path, record_sha256: str) -> Record:
+    """Return the record of a case: as logged, simulated, or with its error drawn anew."""
+    record = file.record(path)
+    if isinstance(case.varied, Simulated):
+        return _simulate_joint(file, record, case.varied)
+    if isinstance(case.varied, Redrawn):
+        explained, left = _explain(case.joint_file, case.changes, path, record_sha256)
+        length = min(BANDWIDTHS * bandwidth(left.size), left.size)
+        begins = np.random.default_rng([case.varied.seed]).integers(left.size, size=-(-left.size // length))
+        at = (begins[:, np.newaxis] + np.arange(length)).ravel()[: left.size]
+        assert record.torque is not None
+        torque = replace(record.torque, values=explained + np.take(left, at, mode="wrap"))
+        return replace(record, torque=torque)
+    return record
 
 
 def _simulate_joint(file: JointFile, motion: Record, asked: Simulated) -> Record:
@@ -172,26 +180,16 @@ def _totals(estimate: Estimate) -> Iterator[tuple[str, Known]]:
             yield f"total_{one.combination.quantity}", one
 
 
-def _identify_robot(case: Case, file: RobotFile, path: Path) -> dict[str, Any]:
-    """Return the entries of a row from the estimate of a robot."""
-    if case.varied is not None and not isinstance(case.varied, Simulated):
+def _vary_robot(case: Case, file: RobotFile, path: Path, _: str) -> tuple[Record, ...]:
+    """Return the records of a case: as logged, or simulated."""
+    if case.varied is None:
+        return file.record(path)
+    if not isinstance(case.varied, Simulated):
         raise MethodError(
             f"A robot's runs are logged or simulated; received one that is {case.varied.kind}: use [fleet] or "
             "[monte_carlo]."
         )
-    records = file.record(path) if case.varied is None else _simulate_robot(file, file.driving(path), case.varied)
-    estimate = file.identify(records)
-    rows = estimate.params.rows
-    return {
-        "outcome": Outcome.IDENTIFIED,
-        "sentence": estimate.sentence,
-        "found": {row.name: Found(finite(row.value), finite(row.stderr), row.unit) for row in rows},
-        "trust": str(estimate.answer.trust.code),
-        "converged": bool(estimate.fit.converged),
-        "error_percent": finite(100 * estimate.fit.filtered_error),
-        "simulations": int(estimate.fit.simulations),
-        "truth": {} if case.varied is None else dict(_robot_truth(estimate)),
-    }
+    return _simulate_robot(file, file.driving(path), case.varied)
 
 
 def _robot_truth(estimate: Estimate) -> Iterator[tuple[str, float]]:

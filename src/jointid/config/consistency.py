@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -17,15 +17,13 @@ from jointid.config.quantities import Stated, misfit
 from jointid.config.schema import (
     KINDS,
     FileTable,
-    GravityTable,
-    JointTable,
     MethodTable,
     ParameterTable,
     keys_of,
 )
 from jointid.config.schema_record import ChannelTable
-from jointid.config.table import Place, fault_at, refusal
-from jointid.estimation.methods.registry import METHODS, MODELS, method_of, methods
+from jointid.config.table import Place, refusal
+from jointid.estimation.methods.registry import CALLED, METHODS, MODELS, ROBOT, method_of, methods
 from jointid.estimation.problems.base import surrounding
 from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS
@@ -39,12 +37,12 @@ from jointid.records.drives import Drive
 _NEXT_TO_ZERO = 1e-200
 _BESIDE_LOAD = (
     " cannot be identified beside a constant load: torque and motor position only know the sum of both; give it a "
-    "value, or leave [gravity] out."
+    "value, or leave {} out."
 )
-_KNOWN = " is known, and not identified; give it a value, or change it in gravity.counterbalance."
+_KNOWN = " is known, and not identified; give it a value, or change it in {}."
 _BESIDE_FRICTION = (
     " cannot be identified beside {} friction: a constant adds to the Coulomb force forwards and takes as much "
-    'from it backwards, so the two cannot be told apart; give it a value, or set {}.friction = "symmetric".'
+    'from it backwards, so the two cannot be told apart; give it a value, or set {} = "symmetric".'
 )
 
 
@@ -100,38 +98,39 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
     table = file.method
     of_model = file.model or "rigid"  # whose channels every model needs
 
-    def lacking(method: str) -> list[str]:
+    def lacking(method: str) -> list[Place]:
         needed = needed_channels(method, _law(file), of_model)
-        missing = [f"record.channels.{name}" for name in needed if name not in file.channel_names]
+        missing: list[Place] = [("record", "channels", name) for name in needed if name not in file.channel_names]
         uncontrolled = method_of(method).needs_controller and not file.controlled
-        return [*missing, "controller"] if uncontrolled else missing
+        return [*missing, ("controller",)] if uncontrolled else missing
 
     name = choose_method(file, table.name, of_model)
     if name is None:
         rest = _describe_missing_method({method: lacking(method) for method in _defaults()}, file, of_model)
-        yield fault_at(("method", "name"), rest, "missing")
+        yield file.fault(("method", "name"), rest, "missing")
     else:
         other = next(default for default in _defaults() if default != name)
-        for key in lacking(name):
+        for place in lacking(name):
             needing = method_of(name).describe(of_model)
-            yield fault_at(
-                tuple(key.split(".")),
+            yield file.fault(
+                place,
                 f" is missing, but {needing} needs it: add it, "
-                f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.',
+                f'or use {file.key("method", "name")} = "{other}", which needs only {_needs(other, of_model)}.',
                 "missing",
             )
         if "estimator" in keys_of(method_of(name), of_model) and table.estimator == "iv":
-            for key in [key for key in lacking("didim") if key not in lacking(name)]:
-                rest = ' is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
-                yield fault_at(tuple(key.split(".")), rest, "missing")
-    for key, sentence in _foreign_settings(table, name, file.model, file.joint.heading):
-        yield fault_at(("method", key), sentence)
+            iv = f'{file.key("method", "estimator")} = "iv"'
+            for place in [place for place in lacking("didim") if place not in lacking(name)]:
+                rest = f" is missing, but {iv} simulates the loop: add it, or use another."
+                yield file.fault(place, rest, "missing")
+    for key, sentence in foreign_settings(table, name, file.model, file.key):
+        yield file.fault(("method", key), sentence)
     yield from _free_faults(("method", "free"), table.free, file)
 
 
-def _models_of(name: str, key: str) -> tuple[str, ...]:
-    """Return the joint models that a key of a method is for."""
-    return tuple(model for model in MODELS if key in keys_of(method_of(name), model))
+def _systems_of(name: str, key: str) -> tuple[str, ...]:
+    """Return the models of a joint, and "robot", that a key of a method is for."""
+    return tuple(system for system in (*MODELS, *ROBOT) if key in keys_of(method_of(name), system))
 
 
 def _needs(method: str, model: str) -> str:
@@ -139,33 +138,47 @@ def _needs(method: str, model: str) -> str:
     return join([*made.channels(model), *(["controller"] if made.needs_controller else [])])
 
 
-def _describe_missing_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
+def _describe_missing_method(lacking: Mapping[str, list[Place]], file: FileTable, model: str) -> str:
     """Return the rest of the sentence on a file without a possible method."""
-    lacks = [f"{method_of(method).describe(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
+    lacks = [
+        f"{method_of(method).describe(model)} lacks {' and '.join(file.key(*one) for one in keys)}"
+        for method, keys in lacking.items()
+    ]
     rigid = choose_method(file, None, "rigid") is not None
-    remedy = "add what one of them lacks" + (f', or set {file.joint.heading}.model = "rigid"' if rigid else "")
+    remedy = "add what one of them lacks" + (f', or set {file.key("joint", "model")} = "rigid"' if rigid else "")
     return f" is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
 
 
-def _foreign_settings(
-    table: MethodTable, name: str | None, model: str | None, heading: str
+def foreign_settings(
+    table: MethodTable, name: str | None, system: str | None, key_of: Callable[..., str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the key and the rest of the sentence on settings of another model, method or preset."""
+    """Yield the key and the rest of the sentence on settings of another system, method or preset.
+
+    Args:
+        table: [method].
+        name: of the method, if the file names one.
+        system: "rigid" or "flexible" for a joint, "robot"; None where that is not known.
+        key_of: returns what the file calls a key of a joint file.
+    """
+    named, of_robot = key_of("method", "name"), system in ROBOT
+    if of_robot and name is not None and system not in method_of(name).systems:
+        yield "name", messages.no_choice(name, [one.name for one in methods() if system in one.systems])
+        return
     for key, value in table.given_values("name").items():
-        owners = [owner for owner in METHODS if _models_of(owner, key)]
+        owners = [owner for owner in METHODS if _systems_of(owner, key)]
         owner = name if name in owners else owners[0]
-        models = _models_of(owner, key)
+        systems = _systems_of(owner, key)
         strange = name is not None and name not in owners
         title = method_of(owner).title
         if strange and not {owner, name} <= set(_defaults()):
-            remedy = f"leave it out, or use method.name = {messages.either(owners)}"
-            yield key, f' is not for the method "{name}": {remedy}.'
-        elif model is not None and model not in models:
-            remedy = f'leave it out, or set {heading}.model = "{models[0]}"'
-            yield key, f" is for {title} of a {models[0]} joint, but the joint is {model}: {remedy}."
+            yield key, f' is not for the method "{name}": leave it out, or use {named} = {messages.either(owners)}.'
+        elif system is not None and system not in systems:
+            other = "this is a robot" if of_robot else f"the joint is {system}"
+            model = "" if of_robot or systems[0] in ROBOT else f', or set {key_of("joint", "model")} = "{systems[0]}"'
+            yield key, f" is for {title} of {CALLED[systems[0]]}, but {other}: leave it out{model}."
         elif name is not None and strange:
             other = method_of(name).title
-            yield key, f' is for {title}, but the method is {other}: leave it out, or use method.name = "{owner}".'
+            yield key, f' is for {title}, but the method is {other}: leave it out, or use {named} = "{owner}".'
         elif key in table.beside_preset():
             yield key, messages.beside_preset(value, str(table.preset))
 
@@ -178,18 +191,18 @@ def _record_faults(file: FileTable) -> Iterator[Fault]:
         place = ("records", number)
         for name in run.own:
             if known is not None and name not in known:
-                yield fault_at(
+                yield file.fault(
                     (*place, "own"),
                     f' names "{name}", which is no parameter of this model; expected some of '
                     f"{', '.join(known)}: {messages.suggest(name, known, 'leave it out')}",
                     "unknown",
                 )
         if run.controller and not file.controlled:
-            yield fault_at(
+            yield file.fault(
                 (*place, "controller"), " changes a controller that the file does not have: add [controller]."
             )
         elif controller is not None and (refused := _describe_refused_numbers(controller, run.controller)):
-            yield fault_at((*place, "controller"), refused)
+            yield file.fault((*place, "controller"), refused)
     yield from _free_faults(("together", "free"), file.together.free, file)
 
 
@@ -209,15 +222,15 @@ def _free_faults(place: Place, names: Collection[str], file: FileTable) -> Itera
         return
     for name in names:
         if refused := refusal(partial(surrounding, name, controller)):
-            yield fault_at(place, refused, "refused")
+            yield file.fault(place, refused, "refused")
 
 
 def _joint_faults(file: FileTable) -> Iterator[Fault]:
     """Yield an impossible drive, gravity or ripple of the joint."""
     if not file.is_wrong("drive") and (refused := refusal(lambda: file.joint.drive(file.drive.build()))):
-        yield fault_at(("drive",), refused)
+        yield file.fault(("drive",), refused)
     if not file.is_wrong("joint"):
-        yield from (fault_at((table,), rest, "refused") for table, rest in _refusals(file))
+        yield from (file.fault((table,), rest, "refused") for table, rest in _refusals(file))
 
 
 def _refusals(file: FileTable) -> Iterator[tuple[str, str]]:
@@ -244,12 +257,12 @@ def _parameter_faults(file: FileTable) -> Iterator[Fault]:
     for name, table in file.parameters.items():
         place = ("parameters", name)
         if name not in known:
-            yield fault_at(place, _describe_unknown(name, file.joint, file.gravity, known), "unknown")
+            yield file.fault(place, _describe_unknown(name, file, known), "unknown")
             continue
         # A parameter that is a bare number has no keys.
         keys = table.model_fields_set - {"value"}
-        for key, rest in _value_faults(known[name], table, file.joint, file.gravity):
-            yield fault_at((*place, key) if key and keys else place, rest)
+        for key, rest in _value_faults(known[name], table, file):
+            yield file.fault((*place, key) if key and keys else place, rest)
 
 
 def change_parameter(parameter: Parameter, table: ParameterTable) -> Parameter:
@@ -266,14 +279,15 @@ def _bounds(parameter: Parameter, table: ParameterTable) -> tuple[float, float]:
     return lower, upper
 
 
-def _value_faults(
-    parameter: Parameter, table: ParameterTable, joint: JointTable, gravity: GravityTable | None
-) -> Iterator[tuple[str, str]]:
+def _value_faults(parameter: Parameter, table: ParameterTable, file: FileTable) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on impossible values of a parameter."""
     if not parameter.free and table.value is None:
-        constant_load = gravity is not None and gravity.load == "constant"
-        beside = _BESIDE_LOAD if constant_load else _BESIDE_FRICTION.format(joint.friction, joint.heading)
-        yield "", beside if parameter.name == "offset" else _KNOWN
+        if parameter.name != "offset":
+            yield "", _KNOWN.format(file.key("gravity", "counterbalance"))
+        elif file.gravity is not None and file.gravity.load == "constant":
+            yield "", _BESIDE_LOAD.format(file.heading("gravity"))
+        else:
+            yield "", _BESIDE_FRICTION.format(file.joint.friction, file.key("joint", "friction"))
         return
     lower, upper = _bounds(parameter, table)
     if not lower < upper:
@@ -299,8 +313,9 @@ def _open(lower: float) -> float:
     return 0.0 if 0.0 < lower < _NEXT_TO_ZERO else lower
 
 
-def _describe_unknown(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
+def _describe_unknown(name: str, file: FileTable, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
+    joint = file.joint
     remedy = messages.suggest(name, known, "leave it out")
     for key, choices in (("model", MODELS), ("friction", FRICTIONS), ("spring", SPRINGS)):
         # The last match is the remedy: the law most like the declared one, else that of the fewest parameters.
@@ -311,12 +326,12 @@ def _describe_unknown(name: str, joint: JointTable, gravity: GravityTable | None
                 continue
             other: Joint = changed.joint(None, gravity=None)
             if name in [parameter.name for parameter in other.parameters]:
-                remedy = f'leave it out, or set {joint.heading}.{key} = "{choice}".'
+                remedy = f'leave it out, or set {file.key("joint", key)} = "{choice}".'
     for load, names in GRAVITY_PARAMETERS.items():
-        if gravity is None and name in names:
-            remedy = f'leave it out, or set gravity.load = "{load}".'
+        if file.gravity is None and name in names:
+            remedy = f'leave it out, or set {file.key("gravity", "load")} = "{load}".'
     if name.removeprefix("load_").startswith("harmonic_"):
-        remedy = "leave it out, or set ripple.period."
+        remedy = f"leave it out, or set {file.key('ripple', 'period')}."
     model = f"a {joint.model} joint with {joint.friction} friction"
     model += "" if joint.spring == LinearSpring.name else f" and a {joint.spring} spring"
     return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"
@@ -329,14 +344,14 @@ def _channel_faults(file: FileTable) -> Iterator[Fault]:
     drive = file.drive_of_joint
     for name, table in file.channels.items():
         if table.column is None and drive is not None and drive.traces is None:
-            yield fault_at(
+            yield file.fault(
                 ("record", "channels", name, "column"),
                 " is missing; expected text in quotes (name of the column in the record's file): add it, or give "
                 "drive.profile.",
                 "missing",
             )
         for fault in table.build().misplaced_faults(name):
-            yield fault_at(("record", "channels", name), fault.removeprefix(name))
+            yield file.fault(("record", "channels", name), fault.removeprefix(name))
         yield from _unit_faults(file, name, table, kinds)
     if "injected" in file.channels:
         pairs = {(_si_unit(file, "injected", kind), _si_unit(file, "torque", kind)) for kind in kinds}
@@ -344,7 +359,7 @@ def _channel_faults(file: FileTable) -> Iterator[Fault]:
         # A force on one side of a screw and a torque on the other are both in SI.
         if None not in pair and len({unit in TORQUE_UNIT.values() or unit for unit in pair}) > 1:
             rest = f" is in {pair[0]}, but the torque in {pair[1]}: give both in one unit."
-            yield fault_at(("record", "channels", "injected"), rest, "unit")
+            yield file.fault(("record", "channels", "injected"), rest, "unit")
 
 
 def _unit_faults(file: FileTable, name: str, table: ChannelTable, kinds: Collection[Kind]) -> Iterator[Fault]:
@@ -356,17 +371,19 @@ def _unit_faults(file: FileTable, name: str, table: ChannelTable, kinds: Collect
     if stated is None:
         return
     if named := table.build().doubled_unit(known):
-        yield fault_at(
+        yield file.fault(
             (*place, "unit"),
             f' is "{table.unit}", but its column "{table.column}" names the unit "{named}"; '
             "expected one of them: leave unit out, or rename the column.",
         )
     if stated not in known:
         key, says = ("unit", "is") if table.unit is not None else ("column", "names the unit")
-        yield fault_at((*place, key), f' {says} "{stated}"{_misfit(name, stated, known, kinds, moving)}', "unit")
+        yield file.fault(
+            (*place, key), f' {says} "{stated}"{_misfit(file, name, stated, known, kinds, moving)}', "unit"
+        )
     elif file.drive_of_joint is not None and len(set(moving)) == 1:
         lack = _lacking(file, name, stated, moving[0])
-        yield from () if lack is None else (fault_at(place, f' is in "{stated}", {lack}.', "unit"),)
+        yield from () if lack is None else (file.fault(place, f' is in "{stated}", {lack}.', "unit"),)
 
 
 def torque_unit(file: FileTable, kind: Kind) -> str | None:
@@ -409,7 +426,9 @@ def _lacking(file: FileTable, channel: str, unit: str, kind: Kind) -> str | None
     return None
 
 
-def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[Kind], moving: Collection[Kind]) -> str:
+def _misfit(
+    file: FileTable, channel: str, unit: str, known: Collection[str], kinds: Collection[Kind], moving: Collection[Kind]
+) -> str:
     """Return the end of the sentence on a unit that a channel cannot have; its side may move otherwise than a joint."""
     expected = f"expected one of {', '.join(known)}"
     try:
@@ -418,7 +437,7 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
         otherwise = "give one of them, and the gain that takes the column to it"
         return f", which is not known; {expected}: {messages.suggest(unit, known, otherwise)}"
     fitting = [kind for kind in TORQUE_UNIT if kind not in kinds and unit in known_units(channel, kind)]
-    remedy = "".join(f', or set joint.kind = "{kind}"' for kind in fitting)
+    remedy = "".join(f", or {file.moving(kind)}" for kind in fitting)
     if set(moving) != set(kinds) and any(unit in known_units(channel, kind) for kind in kinds):
         remedy = ', or set side = "load"'
     return f", a unit of {dimension}; {expected}: give one of them{remedy}."
@@ -435,19 +454,19 @@ def _limit_faults(file: FileTable) -> Iterator[Fault]:
         number = getattr(file.limits, one.name)
         declared = torque if "torque" in one.name else one.setting.unit
         if isinstance(number, Stated) and (fault := misfit(number.text, declared, moving)):
-            yield fault_at(("limits", one.name), fault, "unit")
+            yield file.fault(("limits", one.name), fault, "unit")
     if file.model == "rigid" and file.limits.windup is not None:
-        yield fault_at(("limits", "windup"), " is that of a spring, and a rigid joint has none: leave it out.")
+        yield file.fault(("limits", "windup"), " is that of a spring, and a rigid joint has none: leave it out.")
 
 
 def _transmission_faults(file: FileTable) -> Iterator[Fault]:
     """Yield a lead of a revolute load, and sides without a transmission."""
     transmission = file.transmission
     if transmission is not None and transmission.lead is not None and "prismatic" not in file.kinds:
-        yield fault_at(
+        yield file.fault(
             ("transmission", "lead"),
             f" is {transmission.lead:g}, but the load is revolute; expected a ratio: give that, "
-            'or set joint.kind = "prismatic".',
+            f"or {file.moving('prismatic')}.",
         )
     if file.geared:
         return
@@ -455,5 +474,6 @@ def _transmission_faults(file: FileTable) -> Iterator[Fault]:
     if file.controller and "side" in file.controller.model_fields_set:
         named[("controller",)] = file.controller.side
     for place, side in named.items():
-        rest = f' is "{side}", but nothing lies between motor and load: add [transmission], or leave it out.'
-        yield fault_at((*place, "side"), rest)
+        add = f"add {file.heading('transmission')}"
+        rest = f' is "{side}", but nothing lies between motor and load: {add}, or leave it out.'
+        yield file.fault((*place, "side"), rest)

@@ -1,16 +1,20 @@
-"""The contents of a joint file: the objects that the verbs take."""
+"""The contents of a file of n axes: the objects that the verbs take.
+
+A joint file has one axis, a robot file one for each joint. What both do is said once, by `File`.
+"""
 
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Generic, Literal, Self, TypeAlias, TypeVar
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.units import Kind
@@ -28,6 +32,7 @@ from jointid.config.drive_numbers import drive_numbers
 from jointid.config.quantities import Stated, find_quantities
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.schema_record import Run, Source, Together
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
@@ -49,27 +54,260 @@ from jointid.records.writing import columns_to_write, write_columns
 if TYPE_CHECKING:
     from jointid.controller_id.learned_controller import LearnedController
 
+R = TypeVar("R")
+"""The record of a file: that of its joint, or one for each joint of a robot."""
+
+FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
+
 _MOST = 1000  # keys of a table, records of a file
 
 
-@dataclass(frozen=True, slots=True)
-class JointFile:
-    """A joint file: what is identified, from what, and how.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class File(ABC, Generic[R]):
+    """A file of n axes: what is identified, from what, and how.
+
+    Attributes:
+        method: with its settings.
+        filtering: how signals are filtered.
+        parameters: changes to the parameters by name, as `identify` takes them.
+        source: the file of the record.
+        feed_forward: what the drives are given beside the controllers' torque.
+        path: of the file; a text is taken to stand in `joint.toml`.
+    """
+
+    method: Method
+    filtering: Filtering = field(default_factory=Filtering)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    source: Source = field(default_factory=Source)
+    feed_forward: FeedForward = "none"
+    path: Path = field(default=Path("joint.toml"), compare=False)
+
+    @property
+    @abstractmethod
+    def axes(self) -> tuple[JointFile, ...]:
+        """The joint file of each axis."""
+
+    @property
+    @abstractmethod
+    def loop(self) -> Any:
+        """The joint or robot under its controllers."""
+
+    @property
+    @abstractmethod
+    def setup(self) -> Any:
+        """The joint or robot as its method takes it: alone, under its controllers, or along its motors' motion."""
+
+    @abstractmethod
+    def _of_axes(self, records: tuple[Record, ...]) -> R:
+        """Return the records of the axes as the record of this file."""
+
+    @abstractmethod
+    def _by_axes(self, record: R) -> tuple[Record, ...]:
+        """Return the record of each axis, the inverse of `_of_axes`."""
+
+    @property
+    def simulates(self) -> bool:
+        """Whether the method simulates the motion under the controllers."""
+        return isinstance(self.method, DIDIM) or getattr(self.method, "estimator", None) == "iv"
+
+    @property
+    def controllers(self) -> tuple[Controller | None, ...]:
+        """The controller of each axis, None where it is not known."""
+        return tuple(axis.controller for axis in self.axes)
+
+    @property
+    def declared_numbers(self) -> tuple[DriveNumber, ...]:
+        """How the drive shows the numbers of the declared controller."""
+        return ()
+
+    @property
+    def scale(self) -> str:
+        """The torque constant where all values scale with it, else an empty text."""
+        return ""
+
+    def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
+        """Read the record of every axis, from one reading of the file; see `record`."""
+        return self._cut(path, JointFile.record_of)
+
+    def record(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> R:
+        """Read the record for `identify`: of a robot one for each joint.
+
+        A channel that the method does not need may be absent, except an injected signal: without it the torque
+        would be taken for the controller's. A feed-forward to compute is added if the method simulates.
+
+        Args:
+            path: of the record, instead of the one that the file names.
+            judged: whether the declared controllers are held against the torques as well. These are the controllers'
+                and the feed-forward's, so a computed one is added where every axis has a controller and a reference.
+
+        Raises:
+            RecordError: there is no such file, or it does not hold what the file says; `faults` has a
+                sentence for each missing column, gap, jump of the clock, impossible scale, constant torque, and
+                torque at the controller's limit; each names its joint of a robot.
+            MethodError: the feed-forward needs references of one rate.
+        """
+        found = self.records(path)
+        whole = None not in self.controllers and all(one.reference is not None for one in found)
+        return self._of_axes(self._fed_forward(found) if self.simulates or (judged and whole) else found)
+
+    def driving(self, path: str | os.PathLike[str] | None = None) -> R:
+        """Read the signals that drive a simulation: reference and injection, others if present.
+
+        Args:
+            path: of the record, instead of the one that the file names.
+
+        Raises:
+            RecordError: there is no such file, or it has no reference.
+            MethodError: the feed-forward needs references of one rate.
+        """
+        return self._of_axes(self._fed_forward(self._cut(path, JointFile.driving_of)))
+
+    def _cut(
+        self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, Table, str], Record]
+    ) -> tuple[Record, ...]:
+        """Read a table once, and cut it into the record of each axis."""
+        path = self.record_path(path)
+        table = read_table(path, **self.source.options)
+        found, faults = list[Record](), dict[Fault, list[str]]()
+        for axis in self.axes:
+            try:
+                found.append(cut(axis, table, Path(path).stem))
+            except RecordError as error:
+                for fault in error.faults:
+                    faults.setdefault(fault, []).append(str(axis.name))
+        if faults:
+            raise RecordError(name_axes(faults, len(self.axes)))
+        return tuple(found)
+
+    def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
+        """Return the records with the feed-forward, which must be computed or logged, but not both."""
+        named = zip(self.axes, found, strict=True)
+        injected = [str(axis.name) for axis, record in named if record.injected is not None]
+        if self.feed_forward == "logged" and len(injected) < len(found):
+            raise RecordError(
+                'robot.feed_forward is "logged", and not every joint has an injected channel; declare one for each in '
+                "[record.channels]."
+            )
+        if self.feed_forward == "none" or self.feed_forward == "logged":  # noqa: PLR1714, so that mypy narrows it
+            return found
+        if injected:
+            raise RecordError(
+                f'robot.feed_forward is "{self.feed_forward}", and {", ".join(injected)} has an injected channel too; '
+                'expected one of both: leave the channel out, or take "logged".'
+            )
+        from jointid.simulation.robots import add_feed_forward
+
+        return add_feed_forward(self.loop, found, self.feed_forward)
+
+    def identify(
+        self,
+        record: R | Sequence[R],
+        progress: Progress = ignore_progress,
+        *,
+        checks: bool = True,
+        unchecked: Callable[[Estimate], None] | None = None,
+        **asked: Any,
+    ) -> Estimate:
+        """Identify the joint or the robot as the file says; see `jointid.identify`.
+
+        Args:
+            record: what `record` gave; or those of several logs of a robot, identified in one fit.
+            progress: is called with each step.
+            checks: whether to check the estimate.
+            unchecked: is called with the estimate before its checks.
+            asked: further arguments of `jointid.identify`.
+
+        Raises:
+            JointidError: see `jointid.identify`.
+        """
+        # It loads the compiled kernels, which a check of the file does not need.
+        from jointid.diagnostics.identify import identify
+
+        settings: dict[str, Any] = {"shown": self.declared_numbers, "torque_constant": self.scale} | asked
+        given: Any = record
+        return identify(
+            given, settings.pop("model", self.setup), self.method, filtering=self.filtering,
+            parameters=self.parameters, checks=checks, unchecked=unchecked, progress=progress, **settings,
+        )  # fmt: skip
+
+    def explain(self, error: JointidError, record: R, progress: Progress = ignore_progress) -> JointidError:
+        """Return the error of a failed identification, with its cause where one is known."""
+        return error
+
+    def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
+        """Identify from several records in one fit.
+
+        Args:
+            paths: of the records, instead of those that the file lists.
+            progress: is called with each step.
+
+        Raises:
+            JointidError: see `jointid.identify`.
+        """
+        return self.identify([self.record(path) for path in paths], progress)
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """Records that the file lists: none, as those of a robot are named one by one."""
+        return ()
+
+    def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
+        """Return the path of the record: that one, or the one this file names.
+
+        Raises:
+            RecordError: this file names none.
+        """
+        if path is not None:
+            return path
+        if self.source.file is None:
+            raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
+        return self.path.parent / self.source.file
+
+    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
+        """Return the files that are read: the records that the file names, unless another one takes their place."""
+        named = [run.file for run in self.runs] if self.runs else [self.source.file]
+        return tuple(self.path.parent / name for name in named if name) if record is None else (record,)
+
+    def write(self, record: R, path: str | os.PathLike[str]) -> None:
+        """Write a record, on the joints' side of their transmissions, as this file reads it: `record` gives it back.
+
+        Of a robot, a channel without a column is written as JOINT.CHANNEL.
+
+        Raises:
+            RecordError: the file cannot be written, or would not be read back.
+        """
+        table: dict[str, FloatArray] = {}
+        for axis, one in zip(self.axes, self._by_axes(record), strict=True):
+            for name, values in axis.columns_to_write(one).items():
+                undeclared = name in one.channels and name not in axis.column_names
+                table[f"{axis.name}.{name}" if undeclared and len(self.axes) > 1 else name] = values
+        write_columns(table, path, **self.source.options)
+
+    @abstractmethod
+    def tables(self) -> dict[str, Any]:
+        """Return the tables that `of` reads back to this file."""
+
+
+def name_axes(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:
+    """Return sentences, each after the names of its axes where it is not of all `count` of them."""
+    return [
+        f if len(names) == count else Fault(f"{', '.join(names)}: {f}", f.place, f.code) for f, names in faults.items()
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointFile(File[Record]):
+    """A joint file, or one axis of a robot file: what is identified, from what, and how.
 
     Attributes:
         joint: the model; its torque is in A or V where the torque's channel is.
         columns: the channels, and where they are found; with a profile of the drive it finds the others.
-        method: with its settings.
         controller: the controller's law as the joint sees it through its transmission, None while it is not known.
-        filtering: how signals are filtered.
-        parameters: changes to the joint's parameters by name, as `identify` takes them.
         drive: whose traces the record is made of, and the numbers behind its units.
-        source: the file of the record.
         name: what reports call the joint.
         runs: records that are identified together.
         together: how they are; see `jointid.SeveralRecords`.
         limits: of the axis in a test that is planned; see `jointid.design`.
-        path: of the joint file; a text is taken to stand in `joint.toml`.
         stated: numbers that were given with a unit, by the path of their key; a file that is written has them so.
         said: keys of [controller] that the file gives, and the gains that they say in other words.
 
@@ -88,17 +326,12 @@ class JointFile:
 
     joint: Joint
     columns: Mapping[str, Column]
-    method: Method
     controller: Controller | None = None
-    filtering: Filtering = field(default_factory=Filtering)
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
     drive: Drive = field(default_factory=Drive)
-    source: Source = field(default_factory=Source)
     name: str | None = None
     runs: tuple[Run, ...] = ()
     together: Together = field(default_factory=Together)
     limits: AxisLimits = field(default_factory=AxisLimits)
-    path: Path = field(default=Path("joint.toml"), compare=False)
     stated: Mapping[str, Stated] = field(default_factory=dict, compare=False, repr=False)
     said: Collection[str] = field(default=(), compare=False, repr=False)
 
@@ -215,25 +448,24 @@ class JointFile:
         """The joint under its controller, None while the controller is not known."""
         return None if self.controller is None else ClosedLoop(self.joint, self.controller)
 
-    def record(self, path: str | os.PathLike[str] | None = None) -> Record:
-        """Read the record.
+    @property
+    def setup(self) -> ClosedLoop | Joint:
+        """The joint under its controller, or alone while that is not known."""
+        return self.loop or self.joint
 
-        A channel that the method does not need may be absent, except an injected signal: without it the torque
-        would be taken for the controller's.
+    @property
+    def axes(self) -> tuple[JointFile, ...]:
+        """This file, of one axis."""
+        return (self,)
 
-        Args:
-            path: of the record, instead of the one the joint file names.
+    def _of_axes(self, records: tuple[Record, ...]) -> Record:
+        return records[0]
 
-        Raises:
-            RecordError: there is no such file, or it does not hold what the joint file says; `faults` has a
-                sentence for each missing column, gap, jump of the clock, impossible scale, constant torque, and
-                torque at the controller's limit.
-        """
-        path = self.record_path(path)
-        return self.record_of(read_table(path, **self.source.options), Path(path).stem)
+    def _by_axes(self, record: Record) -> tuple[Record, ...]:
+        return (record,)
 
     def record_of(self, table: Table, name: str) -> Record:
-        """Return the record that a table of columns holds; see `record`.
+        """Return the record of this axis from a table of columns; see `record`.
 
         Args:
             table: as the file of the record has it.
@@ -251,18 +483,6 @@ class JointFile:
         )
         return record
 
-    def driving(self, path: str | os.PathLike[str] | None = None) -> Record:
-        """Read the signals that drive a simulation: reference and injection, others if present.
-
-        Args:
-            path: of the record, instead of the one the joint file names.
-
-        Raises:
-            RecordError: there is no such file, or it has no reference.
-        """
-        path = self.record_path(path)
-        return self.driving_of(read_table(path, **self.source.options), Path(path).stem)
-
     def driving_of(self, table: Table, name: str) -> Record:
         """Return the signals that drive a simulation from a table; see `driving`."""
         seen = ("torque", "motor_position", "load_position")
@@ -274,46 +494,14 @@ class JointFile:
     def _reader(self, columns: Mapping[str, Column]) -> RecordReader:
         return RecordReader(columns, **self._reading, **self._clock)
 
-    def identify(
-        self,
-        record: Record,
-        progress: Progress = ignore_progress,
-        *,
-        checks: bool = True,
-        unchecked: Callable[[Estimate], None] | None = None,
-    ) -> Estimate:
-        """Identify the joint from a record, as the file says; see `jointid.identify`.
+    def explain(self, error: JointidError, record: Record, progress: Progress = ignore_progress) -> JointidError:
+        """Return the error of a failed identification, with its cause before it or in its place."""
+        from jointid.diagnostics.find_causes import explain_failure
 
-        Args:
-            record: what `record` gave.
-            progress: is called with each step.
-            checks: whether to check the estimate.
-            unchecked: is called with the estimate before its checks.
-
-        Raises:
-            JointidError: see `jointid.identify`.
-        """
-        # It loads the compiled kernels, which a check of the file does not need.
-        from jointid.diagnostics.identify import identify
-
-        return identify(
-            record, self.loop or self.joint, self.method, filtering=self.filtering, parameters=self.parameters,
-            checks=checks, shown=self.declared_numbers, torque_constant=self.scale, unchecked=unchecked,
-            progress=progress,
-        )  # fmt: skip
+        return explain_failure(error, record, self.loop, progress, self.declared_numbers)
 
     def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
-        """Identify the joint from several records in one fit.
-
-        Args:
-            paths: of the records, instead of those the file lists.
-            progress: is called with each step.
-
-        Raises:
-            JointidError: see `jointid.identify`.
-        """
-        from jointid.diagnostics.identify import identify
-
+        """Identify from several records in one fit, each under the controller and with the load of its own."""
         each = self.each(paths)
         loops = [one.loop for one in each if one.loop is not None]
         if not loops:
@@ -326,10 +514,8 @@ class JointFile:
             free=self.together.free,
             weighting=self.together.weighting,
         )
-        return identify(
-            [one.record() for one in each], loops, self.method, several=several, filtering=self.filtering,
-            parameters=self.parameters, progress=progress,
-        )  # fmt: skip
+        alone: dict[str, Any] = {"shown": (), "torque_constant": ""}
+        return self.identify([one.record() for one in each], progress, model=loops, several=several, **alone)
 
     def identify_log(self, path: Path | None, windows: Windowing, progress: Progress = ignore_progress) -> Estimate:
         """Identify the joint from a record too long for memory, in windows.
@@ -342,14 +528,10 @@ class JointFile:
         Raises:
             JointidError: see `jointid.identify`.
         """
-        from jointid.diagnostics.identify import identify
-
         if self.loop is None:
             raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
-        return identify(
-            self.log(path), self.loop, self.method, windows=windows, filtering=self.filtering,
-            parameters=self.parameters, progress=progress,
-        )  # fmt: skip
+        log: Any = self.log(path)
+        return self.identify(log, progress, windows=windows, shown=(), torque_constant="")
 
     def learn_controller(self, record: Record, progress: Progress = ignore_progress) -> LearnedController:
         """Learn the controller, in its own units, which the torque constant or the gain of [controller] says.
@@ -378,14 +560,6 @@ class JointFile:
         """
         return Log(self.record_path(path), self._columns, self._reading | self._clock, self.source.options)
 
-    def write(self, record: Record, path: str | os.PathLike[str]) -> None:
-        """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
-
-        Raises:
-            RecordError: see `jointid.records.writing.write`.
-        """
-        write_columns(self.columns_to_write(record), path, **self.source.options)
-
     def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
         """Return the columns of the file that `write` makes, by their names.
 
@@ -398,23 +572,6 @@ class JointFile:
     def column_names(self) -> frozenset[str]:
         """Names of the columns that channels are declared by, as the file of the record has them."""
         return frozenset(column.column for column in self.columns.values() if column.column)
-
-    def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
-        """Return the path of the record: that one, or the one this file names.
-
-        Raises:
-            RecordError: this file names none.
-        """
-        if path is not None:
-            return path
-        if self.source.file is None:
-            raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
-        return self.path.parent / self.source.file
-
-    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
-        """Return the files that are read: the records that the file names, unless another one takes their place."""
-        named = [run.file for run in self.runs] if self.runs else [self.source.file]
-        return tuple(self.path.parent / name for name in named if name) if record is None else (record,)
 
     @property
     def _columns(self) -> dict[str, Column]:

@@ -16,7 +16,6 @@ from jointid.common.units import Kind
 from jointid.config.consistency import torque_unit
 from jointid.config.quantities import Stated, misfit, output_of
 from jointid.config.schema import FileTable, JointTable, LawTable
-from jointid.config.table import fault_at
 from jointid.models.controllers import LAWS
 from jointid.records.drives import Drive
 
@@ -33,12 +32,12 @@ def unit_faults(file: FileTable) -> Iterator[Fault]:
     if isinstance(joint.torque_constant, Stated):
         declared = "N/A or N/V" if kind == "prismatic" else "N m/A or N m/V"
         if fault := misfit(joint.torque_constant.text, declared):
-            yield fault_at(("joint", "torque_constant"), fault, "unit")
+            yield file.fault(("joint", "torque_constant"), fault, "unit")
             return
     yield from _channel_faults(file, joint)
     if law is None:
         return
-    faults = list(_misfits(law, file.kind_of_side(law.side, joint.kind)))
+    faults = list(_misfits(file, law, file.kind_of_side(law.side, joint.kind)))
     yield from faults
     if not faults and (drive := file.drive_of_joint) is not None:
         try:
@@ -53,17 +52,17 @@ def controller_gain(file: FileTable) -> float:
     return _gain(file, file.joint, file.controller, file.drive_of_joint or Drive())
 
 
-def _misfits(law: LawTable, kind: Kind) -> Iterator[Fault]:
+def _misfits(file: FileTable, law: LawTable, kind: Kind) -> Iterator[Fault]:
     """Yield numbers in units of the other kind of motion, and those of two outputs."""
     outputs: dict[str, str] = {}
     for name, number, declared in _numbers(law):
         if fault := misfit(number.text, declared, kind):
-            yield fault_at(("controller", name), fault, "unit")
+            yield file.fault(("controller", name), fault, "unit")
         elif output := output_of(number.text, declared, kind):
             outputs.setdefault(output, f'{name} = "{number.text}"')
     if len(outputs) > 1:
         (one, first), (other, second), *_ = outputs.items()
-        yield fault_at(
+        yield file.fault(
             ("controller",),
             f" has {first} and {second}: an output in {one} and one in {other}; expected one for all of them: take "
             "them to one unit.",
@@ -99,19 +98,20 @@ def _gain(file: FileTable, joint: JointTable, law: LawTable, drive: Drive) -> fl
     if known is None or speaks_torque or abs(given / known - 1) <= AGREES:
         return given
     raise JointFileError(
-        fault_at(
+        file.fault(
             ("controller", "gain"),
-            f" is {given:g}, but {_why(joint, spoken)} makes it {known:.6g}; expected the same, or gain = 1 "
+            f" is {given:g}, but {_why(file, spoken)} makes it {known:.6g}; expected the same, or gain = 1 "
             "and plain numbers of a controller that speaks N or N m: leave the wrong one out.",
         )
     )
 
 
-def _why(joint: JointTable, spoken: _StatedOutput | None) -> str:
-    constant = joint.torque_constant
+def _why(file: FileTable, spoken: _StatedOutput | None) -> str:
+    constant = file.joint.torque_constant
     if constant is not None and (spoken is None or spoken.output in ("A", "V")):
-        return f"joint.torque_constant = {constant.text if isinstance(constant, Stated) else format(constant, 'g')}"
-    return "" if spoken is None else f'controller.{spoken.key} = "{spoken.text}"'
+        said = constant.text if isinstance(constant, Stated) else format(constant, "g")
+        return f"{file.key('joint', 'torque_constant')} = {said}"
+    return "" if spoken is None else f'{file.key("controller", spoken.key)} = "{spoken.text}"'
 
 
 class _StatedOutput(NamedTuple):
@@ -121,9 +121,9 @@ class _StatedOutput(NamedTuple):
     key: str
     text: str
 
-    def fault(self, rest: str) -> Fault:
+    def fault(self, file: FileTable, rest: str) -> Fault:
         """Return a fault of that number."""
-        return fault_at(("controller", self.key), f' = "{self.text}" is {rest}', "unit")
+        return file.fault(("controller", self.key), f' = "{self.text}" is {rest}', "unit")
 
 
 def _find_output(law: LawTable, kind: Kind) -> _StatedOutput | None:
@@ -140,30 +140,35 @@ def _of_output(
     torque, output = torque_unit(file, joint.kind), spoken.output
     if output in TORQUE_UNIT.values():
         if torque in ("A", "V"):
-            raise JointFileError(_unlike(spoken, "a torque", f"record.channels.torque is in {torque}", torque))
+            raise JointFileError(
+                _unlike(file, spoken, "a torque", f"{file.key('record', 'channels', 'torque')} is in {torque}", torque)
+            )
         return 1.0
     if output == "%":
         if torque in ("A", "V"):
-            raise JointFileError(_unlike(spoken, "a share of the rated torque", f"the torque is in {torque}", torque))
+            raise JointFileError(
+                _unlike(file, spoken, "a share of the rated torque", f"the torque is in {torque}", torque)
+            )
         try:
             return _share(file, drive) * through
         except units.UnitError as error:
-            raise JointFileError(spoken.fault(f"{error}.")) from None
+            raise JointFileError(spoken.fault(file, f"{error}.")) from None
     constants = {"A": drive.torque_constant, "V": drive.torque_per_volt}
     if constant := constants.pop(output):
         return constant * through
     if any(constants.values()):
         raise JointFileError(
             spoken.fault(
-                f"an output in {output}, but joint.torque_constant is per {'V' if output == 'A' else 'A'}; expected "
-                "both in one unit: correct one of them."
+                file,
+                f"an output in {output}, but {file.key('joint', 'torque_constant')} is per "
+                f"{'V' if output == 'A' else 'A'}; expected both in one unit: correct one of them.",
             )
         )
     if torque == output:
         return through
     if given is None:
         other = "N or N m" if torque is None else torque
-        raise JointFileError(_unlike(spoken, f"an output in {output}", f"the torque is in {other}", output))
+        raise JointFileError(_unlike(file, spoken, f"an output in {output}", f"the torque is in {other}", output))
     return None
 
 
@@ -180,10 +185,11 @@ def _is_share(file: FileTable, drive: Drive, gain: float, through: float) -> boo
         return False
 
 
-def _unlike(spoken: _StatedOutput, output: str, torque: str, per: str) -> Fault:
+def _unlike(file: FileTable, spoken: _StatedOutput, output: str, torque: str, per: str) -> Fault:
     return spoken.fault(
-        f"{output}, but {torque}; expected what takes one to the other: add the torque constant below [joint], as "
-        f'torque_constant = "0.72 N m/{per}".'
+        file,
+        f"{output}, but {torque}; expected what takes one to the other: add the torque constant below "
+        f'{file.heading("joint")}, as torque_constant = "0.72 N m/{per}".',
     )
 
 
@@ -201,9 +207,9 @@ def _channel_faults(file: FileTable, joint: JointTable) -> Iterator[Fault]:
         return
     said = torque_unit(file, joint.kind)
     if said in ("A", "V") and said != joint.torque_per:
-        yield fault_at(
+        yield file.fault(
             ("record", "channels", "torque"),
-            f" is in {said}, but {_why(joint, None)} is per {joint.torque_per}; expected both in "
+            f" is in {said}, but {_why(file, None)} is per {joint.torque_per}; expected both in "
             f'one unit: write the constant of what is logged, as torque_constant = "0.72 N m/{said}".',
             "unit",
         )
@@ -212,8 +218,8 @@ def _channel_faults(file: FileTable, joint: JointTable) -> Iterator[Fault]:
     constant = drive.torque_constant or drive.torque_per_volt or 1.0
     if torque.unit in TORQUE_UNIT.values() and abs(torque.gain / constant - 1) > AGREES:
         per = joint.torque_per
-        yield fault_at(
+        yield file.fault(
             ("record", "channels", "torque", "gain"),
-            f" is {torque.gain:g} to {torque.unit}, but {_why(joint, None)}; expected the "
+            f" is {torque.gain:g} to {torque.unit}, but {_why(file, None)}; expected the "
             f'same: leave gain out and give unit = "{per}", or correct the wrong one.',
         )

@@ -22,7 +22,7 @@ from jointid.common.settings import settings_of
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.config.consistency import choose_method
-from jointid.config.contents import JointFile
+from jointid.config.contents import File, JointFile
 from jointid.config.drive_gains import keys_of_controller, table_at
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.serialise import controller_table
@@ -61,7 +61,8 @@ def load(
     Args:
         path: of the TOML file, in UTF-8.
         changes: keys to set before it is checked, each as ``method.frequency=30``.
-        axis: the joint of a robot file that is returned as a joint file; see `RobotFile.joint_file`.
+        axis: the joint of a robot file that is returned as a joint file; see `RobotFile.joint_file`. Changes of
+            [method] are then of its own method.
         method: its name, whatever the file and the changes say; another one than the file's comes with its default
             settings.
         filtering: a preset, likewise.
@@ -74,7 +75,7 @@ def load(
     """
     path = Path(path)
     choices = {"method": method, "filtering": filtering, "friction": friction}
-    return _select(_file(parse_toml(read_text(path)), path, changes, **choices), axis)
+    return _select(_file(parse_toml(read_text(path)), path, changes, axis, **choices), axis)
 
 
 def load_joint(
@@ -102,7 +103,7 @@ def load_joint(
     tables = parse_toml(read_text(path))
     if "robot" in tables and axis is None:
         raise _robot_error(path, what)
-    return require_joint(_select(_file(tables, path, changes, **choices), axis), what)
+    return require_joint(_select(_file(tables, path, changes, axis, **choices), axis), what)
 
 
 def _select(file: JointFile | RobotFile, axis: str | None) -> JointFile | RobotFile:
@@ -114,7 +115,7 @@ def _select(file: JointFile | RobotFile, axis: str | None) -> JointFile | RobotF
     return file.joint_file(axis)
 
 
-def require_joint(file: JointFile | RobotFile, what: str) -> JointFile:
+def require_joint(file: File[Any], what: str) -> JointFile:
     """Return a file that is a joint's.
 
     Args:
@@ -215,12 +216,16 @@ def _file(
     tables: Mapping[str, Any],
     path: Path,
     changes: Iterable[str] = (),
+    axis: str | None = None,
     method: str | None = None,
     filtering: str | None = None,
     friction: str | None = None,
 ) -> JointFile | RobotFile:
     """Return the file of some tables with changes; see `load`."""
     changes = list(changes)
+    number = None if axis is None else _number_of(tables, axis)
+    if number is not None:
+        (tables, changes), method = _with_method_of_axis(tables, changes, number, method), None
     changed = apply_changes(tables, changes)
     is_robot = "robot" in changed
     # A change may bring the controller by which the file's own method is known, but not that method's name.
@@ -245,6 +250,27 @@ def _file(
     return JointFile.of(changed, path)
 
 
+def _number_of(tables: Mapping[str, Any], axis: str) -> int | None:
+    """Return the number of an axis, from 0; None where the tables have none of that name."""
+    joints = tables.get("joints")
+    names = [one.get("name") for one in joints if isinstance(one, dict)] if isinstance(joints, list) else []
+    return names.index(axis) if "robot" in tables and axis in names else None
+
+
+def _with_method_of_axis(
+    tables: Mapping[str, Any], changes: list[str], number: int, method: str | None
+) -> tuple[Mapping[str, Any], list[str]]:
+    """Return tables and changes of which [method] is that of one axis; another one has its default settings."""
+    below, tables = f"joints.{number + 1}.", copy.deepcopy(dict(tables))
+    changes = [f"{below}{one}" if re.match(r"method[.=]", one) else one for one in changes]
+    if method is None:
+        return tables, changes
+    own = tables["joints"][number]
+    if not isinstance(own.get("method"), dict) or own["method"].get("name") != method:
+        own["method"] = {"name": method}
+    return tables, [*changes, f'{below}method.name="{method}"']
+
+
 def _method_name(tables: Mapping[str, Any]) -> str | None:
     """Return the file's method, or the default one."""
     if "robot" in tables:
@@ -262,14 +288,13 @@ def dumps(file: JointFile | RobotFile) -> str:
         JointFileError: a joint file cannot say this, or would be refused; `faults` has a sentence for each reason.
     """
     tables = file.tables()
-    if not isinstance(file, JointFile):
-        return tomli_w.dumps(tables)
-    read_back = JointFile.of(tables)
-    if read_back.joint.torque_unit != file.joint.torque_unit:
-        raise JointFileError(
-            f"The joint's torque is in {file.joint.force_unit}, but its channel's in {read_back.joint.force_unit}; "
-            "give both in one unit."
-        )
+    read_back = type(file).of(tables, file.path)
+    for axis, again in zip(file.axes, read_back.axes, strict=True):
+        if again.joint.torque_unit != axis.joint.torque_unit:
+            raise JointFileError(
+                f"The joint's torque is in {axis.joint.force_unit}, but its channel's in {again.joint.force_unit}; "
+                "give both in one unit."
+            )
     return tomli_w.dumps(tables)
 
 

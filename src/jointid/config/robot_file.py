@@ -9,23 +9,23 @@ from __future__ import annotations
 
 import copy
 import math
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
-from jointid.common.messages import Progress, Says, ignore_progress
+from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
+from jointid.common.messages import Says
 from jointid.common.parameters import Parameter
 from jointid.common.settings import settings_of
 from jointid.common.units import Kind
-from jointid.config.contents import JointFile
+from jointid.config.consistency import foreign_settings
+from jointid.config.contents import FeedForward, File, JointFile, name_axes
 from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.schema import (
     ControllerTable,
@@ -38,34 +38,30 @@ from jointid.config.schema import (
     ParameterTable,
     RippleTable,
     TransmissionTable,
-    keys_of,
 )
-from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Run, Source
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
-from jointid.diagnostics.identify import identify
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
-from jointid.estimation.methods.registry import ROBOT
-from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
-from jointid.records.formats import Table as RecordedTable
-from jointid.records.formats import read_table
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
-from jointid.records.writing import write_columns
 from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop, add_feed_forward
+from jointid.simulation.robots import RobotLoop
 
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
 
-FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
-NumbersByName = Annotated[dict[str, Number], Says("a table of numbers by names")]
+
+
+def _at_zero(value: object) -> object:
+    """Return a list of joints as a table of their positions."""
+    return {name: 0.0 for name in value if isinstance(name, str)} if isinstance(value, list) else value
+
+
+Positions = Annotated[dict[str, Number], BeforeValidator(_at_zero), Says("a table of numbers, or a list of joints")]
 
 
 class RobotTable(Table):
@@ -78,6 +74,11 @@ class RobotTable(Table):
         description="roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
     )
     feed_forward: FeedForward = Field("none", description="what the drives are given beside the controllers' torque")
+    locked: Positions = Field(
+        default_factory=dict,
+        description="by the names of joints of the model that stand still and that no log has, their positions [rad or "
+        "m]; or a list of such joints, which stand at 0",
+    )
     in_motion: bool = Field(False, description="whether the records begin while the robot moves, as its references do")
 
     def faults(self) -> Iterator[tuple[str, str]]:
@@ -105,13 +106,7 @@ class JointSpringTable(Table):
             yield "stiffness", self.lacks("stiffness")
 
 
-class _OneOfJoints(JointTable):
-    """One of [[joints]] as [joint] of a joint file."""
-
-    heading: ClassVar = "joints"
-
-
-@keys_from(RobotJoint, without=("spring",), types={"coupling": (NumbersByName, dict)})
+@keys_from(RobotJoint, without=("spring",))
 class RobotJointTable(JointTable):
     """[[joints]]: one joint, in the order in which they are reported; what is left out is as the model says it."""
 
@@ -134,6 +129,9 @@ class RobotJointTable(JointTable):
     )
     channels: ChannelsTable | None = Field(None, description="its channels, where they are not as [record.channels]")
     limits: LimitsTable | None = Field(None, description="what it may do in a test that is planned")
+    method: MethodTable | None = Field(
+        None, description="how it is identified alone, by --axis, as [method] of a joint file"
+    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield nothing: what a joint may not be is seen beside what the model says of it."""
@@ -150,44 +148,7 @@ class RobotJointTable(JointTable):
         if self.spring is not None:
             said["spring"] = self.spring.law
         own = self.given_values(*said, "spring")
-        return _OneOfJoints.model_construct(
-            **said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields}
-        )
-
-
-RobotMethod: TypeAlias = IDIM | DIDIM | DriveSideFit
-_METHODS: dict[str, type[RobotMethod]] = {"idim": IDIM, "didim": DIDIM, "drive_side": DriveSideFit}
-
-
-@keys_from(
-    *_METHODS.values(), systems=ROBOT, types={"fixed": (NumbersByName, dict), "frequencies": (NumbersByName, dict)}
-)
-class RobotMethodTable(Table):
-    """[method]: how the robot is identified; some keys are for some methods only."""
-
-    name: Literal["idim", "didim", "drive_side"] | None = Field(
-        None,
-        description="idim, from motor positions and torques, didim, from torques and references, or drive_side, of "
-        "flexible joints from motor positions and torques; without it idim where [record.channels] or a joint has a "
-        "motor_position, and drive_side where a joint has a spring, too",
-    )
-
-    def chosen(self, measured: bool, flexible: bool) -> str:
-        """Return the method that is named, or, of records with motor positions or without, the one they are for."""
-        return self.name or ("didim" if not measured else "drive_side" if flexible else "idim")
-
-    def method(self, name: str) -> RobotMethod:
-        """Return the method of that name with these settings.
-
-        Raises:
-            JointFileError: a key is of another method.
-        """
-        given, own = self.settings("name"), keys_of(_METHODS[name], "robot")
-        for key in given:
-            if key not in own:
-                rest = f" is a setting of another method than {name}; leave it out."
-                raise JointFileError(fault_at(("method", key), rest, "unknown"))
-        return _METHODS[name](**given)
+        return JointTable.model_construct(**said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields})
 
 
 class RobotFileTable(Table):
@@ -197,7 +158,7 @@ class RobotFileTable(Table):
     record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
     drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
     filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
-    method: RobotMethodTable = Field(default_factory=RobotMethodTable, description="how the robot is identified")
+    method: MethodTable = Field(default_factory=MethodTable, description="how the robot is identified")
     joints: Annotated[list[RobotJointTable], Field(min_length=1), Says("one [[joints]] table for each joint")] = Field(
         description="the joints"
     )
@@ -205,19 +166,22 @@ class RobotFileTable(Table):
     @property
     def method_name(self) -> str:
         """Name of the given method, or of the default one for the channels."""
+        if self.method.name is not None:
+            return self.method.name
         # A joint without a controller leaves one method only.
         measured = self.record.channels.motor_position is not None or any(
             one.controller is None or (one.channels is not None and one.channels.motor_position is not None)
             for one in self.joints
         )
-        return self.method.chosen(measured, any(one.flexible for one in self.joints))
+        return "didim" if not measured else "drive_side" if any(one.flexible for one in self.joints) else "idim"
 
-    def table(self, number: int, kind: Kind) -> FileTable:
+    def table(self, number: int, kind: Kind, *, alone: bool = False) -> FileTable:
         """Return the joint file of one joint: the tables that all share, channels by its name and place, its own.
 
         Args:
             number: of the joint, from 0.
             kind: of the joint.
+            alone: whether it is identified alone, by its own method.
         """
         own = self.joints[number]
         channels = self.record.channels.given_values() | ({} if own.channels is None else own.channels.given_values())
@@ -225,16 +189,19 @@ class RobotFileTable(Table):
         record = self.record.model_copy(update={"channels": ChannelsTable().model_copy(update=named)})
         axis = {} if self.drive.profile is None or "axis" in self.drive.model_fields_set else {"axis": number + 1}
         # What a joint of a robot is identified by is not its own method, but says which channels must be there.
-        method = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
-        return FileTable.model_construct(
+        name = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
+        method = own.method if alone and own.method is not None else MethodTable()
+        said = ("method",) if alone and own.method is not None else ()
+        table = FileTable.model_construct(
             joint=own.table(kind),
             record=record,
             drive=self.drive.model_copy(update=axis),
-            method=MethodTable.model_construct(name=method),
+            method=method.model_copy(update={"name": method.name or name}),
             filtering=self.filtering,
             limits=own.limits or LimitsTable(),
             **{name: getattr(own, name) for name in _OF_JOINT_FILE if name in own.model_fields_set},
         )
+        return table.as_axis(number, (*said, *(() if own.channels is None else own.channels.model_fields_set)))
 
 
 _OF_JOINT_FILE = ("transmission", "gravity", "ripple", "controller", "parameters")
@@ -250,30 +217,22 @@ def _fill_placeholders(table: ChannelTable, name: str, number: int) -> ChannelTa
     return table.model_copy(update=texts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotFile:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotFile(File[tuple[Record, ...]]):
     """A robot file: the robot, and what is recorded of each of its joints.
 
     Attributes:
         model: the robot, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
-        filtering: how signals are filtered.
-        method: how the robot is identified: by IDIM, by DIDIM from torques and references, or on the drive side.
-        feed_forward: what the drives are given beside the controllers' torque.
         in_motion: whether the records begin while the robot moves.
         unmodelled: sentences on what the joints have and the model of a robot has not, which every verb refuses.
-        path: of the robot file.
         raw: its tables.
     """
 
     model: Robot
     joints: tuple[JointFile, ...]
-    filtering: Filtering
-    method: RobotMethod
-    feed_forward: FeedForward
     in_motion: bool
     unmodelled: tuple[str, ...]
-    path: Path
     raw: Mapping[str, Any] = field(repr=False)
 
     @classmethod
@@ -288,7 +247,11 @@ class RobotFile:
             JointFileError: with one sentence for each fault, of the file or of the model that it names.
         """
         said = read_robot_tables(tables)
-        bare, method = _robot(said, path.parent), said.method.method(said.method_name)
+        name = said.method_name
+        foreign = foreign_settings(said.method, name, "robot", lambda *keys: messages.dot_path(keys))
+        if faults := [fault_at(("method", key), rest) for key, rest in foreign]:
+            raise JointFileError(faults)
+        bare, method = _robot(said, path.parent), said.method.method(name, "robot")
         files = _joint_files(said, bare, path)
         each = list(zip(said.joints, bare.joints, files, strict=True))
         unmodelled = [
@@ -299,16 +262,33 @@ class RobotFile:
         except JointidError as error:
             raise JointFileError(f"joints: {error}") from error
         return cls(
-            robot,
-            files,
-            said.filtering.build(),
-            method,
-            said.robot.feed_forward,
-            said.robot.in_motion,
-            tuple(unmodelled),
-            path,
-            tables,
+            model=robot,
+            joints=files,
+            method=method,
+            filtering=said.filtering.build(),
+            parameters=_parameters(files),
+            source=files[0].source,
+            feed_forward=said.robot.feed_forward,
+            in_motion=said.robot.in_motion,
+            unmodelled=tuple(unmodelled),
+            path=path,
+            raw=tables,
         )
+
+    @property
+    def axes(self) -> tuple[JointFile, ...]:
+        """The joint file of each joint."""
+        return self.joints
+
+    def _of_axes(self, records: tuple[Record, ...]) -> tuple[Record, ...]:
+        return records
+
+    def _by_axes(self, record: tuple[Record, ...]) -> tuple[Record, ...]:
+        return record
+
+    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
+        """Return the files that are read: the model, and the record that the file names or that takes its place."""
+        return (self.path.parent / self.raw["robot"]["model"], *self.joints[0].inputs(record))
 
     @property
     def robot(self) -> Robot:
@@ -329,8 +309,9 @@ class RobotFile:
     def joint_file(self, name: str) -> JointFile:
         """Return the joint file of one joint, identified alone, as if no other joint moved.
 
-        The method has its default settings. Gravity is what `joints.gravity` says. Numbers of the [[joints]] table are
-        starts of the parameters; but the rotor's inertia is none of a rigid joint's, which includes the links.
+        The method is that of `joints.method`, or that of the robot with default settings. Gravity is what
+        `joints.gravity` says. Numbers of the [[joints]] table are starts of the parameters; that of a
+        rigid joint's inertia is the rotor's with the links that it moves, all other joints at 0.
 
         Args:
             name: of the joint.
@@ -342,59 +323,18 @@ class RobotFile:
         if name not in names:
             raise MethodError(f"The axis{messages.no_choice(name, names)}")
         number = names.index(name)
-        file, own = self.joints[number], read_robot_tables(self.raw).joints[number]
+        said = read_robot_tables(self.raw)
+        own, kind = said.joints[number], self.model.links[number].kind
+        file = JointFile.of_table(said.table(number, kind, alone=True), self.path)
         parameters = dict(file.parameters)
-        for parameter, start in _stated_starts(own, file):
+        whole = self.model.axis_inertia(number) + self.model.joints[number].rotor_inertia
+        rigid = [(parameter, whole) for parameter in file.joint.parameters if parameter.name == "inertia"]
+        for parameter, start in (*rigid, *_stated_starts(own, file)):
             known = parameters.get(parameter.name, parameter)
             unsaid = parameter.name not in parameters or known.start is None
             if unsaid and known.lower <= start <= known.upper:
                 parameters[parameter.name] = replace(known, start=start)
         return replace(file, parameters=parameters)
-
-    def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
-        """Read the record of every joint, from one reading of the file.
-
-        Args:
-            path: of the record, instead of the one that the file names.
-
-        Raises:
-            RecordError: the file does not hold what the robot file says; each sentence names its joint.
-        """
-        return self._of_each(path, JointFile.record_of)
-
-    def _of_each(
-        self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, RecordedTable, str], Record]
-    ) -> tuple[Record, ...]:
-        path = self.joints[0].record_path(path)
-        table = read_table(path, **self.joints[0].source.options)
-        found, faults = list[Record](), dict[Fault, list[str]]()
-        for file in self.joints:
-            try:
-                found.append(cut(file, table, Path(path).stem))
-            except RecordError as error:
-                for fault in error.faults:
-                    faults.setdefault(fault, []).append(str(file.name))
-        if faults:
-            raise RecordError(_by_joints(faults, len(self.joints)))
-        return tuple(found)
-
-    @property
-    def runs(self) -> tuple[Run, ...]:
-        """Records that the file lists: none, as those of a robot are named one by one."""
-        return ()
-
-    @property
-    def source(self) -> Source:
-        """The file of the record, and how it is read."""
-        return self.joints[0].source
-
-    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
-        """Return the files that are read: the model, and the record that the file names or that takes its place."""
-        return (self.path.parent / self.raw["robot"]["model"], *self.joints[0].inputs(record))
-
-    def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
-        """Return the path of the record; see `JointFile.record_path`."""
-        return self.joints[0].record_path(path)
 
     @property
     def loop(self) -> RobotLoop:
@@ -412,125 +352,12 @@ class RobotFile:
         controllers = tuple(file.controller for file in self.joints if file.controller is not None)
         return RobotLoop(self.robot, controllers, self.in_motion)
 
-    def driving(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
-        """Read what drives a simulation: references, and the feed-forward that the file asks to compute.
-
-        Args:
-            path: of the record, instead of the one that the file names.
-
-        Raises:
-            RecordError: see `records`.
-            MethodError: the feed-forward needs references of one rate.
-        """
-        return self._fed_forward(self._of_each(path, JointFile.driving_of))
-
-    def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
-        injected = [
-            str(file.name) for file, record in zip(self.joints, found, strict=True) if record.injected is not None
-        ]
-        if self.feed_forward == "logged" and len(injected) < len(found):
-            raise RecordError(
-                'robot.feed_forward is "logged", and not every joint has an injected channel; declare one for each in '
-                "[record.channels]."
-            )
-        if self.feed_forward in ("gravity", "inverse-model") and injected:
-            raise RecordError(
-                f'robot.feed_forward is "{self.feed_forward}", and {", ".join(injected)} has an injected channel too; '
-                'expected one of both: leave the channel out, or take "logged".'
-            )
-        if self.feed_forward in ("gravity", "inverse-model"):
-            return add_feed_forward(self.loop, found, self.feed_forward)
-        return found
-
-    def record(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> tuple[Record, ...]:
-        """Read the records for `identify`, with a computed feed-forward if the method simulates.
-
-        Args:
-            path: of the record, instead of the one that the file names.
-            judged: whether the declared controllers are held against the torques as well. These are the controllers'
-                and the feed-forward's, so a computed one is added where every joint has a controller and a reference.
-
-        Raises:
-            RecordError, MethodError: see `records`, `driving`.
-        """
-        found = self.records(path)
-        controlled = all(file.controller is not None for file in self.joints)
-        whole = controlled and all(record.reference is not None for record in found)
-        return self._fed_forward(found) if self._simulates or (judged and whole) else found
-
-    def identify(
-        self,
-        records: Sequence[Record] | Sequence[Sequence[Record]],
-        progress: Progress = ignore_progress,
-        *,
-        checks: bool = True,
-    ) -> Estimate:
-        """Identify the robot by the method and the filtering of the file.
-
-        Args:
-            records: of each joint, as `record` reads them; or those of several logs, identified in one fit.
-            progress: is called with the state of a search.
-            checks: whether to check the estimate.
-
-        Raises:
-            RecordError, MethodError: see `jointid.identify`.
-        """
-        self.robot.require_lines("An identification of a robot takes")
-        return identify(
-            records, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
-            progress=progress,
-        )  # fmt: skip
-
-    def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
-        """Identify the robot from several records in one fit.
-
-        Args:
-            paths: of the records.
-            progress: is called with the state of a search.
-
-        Raises:
-            RecordError, MethodError: see `jointid.identify`.
-        """
-        return self.identify([self.record(path) for path in paths], progress)
-
     @property
     def setup(self) -> Robot | RobotLoop | RobotDriveSide:
         """The robot as its method takes it: alone, under its controllers, or along its motors' motion."""
         if isinstance(self.method, DriveSideFit):
             return RobotDriveSide(self.robot)
-        return self.loop if self._simulates else self.robot
-
-    @property
-    def parameters(self) -> dict[str, Parameter]:
-        """Values and bounds that the identification keeps, by the names of a robot's parameters."""
-        found = dict[str, Parameter]()
-        for file in self.joints:
-            known = {parameter.name: parameter for parameter in file.joint.parameters}
-            for name, stated in file.parameters.items():
-                own = name.removeprefix("motor_")
-                own = _OF_ROBOT.get(name, own)
-                if stated != replace(known[name], start=stated.start):
-                    # A start is a number of the robot that is built, and no start of a search.
-                    found[f"{file.name}.{own}"] = replace(stated, start=None) if stated.free else stated
-        return found
-
-    @property
-    def _simulates(self) -> bool:
-        """True if the method simulates the robot under its controllers."""
-        return isinstance(self.method, DIDIM) or (isinstance(self.method, IDIM) and self.method.estimator == "iv")
-
-    def write(self, records: Sequence[Record], path: str | os.PathLike[str]) -> None:
-        """Write one record of each joint into a file that `records` reads; channels without a column as JOINT.CHANNEL.
-
-        Raises:
-            RecordError: the file cannot be written, or would not be read back.
-        """
-        table: dict[str, FloatArray] = {}
-        for file, record in zip(self.joints, records, strict=True):
-            for name, values in file.columns_to_write(record).items():
-                own = f"{file.name}.{name}" if name in record.channels and name not in file.column_names else name
-                table[own] = values
-        write_columns(table, path, **self.joints[0].source.options)
+        return self.loop if self.simulates else self.robot
 
     def tables(self) -> dict[str, Any]:
         """Return the tables that say the same, with the numbers of this robot's joints."""
@@ -561,7 +388,10 @@ def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
 
 def _robot(said: RobotFileTable, folder: Path) -> Robot:
     """Return the model with what the file says of its joints."""
-    model, names = load_robot(folder / said.robot.model), [one.name for one in said.joints]
+    names = [one.name for one in said.joints]
+    if both := [name for name in names if name in said.robot.locked]:
+        raise JointFileError(f"robot.locked names {', '.join(both)} of [[joints]], which move; leave one of both out.")
+    model = load_robot(folder / said.robot.model, said.robot.locked)
     unknown = [
         f"joints.{k + 1}.name{messages.no_choice(n, model.names)}" for k, n in enumerate(names) if n not in model.names
     ]
@@ -571,7 +401,8 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     missing = [name for name in model.names if name not in names]
     if missing and not unknown:
         unknown = [
-            f"joints lacks {', '.join(missing)}; expected every joint of {said.robot.model}: add [[joints]] tables."
+            f"joints lacks {', '.join(missing)}; expected every joint of {said.robot.model}: add [[joints]] tables, or "
+            f"name joints that stand still in robot.locked, as locked = {{ {' = 0.0, '.join(missing)} = 0.0 }}."
         ]
     if unknown:
         raise JointFileError(unknown)
@@ -613,11 +444,8 @@ def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointF
             files.append(JointFile.of_table(said.table(number, link.kind), path))
         except JointFileError as error:
             for fault in error.faults:
-                if fault.place and fault.place[0] in _OF_JOINT_FILE:
-                    rest = fault.removeprefix(messages.dot_path(fault.place))
-                    faults[fault_at(("joints", number, *fault.place), rest, fault.code)] = list(robot.names)
-                else:
-                    faults.setdefault(fault, []).append(own.name)
+                of_axis = fault.place[:1] == ("joints",)
+                faults[fault] = list(robot.names) if of_axis else [*faults.get(fault, ()), own.name]
     for file in files:
         if file.joint.transmission is not None and file.joint.transmission.side == "motor":
             side = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
@@ -626,15 +454,22 @@ def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointF
         shared = Fault(f"{name} is one column of several joints; give each one of its own, as with {{axis}}.")
         faults.setdefault(shared, []).extend(joints)
     if faults:
-        raise JointFileError(_by_joints(faults, len(robot)))
+        raise JointFileError(name_axes(faults, len(robot)))
     return tuple(files)
 
 
-def _by_joints(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:
-    """Return sentences, each after the names of its joints where it is not of all."""
-    return [
-        f if len(names) == count else Fault(f"{', '.join(names)}: {f}", f.place, f.code) for f, names in faults.items()
-    ]
+def _parameters(axes: Sequence[JointFile]) -> dict[str, Parameter]:
+    """Return values and bounds that the identification keeps, by the names of a robot's parameters."""
+    found = dict[str, Parameter]()
+    for axis in axes:
+        known = {parameter.name: parameter for parameter in axis.joint.parameters}
+        for name, stated in axis.parameters.items():
+            own = name.removeprefix("motor_")
+            own = _OF_ROBOT.get(name, own)
+            if stated != replace(known[name], start=stated.start):
+                # A start is a number of the robot that is built, and no start of a search.
+                found[f"{axis.name}.{own}"] = replace(stated, start=None) if stated.free else stated
+    return found
 
 
 _NUMBERS = [one.name for one in settings_of(RobotJoint) if one.name not in ("spring", "coupling")]

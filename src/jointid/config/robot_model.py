@@ -12,12 +12,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, MethodError, extra
 from jointid.common.text import short
@@ -67,9 +70,6 @@ _REFUSED: Mapping[str, str] = {
     "composite": "is no rigid body; leave it out",
     "flexcomp": "is no rigid body; leave it out",
     "freejoint": "floats; expected joints that turn or slide on a fixed base: leave it out",
-    "mimic": "ties one joint to another; write the links of a loop as what they carry, or leave the joint out",
-    "connect": "closes a loop; a tree of links is expected: leave it out, with the links that close it",
-    "weld": "closes a loop; a tree of links is expected: leave it out, with the links that close it",
 }
 _ONCE: Mapping[str, tuple[str, ...]] = {
     "link": ("inertial",),
@@ -82,11 +82,13 @@ _WORDS = ("name", "model", "class", "childclass", "link")  # attributes that are
 _SHAPES = ("mesh", "hfield", "sdf")  # read from other files
 
 
-def load_robot(path: str | Path) -> Robot:
+def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType({})) -> Robot:
     """Load a robot from a URDF or MJCF file.
 
     Args:
         path: of the file, at most 8 MiB.
+        locked: by the names of joints that stand still their positions, rad or m. Joints tied to them, by <mimic> or
+            by <equality>, stand still, too.
 
     Returns:
         Its joints in the file's order, as far as each link comes after its parent. Armature, damping and friction loss
@@ -94,7 +96,7 @@ def load_robot(path: str | Path) -> Robot:
         file says no mass, or one that no body can have, has none. `remarks` say what of the file is not used.
 
     Raises:
-        JointFileError: the file cannot be read, or is no tree of joints that turn or slide.
+        JointFileError: the file cannot be read, or is no tree of joints that turn or slide on their own.
         ExtraError: MuJoCo is not installed.
     """
     path = Path(path)
@@ -107,17 +109,20 @@ def load_robot(path: str | Path) -> Robot:
     if len(raw) > _LARGEST:
         raise JointFileError(f"{path} has more than {_LARGEST} bytes; expected a URDF or MJCF file: is it a mesh?")
     try:
-        return read_robot(raw.decode("utf-8-sig"), path.name)
+        return read_robot(raw.decode("utf-8-sig"), path.name, locked)
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
 
 
-def read_robot(text: str, called: str = "the robot's model") -> Robot:
+def read_robot(
+    text: str, called: str = "the robot's model", locked: Mapping[str, float] = MappingProxyType({})
+) -> Robot:
     """Return a robot from the text of a URDF or MJCF file; see `load_robot`.
 
     Args:
         text: XML.
         called: what sentences call it.
+        locked: as of `load_robot`.
     """
     root = _parse(text, called)
     if root.tag not in ("robot", "mujoco"):
@@ -141,7 +146,116 @@ def read_robot(text: str, called: str = "the robot's model") -> Robot:
             robot = _robot(mujoco, model, root.get("name") or root.get("model") or "robot", called)
     except MethodError as error:
         raise JointFileError(f"{called}: {error}") from error
-    return replace(reorder_joints(robot, order), remarks=tuple(f"{called}: {one}" for one in remarks))
+    initial = {model.joint(number).name: float(model.joint(number).qpos0[0]) for number in range(model.njnt)}
+    still = _follow_ties(root, locked, initial, called)
+    if unknown := [name for name in locked if name not in robot.names]:
+        raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], robot.names)}")
+    ordered = reorder_joints(lock_joints(robot, still), order)
+    return replace(ordered, remarks=tuple(f"{called}: {one}" for one in remarks))
+
+
+def _follow_ties(
+    root: ET.Element, locked: Mapping[str, float], initial: Mapping[str, float], called: str
+) -> dict[str, float]:
+    """Return the positions of the locked joints, and of those that ties then hold.
+
+    Raises:
+        JointFileError: a tie is left between joints that move.
+    """
+    still = dict(locked)
+    ties = list(_ties(root))
+    for _tie in ties:  # one may hold the leader of another
+        for _, follower, leader, polynomial in ties:
+            if follower and (leader is None or leader in still):
+                moved = 0.0 if leader is None else still[leader] - initial.get(leader, 0.0)
+                value = initial.get(follower, 0.0) + float(np.polynomial.polynomial.polyval(moved, polynomial))
+                still.setdefault(follower, value)
+    carried = _joints_below(root)
+    faults = []
+    for tag, one, other, _ in ties:
+        element, _, body = tag.partition(" ")
+        tied = {one, other} if one else {*(carried.get(str(other), set()) ^ carried.get(body, set()))}
+        if moving := sorted(name for name in tied if name and name not in still):
+            faults.append(
+                f"{called}: <{element}> ties {', '.join(moving)}; expected joints that move on their own: name those "
+                f"that stand still in robot.locked, as locked = {{ {other if other in moving else moving[-1]} = 0.0 }}."
+            )
+    if faults:
+        raise JointFileError(dict.fromkeys(faults))
+    return still
+
+
+def _ties(root: ET.Element) -> Iterator[tuple[str, str | None, str | None, list[float]]]:
+    """Yield ties: the element, the joint that follows and the one that leads, with the coefficients of its polynomial.
+
+    Of a tie of two bodies no joint follows; the element is then named with the one body, and the other leads.
+    """
+    try:
+        for joint in root.iter("joint"):
+            for mimic in joint.findall("mimic"):
+                numbers = [float(mimic.get("offset", 0.0)), float(mimic.get("multiplier", 1.0))]
+                yield "mimic", joint.get("name"), mimic.get("joint"), numbers
+        for tie in (one for equality in root.iter("equality") for one in equality):
+            if tie.tag == "joint":
+                numbers = [float(one) for one in tie.get("polycoef", "0 1").split()]
+                yield "equality", tie.get("joint1"), tie.get("joint2"), numbers
+            else:
+                yield f"{tie.tag} {tie.get('body1')}", None, tie.get("body2", "world"), []
+    except ValueError as error:
+        raise JointFileError(f"A tie of joints has a number that is none ({error}); correct it.") from error
+
+
+def _joints_below(root: ET.Element) -> dict[str, set[str]]:
+    """Return by the names of bodies the joints that carry them."""
+    found: dict[str, set[str]] = {"world": set()}
+
+    def enter(body: ET.Element, above: set[str]) -> None:
+        own = above | {joint.get("name", "a joint without a name") for joint in body.findall("joint")}
+        found[body.get("name", "")] = own
+        for child in body.findall("body"):
+            enter(child, own)
+
+    for world in root.findall("worldbody"):
+        for body in world.findall("body"):
+            enter(body, set())
+    return found
+
+
+def lock_joints(robot: Robot, locked: Mapping[str, float]) -> Robot:
+    """Return a robot whose named joints stand still: each of their links is one with the link that carries it.
+
+    Args:
+        robot: with all joints.
+        locked: position of each, rad or m, by its name.
+
+    Raises:
+        JointFileError: no joint is left.
+    """
+    if not locked:
+        return robot
+    links, joints = list[Link](), list[RobotJoint]()
+    placed = {-1: (-1, np.eye(3), np.zeros(3))}  # of each link: the one that it is part of, and where in its frame
+    for number, (link, joint) in enumerate(zip(robot.links, robot.joints, strict=True)):
+        parent, turn, shift = placed[link.parent]
+        rotation, origin = turn @ link.rotation, shift + turn @ link.origin
+        if joint.name not in locked:
+            links.append(replace(link, parent=parent, rotation=rotation, origin=origin))
+            joints.append(joint)
+            placed[number] = (len(links) - 1, np.eye(3), np.zeros(3))
+            continue
+        if link.kind == "revolute":
+            rotation = rotation @ Rotation.from_rotvec(link.axis * locked[joint.name]).as_matrix()
+        else:
+            origin = origin + rotation @ link.axis * locked[joint.name]
+        placed[number] = (parent, rotation, origin)
+        if parent >= 0:
+            inertial = links[parent].inertial + change_frame(link.inertial, rotation, origin)
+            links[parent] = replace(links[parent], inertial=inertial)
+    if not links:
+        raise JointFileError(
+            "Every joint of the model stands still; expected one that moves: take it out of robot.locked."
+        )
+    return replace(robot, links=tuple(links), joints=tuple(joints))
 
 
 @contextmanager
@@ -200,8 +314,6 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
             faults.append(f"{called}: the mass of {name} follows from a mesh, which is not read; add <inertial> to it.")
     if len(list(root.iter("joint"))) > 10 * _MOST:
         faults.append(f"{called} has more than {10 * _MOST} joints; expected a robot of at most {_MOST}.")
-    if any(len(one) for one in root.iter("equality")):
-        faults.append(f"{called} ties joints by <equality>; a tree of independent joints is expected: leave it out.")
     if faults:
         raise JointFileError(dict.fromkeys(faults))
 

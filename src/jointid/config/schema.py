@@ -26,6 +26,7 @@ from jointid.common.units import Kind
 from jointid.config.quantities import Stated
 from jointid.config.schema_record import ChannelTable, DriveTable, RecordTable, RunTable, TogetherTable
 from jointid.config.table import (
+    CONTRADICTION,
     Bound,
     Flag,
     LengthUnit,
@@ -41,6 +42,7 @@ from jointid.config.table import (
     Typed,
     accept_by,
     annotation_of,
+    fault_at,
     faults_of,
     keys_from,
     keys_of_kinds,
@@ -48,7 +50,7 @@ from jointid.config.table import (
     with_keys,
     with_unit,
 )
-from jointid.estimation.methods.registry import MODELS, Method, MethodName, method_of, methods
+from jointid.estimation.methods.registry import ROBOT, Method, MethodName, method_of, methods
 from jointid.models.controllers import (
     FILTERS,
     LAWS,
@@ -86,9 +88,6 @@ CONSTANT = "N/A, N m/A, N/V or N m/V"
 
 class JointTable(Table):
     """[joint]: what is identified."""
-
-    heading: ClassVar = "joint"
-    """What remedies call the table."""
 
     kind: units.Kind = Field(description="how the joint moves: m and N, or rad and N m")
     model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
@@ -139,10 +138,7 @@ class JointTable(Table):
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the faults of a spring in a rigid joint, or of an impossible friction."""
         if self.model == "rigid" and self.spring != LinearSpring.name:
-            yield (
-                "spring",
-                f' is "{self.spring}", but a rigid joint has no spring; set {self.heading}.model = "flexible".',
-            )
+            yield "spring", f' is "{self.spring}", but a rigid joint has no spring; set joint.model = "flexible".'
             return
         try:
             self.joint(None)
@@ -231,12 +227,14 @@ class FilteringTable(Table):
         return super().build() if self.preset is None else FILTERINGS[self.preset]()
 
 
-@keys_from(*methods(), systems=MODELS)
+@keys_from(*methods())
 class MethodTable(Table):
-    """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
+    """[method]: how the joint, or the robot, is identified; some keys are for one of them only."""
 
     name: MethodName | None = Field(
-        None, description="by which method; without it didim if the record has what it needs, else idim"
+        None,
+        description="by which method; without it that of a joint is didim if the record has what it needs, else idim; "
+        "that of a robot is didim without a motor_position, drive_side with one and a spring, else idim",
     )
     preset: Literal["paper"] | None = Field(
         None, description="all settings of didim at once as the paper has them, in place of the others but frequency"
@@ -269,7 +267,7 @@ class MethodTable(Table):
 
         Args:
             name: of the method.
-            model: of the joint.
+            model: of the joint, "rigid" or "flexible"; or "robot".
         """
         made: Any = method_of(name)
         given = self.settings("name", "preset", *EFFECTS)
@@ -288,10 +286,14 @@ def has_effects(method: type[Method]) -> bool:
     return "effects" in {field.name for field in fields(made)}
 
 
-def keys_of(method: type[Method], model: str) -> tuple[str, ...]:
-    """Return the keys of [method] for a method and a joint model, without the name."""
+def keys_of(method: type[Method], system: str) -> tuple[str, ...]:
+    """Return the keys of [method] for a method and a "rigid" or "flexible" joint or a "robot", without the name."""
+    if system not in method.systems:
+        return ()
     own = settings_of(method)
-    settings = tuple(one.name for one in own if not one.setting.systems or model in one.setting.systems)
+    settings = tuple(one.name for one in own if not one.setting.systems or system in one.setting.systems)
+    if system in ROBOT:
+        return settings
     return (*settings, *(EFFECTS if has_effects(method) else ()), *(("preset",) if hasattr(method, "paper") else ()))
 
 
@@ -607,6 +609,8 @@ class FileTable(Table):
         default_factory=LimitsTable, description="what the axis may do in a test that is planned"
     )
     _wrong: frozenset[Place] = PrivateAttr(default=frozenset())
+    _axis: int | None = PrivateAttr(default=None)  # in a robot file, from 0
+    _own: Collection[str] = PrivateAttr(default=())  # channels and tables that the axis says itself
 
     @classmethod
     def read(cls, raw: Mapping[str, Any]) -> tuple[Self, list[Fault]]:
@@ -630,6 +634,50 @@ class FileTable(Table):
             else:
                 table._wrong = frozenset(wrong)
                 return table, faults
+
+    def as_axis(self, number: int, own: Collection[str]) -> Self:
+        """Return the table as that of one axis of a robot file, which faults then name.
+
+        Args:
+            number: of the axis, from 0.
+            own: channels, and [method], that stand below its [[joints]] table and are not shared.
+        """
+        self._axis, self._own = number, own
+        return self
+
+    def place(self, *keys: int | str) -> Place:
+        """Return where a key of a joint file stands in the file that this table was made from."""
+        if self._axis is None:
+            return keys
+        below = ("joints", self._axis)
+        match keys:
+            case ("joint", *rest):
+                return (*below, *rest)
+            case ("record", "channels", str() as name, *rest) if name in self._own:
+                return (*below, "channels", name, *rest)
+            case ("record" | "drive" | "filtering", *_):
+                return keys
+            case ("method", *_) if "method" not in self._own:
+                return keys
+        return (*below, *keys)
+
+    def key(self, *keys: int | str) -> str:
+        """Return the name of a key of a joint file in the file that this table was made from."""
+        return messages.dot_path(self.place(*keys))
+
+    def heading(self, table: str) -> str:
+        """Return the heading of a table of a joint file in the file that this table was made from."""
+        if self._axis is None:
+            return f"[{table}]"
+        return "[[joints]]" if table == "joint" else f"[joints.{table}]"
+
+    def moving(self, kind: str) -> str:
+        """Return the remedy that makes the joint move otherwise."""
+        return f'set joint.kind = "{kind}"' if self._axis is None else f"make the joint {kind} in the robot's model"
+
+    def fault(self, place: Place, rest: str, code: str = CONTRADICTION) -> Fault:
+        """Return a fault at a place of a joint file, in the file that this table was made from."""
+        return fault_at(self.place(*place), rest, code)
 
     def is_wrong(self, *part: str) -> bool:
         """Return whether a part is in the file, but left out because it is wrong."""

@@ -340,7 +340,6 @@ def keys_from(
     *owners: type,
     without: Collection[str] = (),
     types: Mapping[str, Typed] | None = None,
-    systems: Collection[str] = (),
 ) -> Callable[[type[T]], type[T]]:
     """Return the decorator that gives a table a key for each setting of some dataclasses.
 
@@ -350,13 +349,11 @@ def keys_from(
         owners: the dataclasses.
         without: names of settings that are no keys, or that the table declares itself.
         types: annotation and default of keys that hold a table, or something else that is not a setting's own type.
-        systems: that the table is of; settings of others alone are no keys. All where empty.
     """
     declared: dict[str, list[Declared]] = {}
     for owner in owners:
         for one in settings_of(owner):
-            meant = one.setting.systems
-            if one.name not in without and (not systems or not meant or set(meant) & set(systems)):
+            if one.name not in without:
                 declared.setdefault(one.name, []).append(one)
     keys = {name: _key(same, (types or {}).get(name)) for name, same in declared.items()}
     return with_keys(keys, owners[0] if len(owners) == 1 else None)

@@ -25,7 +25,7 @@ from jointid.diagnostics.fault_tests import (
     strength_of,
 )
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest, Hint
-from jointid.diagnostics.faults.findings import Finding, LoopCheck, ParameterShift
+from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.forces import OFFSET, free_number
 from jointid.diagnostics.faults.other_laws import (
     MEASURED_VELOCITY,
@@ -41,12 +41,10 @@ from jointid.diagnostics.faults.other_laws import (
 )
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.trials import solve_with_fault
-from jointid.diagnostics.intervals import rebuild_problem
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
@@ -91,40 +89,6 @@ class LoopTests:
             )
 
 
-def check_loop(
-    estimate: Estimate, record: Record, settings: LoopTests | None = None, *, shown: Sequence[DriveNumber] = ()
-) -> LoopCheck:
-    """Test whether the loop and the log of a record are as declared, and name the faults.
-
-    Args:
-        estimate: by DIDIM, of this record; parameters identified beside the joint are not tested.
-        record: that it was identified from.
-        settings: see `LoopTests`.
-        shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has it;
-            without it they are given in percent of the declared value.
-
-    Raises:
-        MethodError: the estimate did not simulate a loop, is of another record, or has a parameter that is not
-            identifiable.
-    """
-    estimate.require_joint()
-    if estimate.settings.loop is None:
-        raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
-    for p in estimate.params.rows:
-        if p.value is None:
-            raise MethodError(
-                f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose parameters "
-                "are identifiable from this record."
-            )
-    another = (
-        f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
-        "record it was identified from."
-    )
-    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
-    problem, x = rebuild_problem(estimate, record, another)
-    return search_faults(problem, x, settings, std, record, shown)[0]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchState:
     """A solved problem between two tests.
@@ -162,7 +126,7 @@ def search_faults(
     std: Mapping[str, float] | None = None,
     record: Record | None = None,
     shown: Sequence[DriveNumber] = (),
-) -> tuple[LoopCheck, SearchState]:
+) -> tuple[AxisFaults, SearchState]:
     """Return the faults of a loop and its log, and the problem with these faults corrected.
 
     Args:
@@ -172,7 +136,7 @@ def search_faults(
         std: standard errors of the joint's parameters by name, in which shifts are given; autocorrelation-robust ones
             when None.
         record: of the problem; without it a drive that runs faster than the log is not searched for.
-        shown: how the drive shows the numbers of its controller, see `check_loop`.
+        shown: how the drive shows the numbers of its controller, see `diagnose`.
 
     Raises:
         MethodError: a fault asked for cannot be tested in this record.
@@ -226,7 +190,7 @@ def search_faults(
     units = {p.name: joint.unit(p) for p in joint.parameters}
     motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
     units |= {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
-    check = LoopCheck(
+    check = AxisFaults(
         tuple(findings),
         () if first is None else first.tests,
         settings.level,

@@ -1,34 +1,41 @@
-"""The verb `diagnose`: whether record, controllers and model agree, and what to do if not."""
+"""The verb `diagnose`: whether record, controllers and model agree, axis by axis, and what to do if not."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import overload
+from typing import Literal, TypeAlias
 
-from jointid.common.errors import MethodError
-from jointid.diagnostics.check_loop import LoopTests, check_loop
-from jointid.diagnostics.faults.findings import LoopCheck
-from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError, MethodError
+from jointid.common.parameters import POSITION_UNIT
+from jointid.diagnostics.axis_parameters import AxisParameter, parameters_by_axis
+from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
+from jointid.diagnostics.check_loop import LoopTests, SearchState, search_faults
+from jointid.diagnostics.diagnosis import OF_LAW, AxisDiagnosis, Diagnosis
+from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.model_free import LawOnPosition, compare_law
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import EstimateParts
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
+from jointid.simulation.robots import RobotLoop, add_feed_forward
+from jointid.uncertainty.residual_tests import Coupling, coupling, whiteness
 
+_FEWER = 0.67  # times: what a feed-forward must leave of the controllers' rest to be named
+_FEWEST_ROWS = 100
 
-@overload
-def diagnose(
-    estimate: Estimate, record: Record, *, tests: LoopTests | None = None, shown: Sequence[DriveNumber] = ()
-) -> LoopCheck: ...
+FeedForwardName = Literal["none", "gravity", "inverse-model", "logged"]
 
-
-@overload
-def diagnose(
-    estimate: Estimate,
-    record: Sequence[Record],
-    *,
-    controllers: Sequence[Controller | None] = (),
-    feed_forward: FeedForwardName = "none",
-) -> RobotDiagnosis: ...
+Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
+"""The closed-loop problem of a joint, and its solution, (free,)."""
 
 
 def diagnose(
@@ -39,12 +46,14 @@ def diagnose(
     shown: Sequence[DriveNumber] = (),
     controllers: Sequence[Controller | None] = (),
     feed_forward: FeedForwardName = "none",
-) -> LoopCheck | RobotDiagnosis:
+) -> Diagnosis:
     """Test whether an estimate's loop and log are as declared, and name the faults.
 
-    For a joint, each possible fault of loop and log is tested by its effect on the torque. For a robot, each joint's
-    residual is tested for what it correlates with, each parameter for its significance, and each controller by the
-    torque that it makes of the logged position.
+    Each axis' residual is tested for whiteness and for what it correlates with, each parameter for its significance,
+    and each controller by the torque that it makes of the logged position. Of a joint each possible fault of loop, log
+    and mechanics is tested by its effect on the torque. The share of a residual that follows a shape is compared with
+    chance by shifts in time (`residual_tests.coupling`). A residual that follows one shape may follow others that look
+    alike on this motion.
 
     Args:
         estimate: of a joint by DIDIM, of this record; of a robot by any method.
@@ -75,9 +84,166 @@ def diagnose(
             raise MethodError("The estimate of a joint is diagnosed on its own record; give that one alone.")
         if controllers or feed_forward != "none":
             raise MethodError("The arguments controllers and feed_forward are for a robot; leave them out for a joint.")
-        return check_loop(estimate, record, tests, shown=shown)
+        return diagnose_joint(estimate, record, _solve_again(estimate, record), tests, shown)[0]
     if not isinstance(record, Sequence):
         raise MethodError("The estimate of a robot is diagnosed on the record of each joint; give them in order.")
     if tests is not None or shown:
         raise MethodError("The arguments tests and shown are for a joint; leave them out for a robot.")
-    return diagnose_robot(estimate, record, controllers, feed_forward=feed_forward)
+    return diagnose_robot(estimate, record, controllers, feed_forward)
+
+
+def _solve_again(estimate: Estimate, record: Record) -> Solved:
+    """Return the problem of a joint's estimate and its solution."""
+    if estimate.settings.loop is None:
+        raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
+    for p in estimate.params.rows:
+        if p.value is None:
+            raise MethodError(
+                f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose parameters "
+                "are identifiable from this record."
+            )
+    another = (
+        f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
+        "record it was identified from."
+    )
+    return rebuild_problem(estimate, record, another)
+
+
+def diagnose_joint(
+    estimate: EstimateParts,
+    record: Record,
+    solved: Solved,
+    tests: LoopTests | None = None,
+    shown: Sequence[DriveNumber] = (),
+) -> tuple[Diagnosis, SearchState]:
+    """Diagnose the estimate of a joint; see `diagnose`.
+
+    Args:
+        estimate: by DIDIM, of this record.
+        record: that it was identified from.
+        solved: its problem; the parameters identified beside the joint are not tested.
+        tests: settings of the tests.
+        shown: how the drive shows the numbers of its controller.
+
+    Returns:
+        The diagnosis, and the problem with the faults that were found corrected.
+    """
+    problem, x = solved
+    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
+    faults, state = search_faults(problem, x, tests, std, record, shown)
+    torques, joint = torques_of_loop(problem, x), problem.joint
+    axis = _diagnose_axis(
+        "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit), parameters_by_axis(estimate),
+        compare_law(record, problem.loop), faults,
+    )  # fmt: skip
+    return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
+
+
+def diagnose_robot(
+    estimate: EstimateParts,
+    records: Sequence[Record],
+    controllers: Sequence[Controller | None] = (),
+    feed_forward: FeedForwardName = "none",
+) -> Diagnosis:
+    """Diagnose the estimate of a robot by any method; see `diagnose`."""
+    part, parameters = estimate.require_robot(), parameters_by_axis(estimate)
+    robot, torques = part.model, torques_of_robot(estimate, records)
+    if not controllers and isinstance(part.setup, RobotLoop):
+        controllers = part.setup.controllers
+    if controllers and len(controllers) != len(robot):
+        raise MethodError(
+            f"A robot of {len(robot)} joints has as many controllers; received {len(controllers)}: give None for one "
+            "that is not known."
+        )
+    laws = _laws(robot, records, controllers)
+    axes = tuple(
+        _diagnose_axis(
+            name, k, torques, (robot.position_unit(k), robot.torque_unit(k)), parameters, laws[k],
+            AxisFaults((), (), LoopTests().level, {}, {}, of_loop=False),
+        )
+        for k, name in enumerate(robot.names)
+    )  # fmt: skip
+    better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
+    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better)
+
+
+def _diagnose_axis(
+    name: str,
+    axis: int,
+    torques: AxisTorques,
+    units: tuple[str, str],
+    parameters: Sequence[AxisParameter],
+    law: LawOnPosition | None,
+    faults: AxisFaults,
+) -> AxisDiagnosis:
+    """Return the diagnosis of one axis; `units` are of its position and its torque."""
+    inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
+    return AxisDiagnosis(
+        name,
+        float(np.linalg.norm(torques.error[axis])) / whole,
+        whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff),
+        _strongest_coupling(torques, axis),
+        float(np.ptp(torques.position[axis])),
+        float(np.max(np.abs(torques.velocity[axis]))),
+        float(np.mean(inside)),
+        *units,
+        tuple(one for one in parameters if one.axis == axis),
+        law,
+        faults,
+    )
+
+
+def _strongest_coupling(torques: AxisTorques, axis: int) -> tuple[str, Coupling] | None:
+    """Return the shape that an axis' residual correlates with most, or None."""
+    inside = torques.seen[axis]
+    error = torques.error[axis][inside]
+    if np.count_nonzero(inside) < _FEWEST_ROWS or not np.any(error):
+        return None
+    found = {name: coupling(error, columns[inside]) for name, columns in torques.shapes[axis].items()}
+    seen = {name: one for name, one in found.items() if one.seen}
+    if not seen:
+        return None
+    # Beyond chance, not in all: a shape of eight columns explains more of anything than one of one.
+    name = max(seen, key=lambda one: seen[one].explained - seen[one].by_chance)
+    return name, seen[name]
+
+
+def _laws(
+    robot: Robot, records: Sequence[Record], controllers: Sequence[Controller | None]
+) -> list[LawOnPosition | None]:
+    """Compare each declared controller with its joint's logged torque."""
+    if not controllers:
+        return [None] * len(robot)
+    return [
+        None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
+        for link, record, law in zip(robot.links, records, controllers, strict=True)
+    ]
+
+
+def _better_feed_forward(
+    robot: Robot,
+    records: Sequence[Record],
+    controllers: Sequence[Controller | None],
+    laws: Sequence[LawOnPosition | None],
+) -> str | None:
+    """Return the feed-forward with which the controllers leave clearly less of the torques; None if there is none."""
+    declared = [one for one in controllers if one is not None]
+    before = _residual_rms(laws)
+    if len(declared) < len(robot) or before is None or before < OF_LAW or not robot.has_masses:
+        return None
+    best, least = None, _FEWER * before
+    kinds: tuple[Literal["gravity", "inverse-model"], ...] = ("gravity", "inverse-model")
+    for kind in kinds:
+        try:
+            injected = add_feed_forward(RobotLoop(robot, tuple(declared)), records, kind)
+        except JointidError:
+            return None
+        left = _residual_rms(_laws(robot, injected, controllers))
+        if left is not None and left < least:
+            best, least = kind, left
+    return best
+
+
+def _residual_rms(laws: Sequence[LawOnPosition | None]) -> float | None:
+    found = [one.left for one in laws if one is not None and math.isfinite(one.left)]
+    return float(np.sqrt(np.mean(np.square(found)))) if len(found) == len(laws) else None

@@ -19,8 +19,9 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Message, Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
-from jointid.diagnostics.faults.findings import LoopCheck
+from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import intervals
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.answer import loop_verdict
@@ -106,7 +107,7 @@ class ReportData:
         motion: of the motor, at the samples of the estimate's `measured`; None where the record has no position.
         motion_source: of that motion.
         validation: the direct test; None where there is none, as the next ones.
-        loop: check of loop and log.
+        diagnosis: of loop, log and residual.
         spectra: of measured, predicted and error.
         response: of the joint.
         profiles: of single quantities.
@@ -121,7 +122,7 @@ class ReportData:
     motion: Motion | None
     motion_source: MotionSource
     validation: Validation | None
-    loop: LoopCheck | None
+    diagnosis: Diagnosis | None
     spectra: Spectra | None
     response: FrequencyResponse | None
     profiles: tuple[ProfileInterval, ...]
@@ -129,6 +130,11 @@ class ReportData:
     stiffness_test: StiffnessTestDesign | None
     checks: tuple[Validation, ...]
     absent: dict[str, str]
+
+    @property
+    def faults(self) -> AxisFaults | None:
+        """Faults of loop, log and mechanics that were tested; None where they were not."""
+        return None if self.diagnosis is None else self.diagnosis.axes[0].faults
 
     @property
     def cause(self) -> Message | None:
@@ -186,7 +192,7 @@ def collect_report_data(
         "profiles", "profiling the criterion",
         lambda: intervals(estimate, record, profiles, curved_only=curved_only, progress=progress),
     )  # fmt: skip
-    stiffness_test, check = None, estimate.checks.loop
+    stiffness_test, check = None, estimate.checks.diagnosis
     if estimate.checks.bounds:
         stiffness_test = attempt(
             "revealing",
@@ -199,7 +205,7 @@ def collect_report_data(
         motion=motion,
         motion_source=motion_source,
         validation=validation,
-        loop=check if isinstance(check, LoopCheck) else None,
+        diagnosis=check if isinstance(check, Diagnosis) else None,
         spectra=spectra,
         response=response,
         profiles=() if followed is None else followed.profiles,

@@ -13,11 +13,10 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.text import join
-from jointid.diagnostics.check_loop import search_faults
-from jointid.diagnostics.faults.findings import LoopCheck
+from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
+from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.record import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit
-from jointid.diagnostics.robots.diagnose import diagnose_robot
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.assemble import CheckResults, FitResult, Widening, assemble
@@ -45,13 +44,14 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     if record is None or problem is None or x is None:
         return CheckResults()
     progress("checking loop and log")
-    check = state = rest = None
+    found = check = state = rest = None
     verdict = skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
     whole = all(p.value is not None for p in fit.params.rows)
     if whole:
         try:
-            std = {p.name: p.stderr for p in fit.params.rows if p.stderr is not None}
-            check, state = search_faults(problem, x, std=std, record=record, shown=shown)
+            # DIDIM is told of torque and reference alone: its checks do not read the motor's position either.
+            found, state = diagnose_joint(fit, record.without("motor_position"), (problem, x), shown=shown)
+            check = found.axes[0].faults
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
             if isinstance(state.problem.joint, FlexibleJoint):
                 with contextlib.suppress(np.linalg.LinAlgError):  # the tests stand
@@ -66,20 +66,20 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     except (JointidError, np.linalg.LinAlgError):  # nor does the search for a cause
         causes = None
     if causes is not None:
-        return CheckResults((Verdict(Subject.LOOP, Status.FAILED, (causes.message,)),), loop=check)
+        return CheckResults((Verdict(Subject.LOOP, Status.FAILED, (causes.message,)),), diagnosis=found)
     short = find_too_short(record) if whole else None  # what is refused is not relied on
     if short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     widenings = [] if check is None else widen_for_faults(check)
     if rest is None or not rest.follows or state is None:
-        return CheckResults((verdict,), tuple(widenings), check)
+        return CheckResults((verdict,), tuple(widenings), found)
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
         widenings.append(widen_for_rest(state.problem, state.x, rest))
     follows = rest.verdict
     before = next((one for one in fit.checks.verdicts if one.subject is follows.subject), None)
     kept = before.reasons if before is not None and before.status is Status.FAILED else ()
     follows = replace(follows, reasons=(*follows.reasons, *kept))
-    return CheckResults((follows, verdict), tuple(widenings), check)
+    return CheckResults((follows, verdict), tuple(widenings), found)
 
 
 def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> CheckResults:
@@ -96,7 +96,7 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         Status.PASSED,
         (Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little"),),
     )
-    if bad := [joint.name for joint in found.joints if not joint.explained]:
+    if bad := [joint.name for joint in found.axes if not joint.explained]:
         said = f"what the model leaves of the torque of {join(bad)} is no noise"
         residual = Verdict(Subject.REPEATABLE, Status.FAILED, (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),))
     none = "no motor position and reference of a declared controller were logged"
@@ -105,14 +105,14 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         said = "the declared controllers make the logged torques of the logged positions"
         loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
     elif found.as_declared is False:
-        wrong = join([joint.name for joint in found.joints if joint.law_holds is False])
+        wrong = join([joint.name for joint in found.axes if joint.law_holds is False])
         said = f"the declared controller of {wrong} does not make the logged torque of the logged positions"
         said = "; ".join(filter(None, (said, found.untested_clause)))
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
-    return CheckResults((residual, loop) if part.has_controllers else (residual,), loop=found)
+    return CheckResults((residual, loop) if part.has_controllers else (residual,), diagnosis=found)
 
 
-def widen_for_faults(check: LoopCheck) -> list[Widening]:
+def widen_for_faults(check: AxisFaults) -> list[Widening]:
     """Return the shifts of parameters by the faults of the mechanics that a check found; none without any.
 
     Faults of loop and log widen no interval: they are corrected, or not.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -128,12 +128,20 @@ def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> 
     return solve(problem, least_squares(problem, tolerance), start)
 
 
-def least_squares(problem: ClosedLoopProblem, tolerance: float) -> TrustRegion:
+class Sized(Protocol):
+    """A problem with the norm of what it is to reproduce."""
+
+    @property
+    def size(self) -> float:
+        """Norm of the torque."""
+
+
+def least_squares(problem: Sized, tolerance: float) -> TrustRegion:
     """Return the solver of a closed loop, in units of the torque and of the start."""
     return TrustRegion(tolerance, size=problem.size)
 
 
-def roughly(problem: ClosedLoopProblem) -> TrustRegion:
+def roughly(problem: Sized) -> TrustRegion:
     """Return the solver of a rough descent."""
     return replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.text import number
-from jointid.diagnostics.robots.torques import torques_of
+from jointid.diagnostics.axis_torques import torques_of_robot
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.estimation.robots.consistent import mass_matrix_at
@@ -355,7 +355,7 @@ def first_record(estimate: EstimateParts, records: Sequence[Record]) -> FirstRec
     Raises:
         RecordError, MethodError: as of the identification.
     """
-    torques, robot = torques_of(estimate, records), estimate.require_robot().model
+    torques, robot = torques_of_robot(estimate, records), estimate.require_robot().model
     left = np.array([np.sqrt(np.mean(e[s] ** 2)) for e, s in zip(torques.error, torques.seen, strict=True)])
     if estimate.settings.method != "didim":
         found = motion_of_robot(robot, records, estimate.settings.filtering)

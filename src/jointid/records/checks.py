@@ -52,6 +52,7 @@ _SWING = 0.25  # of the torque's scatter, that it turns by: noise and the ringin
 _FEWEST = 4  # turning points in one rest
 _SLOWEST = 0.05  # s between two: what turns faster is an oscillation of the loop
 _LASTS = 0.6  # of the first half's swings, that those of the second are at least
+_SEEN = 8.0  # samples of a swing: a saw tooth of fewer cannot be distinguished from noise or a load
 
 
 def check_record(record: Record, *, limit: float | None = None, side: str | None = None, ratio: float = 1.0) -> None:
@@ -270,11 +271,17 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
 
 @dataclass(frozen=True, slots=True)
 class Hunting:
-    """Sawtooth torque: its two levels, and the period in seconds."""
+    """Sawtooth torque: its two levels, the period in seconds, and the samples of a swing."""
 
     low: float
     high: float
     period: float
+    samples: float
+
+    @property
+    def seen(self) -> bool:
+        """False if the log is too slow to distinguish a saw tooth from noise or a load."""
+        return self.samples >= _SEEN
 
 
 def find_hunting(record: Record) -> Hunting | None:
@@ -306,7 +313,8 @@ def find_hunting(record: Record) -> Hunting | None:
     apart = float(np.mean(np.diff(turns))) * torque.sample_time
     if apart < _SLOWEST or np.mean(swings[-half:]) < _LASTS * np.mean(swings[:half]):
         return None
-    return Hunting(float(np.min(seen[turns])), float(np.max(seen[turns])), 2 * apart)
+    low, high = float(np.min(seen[turns])), float(np.max(seen[turns]))
+    return Hunting(low, high, 2 * apart, apart / torque.sample_time)
 
 
 def _turns(values: FloatArray, swing: float) -> list[int]:
@@ -327,7 +335,7 @@ def _turns(values: FloatArray, swing: float) -> list[int]:
 def hunting_warnings(record: Record) -> Iterator[str]:
     """Yield a warning of hunting at rest."""
     found = find_hunting(record)
-    if found is not None and record.torque is not None:
+    if found is not None and found.seen and record.torque is not None:
         yield (
             f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
             f"{number(found.low, 2)} and {number(found.high, 2)} {record.torque.unit}, every "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -13,6 +12,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.text import pluralise
 from jointid.records.columns import Column, finite_faults, format_instant, unit_fault, unit_in_name
 from jointid.records.formats import Table
+from jointid.records.formats.table import TIME_NAME
 from jointid.records.record import Irregularity
 
 CLOCK_TOLERANCE = 0.05
@@ -28,7 +28,6 @@ _NEAR = 0.05  # of a mean period over stamps with jumps or gaps
 _LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has no end
 _JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
-_TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,9 @@ def _stamped_clock(
             f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
             "rename the column."
         ]
-    unit = time_unit or named or units.normalise_unit(table.units.get(column, "")) or "s"
+    stated = units.normalise_unit(table.units.get(column, ""))
+    named = stated if named not in known and stated in known else named  # "time [hh:mm:ss]" was counted in seconds
+    unit = time_unit or named or stated or "s"
     if unit not in known:
         return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
     stamps = table.columns[column] * units.unit(unit).factor
@@ -162,12 +163,14 @@ def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
     if time is not None:
         if time in table.columns:
             return time, []
-        return time, [f'{table.source} has no time column "{time}"; it has {table.list_columns(time)}.']
-    names = [name for name in table.columns if _TIME.fullmatch(name)]
+        why = table.explain_missing([time])
+        return time, [f'{table.source} has no time column "{time}"{why}; it has {table.list_columns(time)}.']
+    names = [name for name in table.columns if TIME_NAME.fullmatch(name)]
     if len(names) == 1:
         return names[0], []
     several = ", ".join(f'"{name}"' for name in names)
-    fact = f"more than one time column ({several})" if names else 'no column called "t" or "time"'
+    why = table.explain_missing(name for name in table.passed if TIME_NAME.fullmatch(name))
+    fact = f"more than one time column ({several})" if names else f'no column called "t" or "time"{why}'
     return "", [f"{table.source} has {fact}; give sample_time, or the name of the time column as time."]
 
 

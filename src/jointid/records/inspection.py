@@ -171,7 +171,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     clocks = {
         name: outline
         for name, outline in outlines.items()
-        if _TIME.fullmatch(name)
+        if (_TIME.fullmatch(name) or name in declared.values())
         and (name not in stated or units.normalise_unit(stated[name]) in of_time)
         and outline.rises
         and outline.rows > 1

@@ -138,15 +138,17 @@ class RecordReader:
         if time is None and self.sample_time is None and self.drive.traces is not None:
             time = self.drive.traces.time_column(table.columns)
         # A sample time that is given alone is all that counts, unless a channel names its own column.
-        stated = {} if time is None and self.sample_time is not None else table.clocks
-        named = {c.time or stated.get(c.column) for c in found.values() if c.sample_time is None}
+        # So is a time column that is named, where the file has one clock.
+        one_named = self.time is not None and len(set(table.clocks.values())) == 1
+        stated = {} if one_named or (time is None and self.sample_time is not None) else table.clocks
+        clocks = {c.time or stated.get(c.column) for c in found.values() if c.sample_time is None}
         tolerance = None if self.resample else self.clock_tolerance
         common = Clock(self.sample_time)
-        if time is not None or None in named:
+        if time is not None or None in clocks:
             common, wrong = find_clock(table, time, self.time_unit, self.sample_time, tolerance)
             faults.extend(wrong)
         own = {}
-        for name in sorted(filter(None, named)):
+        for name in sorted(filter(None, clocks)):
             own[name], wrong = find_clock(table, name, self.time_unit, None, tolerance)
             faults.extend(wrong)
         return Clocks(common, own, stated)
@@ -214,11 +216,7 @@ class _Columns:
         needed = [f'"{column.column}" (for {n})' for n, column in missing.items() if not column.optional]
         if needed:
             listed = self.table.list_columns(" ".join(column.column for column in missing.values()))
-            why = "".join(
-                f" ({self.table.passed[column.column]})"
-                for column in missing.values()
-                if column.column in self.table.passed and not column.optional
-            )
+            why = self.table.explain_missing(column.column for column in missing.values() if not column.optional)
             self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}{why}; it has {listed}.")
         return {n: column for n, column in wanted.items() if n not in missing}
 

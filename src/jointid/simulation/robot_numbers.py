@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.parameters import Parameter
 from jointid.models.friction import Friction, low_speed_share
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import LinearSpring, Spring
@@ -103,10 +104,11 @@ class RobotNumbers:
         finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
         turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
         # Of a rigid joint the inertia of the rotor may be negative: motion tells its sum with the link alone.
-        signed = [MassNumbers.INERTIA, MassNumbers.OFFSET, MassNumbers.VISCOUS_DRIFT, MassNumbers.COULOMB_DRIFT]
+        signed = [MassNumbers.INERTIA, MassNumbers.OFFSET, MassNumbers.RISE, *_DRIFTS]
         unsigned = np.delete(self.springs, SPRING_NUMBERS.index("cubic_stiffness"), axis=1)
         least = min(float(np.min(np.delete(self.masses, signed, axis=1))), float(np.min(unsigned)))
-        risen = self.masses[:, 7][self.masses[:, 6] > 0.0]
+        risen = self.masses[:, MassNumbers.SPEED][self.masses[:, MassNumbers.RISE] != 0.0]
+        standing = self.masses[:, MassNumbers.COULOMB] + self.masses[:, MassNumbers.RISE]
         spring = dict(zip(SPRING_NUMBERS, self.springs.T, strict=True))
         slips = spring["hysteresis_torque"][spring["hysteresis_stiffness"] > 0.0]
         third = spring["stiffness_3"] > 0.0
@@ -116,7 +118,7 @@ class RobotNumbers:
         positive = (turning, held, risen, slips, 1.0 - self.masses[:, MassNumbers.PER_TORQUE])
         return (
             finite
-            and min(least, np.min(faded, initial=0.0)) >= 0.0
+            and min(least, np.min(faded, initial=0.0), np.min(standing)) >= 0.0
             and all(bool(np.all(each > 0.0)) for each in positive)
             and bool(np.all(ascending))
         )
@@ -141,6 +143,7 @@ class MassNumbers(IntEnum):
     PER_TORQUE = 11
 
 
+_DRIFTS = MassNumbers.VISCOUS_DRIFT, MassNumbers.COULOMB_DRIFT
 _BESIDE_LINES = {
     "stribeck_force": MassNumbers.RISE,
     "stribeck_speed": MassNumbers.SPEED,
@@ -181,6 +184,37 @@ def friction_values(row: AnyArray) -> dict[str, Any]:
     found = {name: row[column] for name, column in _BESIDE_LINES.items()} | {"viscous": viscous, "coulomb": coulomb}
     found |= {"viscous_forwards": viscous + row[MassNumbers.FORWARDS], "coulomb_forwards": coulomb}
     return found | {"viscous_backwards": viscous + row[MassNumbers.BACKWARDS], "coulomb_backwards": coulomb}
+
+
+def values_of_joint(numbers: RobotNumbers, joint: int) -> dict[str, float]:
+    """Return the numbers of friction and spring of a joint by the names of its parameters; the offset stands apart."""
+    motor, link = numbers.masses[numbers.rotors[joint]], numbers.masses[joint]
+    if not numbers.flexible[joint]:
+        return {name: float(value) for name, value in friction_values(motor).items()}
+    found = {f"motor_{name}": value for name, value in friction_values(motor).items()}
+    found |= {f"load_{name}": value for name, value in friction_values(link).items()}
+    found["load_coulomb_forwards"] += link[MassNumbers.OFFSET]
+    found["load_coulomb_backwards"] -= link[MassNumbers.OFFSET]
+    found |= dict(zip(SPRING_NUMBERS, numbers.springs[joint], strict=True))
+    return {name: float(value) for name, value in found.items()}
+
+
+def law_places(numbers: RobotNumbers) -> list[tuple[NumberPlace, Parameter]]:
+    """Return what the laws have beside lines, in the order of the joints: of the motors, the springs and the links.
+
+    Each with its parameter in the law.
+    """
+    found = []
+    for i, (friction, spring) in enumerate(numbers.laws):
+        sides = ((int(numbers.rotors[i]), "motor_"), (i, "load_")) if spring is not None else ((i, ""),)
+        for row, prefix in sides:
+            for p in friction.parameters(prefix):
+                column = _BESIDE_LINES.get(p.name.removeprefix(prefix))
+                found += [] if column is None else [(NumberPlace(NumberOf.MASS, row, column), p)]
+        for p in () if spring is None else spring.parameters:
+            at = SPRING_NUMBERS.index(p.name)
+            found += [] if at < 2 else [(NumberPlace(NumberOf.SPRING, i, at), p)]
+    return found
 
 
 def lower_mass(row: AnyArray, law: Friction) -> tuple[AnyArray, AnyArray]:
@@ -236,7 +270,10 @@ class NumberPlace:
     @property
     def is_positive(self) -> bool:
         """Whether it is of no robot below 0: friction, a stiffness, a damping."""
-        return self.of is NumberOf.SPRING or (self.of is NumberOf.MASS and self.column != 3)
+        signed = MassNumbers.OFFSET, MassNumbers.RISE, *_DRIFTS
+        if self.of is NumberOf.SPRING:
+            return self.column != SPRING_NUMBERS.index("cubic_stiffness")
+        return self.of is NumberOf.MASS and self.column not in signed
 
     @property
     def is_of_record(self) -> bool:
@@ -267,17 +304,13 @@ def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:
     """
     joints = []
     for i, joint in enumerate(robot.joints):
-        own, link = numbers.masses[numbers.rotors[i]], numbers.masses[i]
-        spring, motor = None, "motor_" if numbers.flexible[i] else ""
-        found = {f"{motor}{name}": value for name, value in friction_values(own).items()}
+        own, link, spring = numbers.masses[numbers.rotors[i]], numbers.masses[i], None
         if numbers.flexible[i]:
             stiffness, damping = map(float, numbers.springs[i, :2])
             viscous, coulomb = (float(link[column]) for column in (MassNumbers.VISCOUS, MassNumbers.COULOMB))
             spring = JointSpring(stiffness, damping, viscous, coulomb, numbers.laws[i][1] or LinearSpring())
-            found |= {f"load_{name}": value for name, value in friction_values(link).items()}
-            found["load_coulomb_forwards"] += link[MassNumbers.OFFSET]
-            found["load_coulomb_backwards"] -= link[MassNumbers.OFFSET]
-            found |= dict(zip(SPRING_NUMBERS, numbers.springs[i], strict=True))
+        found = values_of_joint(numbers, i)
+        stated = joint.numbers.keys() & {"stribeck_force", "motor_stribeck_force"}
         inertia, viscous, coulomb, offset, forwards, backwards, rise, below = map(float, own[: MassNumbers.PRESLIDING])
         joints.append(
             replace(
@@ -288,10 +321,10 @@ def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:
                 offset=offset,
                 viscous_backwards=viscous + backwards if joint.asymmetric else None,
                 coulomb_backwards=None,
-                stribeck_force=rise,
+                stribeck_force=0.0 if stated else rise,
                 stribeck_speed=below or None,
                 spring=spring,
-                numbers={name: float(found[name]) for name in joint.numbers},
+                numbers={name: found[name] for name in joint.numbers},
             )
         )
     return replace(robot.with_inertials(numbers.inertials), joints=tuple(joints))
@@ -315,10 +348,9 @@ def all_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
         if (row in numbers.rotors or column in (1, 2)) and (column != 6 or numbers.masses[row, 7] > 0.0)
     ]
     masses += [
-        NumberPlace(NumberOf.MASS, row, _BESIDE_LINES[p.name])
-        for row, law in enumerate(numbers.frictions)
-        for p in law.parameters()
-        if _BESIDE_LINES.get(p.name, 0) >= MassNumbers.PRESLIDING
+        place
+        for place, _ in law_places(numbers)
+        if place.of is NumberOf.MASS and place.column >= MassNumbers.PRESLIDING
     ]
     springs = [
         NumberPlace(NumberOf.SPRING, i, SPRING_NUMBERS.index(p.name))

@@ -10,8 +10,9 @@ import pytest
 
 import jointid as ji
 from jointid.apps.cli.app import app
-from jointid.common.errors import MethodError
+from jointid.common.errors import JointFileError, MethodError
 from jointid.config import JointFile, load
+from jointid.models.disturbances import Drift
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 
@@ -97,8 +98,29 @@ def test_a_joint_starts_from_the_numbers_of_its_table(robot: Path) -> None:
         "motor_coulomb_forwards": 1.5, "motor_coulomb_backwards": 1.5, "stiffness": 9e3, "damping": 2.0, "offset": 0.0,
         "load_viscous_forwards": 0.4, "load_viscous_backwards": 0.4,
     }  # fmt: skip
-    with pytest.raises(MethodError, match=r"every parameter; inertia has none: give it a value or a start in the tabl"):
-        run("simulate", robot, "--axis", "base", *(word for key in keys for word in ("--set", key)))
+
+
+def test_a_rigid_joint_is_simulated_with_the_links_that_it_moves(robot: Path) -> None:
+    file = load(robot, ["joints.1.rotor_inertia=0.5"], axis="base")
+    assert isinstance(file, JointFile)
+    assert file.parameters["inertia"].start == pytest.approx(0.8 + 0.1 + 0.5)
+    numbers = ("viscous=2.0", "coulomb=1.5", "offset=0")
+    run("simulate", robot, "--axis", "base", *(word for one in numbers for word in ("--set", f"joints.1.{one}")))
+
+
+def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
+    didim = load(robot, ["method.name=didim", "method.form=paper"], axis="base").method
+    assert didim == ji.DIDIM(form="paper")
+    assert load(robot, ["method.drift=force"], axis="base").method == ji.IDIM(effects=(Drift("force"),))
+    changed = ['joints.1.method={name="idim",estimator="robust"}']
+    assert load(robot, changed, axis="base").method == ji.IDIM(estimator="robust")
+    assert load(robot, changed).method == ji.IDIM()
+    assert load(robot, axis="base", method="didim").method == ji.DIDIM()
+    foreign = r"joints\.1\.method\.frequency is for DIDIM of a flexible joint, but .* set joints\.1\.model = "
+    with pytest.raises(JointFileError, match=foreign):
+        load(robot, ["method.frequency=30.0"], axis="base")
+    with pytest.raises(JointFileError, match=r"method\.fixed is for IDIM of a robot, but the joint is rigid: leave it"):
+        load(robot, ["method.fixed={a=1.0}"], axis="base")
 
 
 def test_a_report_of_one_joint_is_repeated_for_that_joint(robot: Path, tmp_path: Path) -> None:

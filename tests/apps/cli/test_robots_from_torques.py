@@ -224,7 +224,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     joint = tmp_path / "robot.toml"
     with pytest.raises(JointFileError, match=r"motor_position is missing, but IDIM needs it"):
         run("identify", joint, "--method", "idim")
-    with pytest.raises(JointFileError, match=r"method\.estimator is a setting of another method than didim"):
+    with pytest.raises(JointFileError, match=r"method\.estimator is for IDIM, but the method is DIDIM"):
         run("identify", joint, "--set", "method.name=didim", "--set", "method.estimator=ols")
     text = joint.read_text(encoding="utf-8")
     joint.write_text(text[: text.rindex("[joints.controller]")], encoding="utf-8")
@@ -292,7 +292,7 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
     assert "log_delay" not in capsys.readouterr().out
     with pytest.raises(MethodError, match="This robot does not tell all of a payload"):
         run("payload", joint, "--without", one, "--with", two_)
-    with pytest.raises(JointFileError, match="iterations is a setting of another method than drive_side"):
+    with pytest.raises(JointFileError, match='iterations is not for the method "drive_side": leave it out, or use'):
         run("identify", joint, "--record", one, "--set", "method.iterations=3")
     with pytest.raises(MethodError, match="under its controllers; without one: joint1, joint2"):
         run("design", joint, "--record", one)

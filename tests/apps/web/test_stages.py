@@ -17,7 +17,7 @@ from jointid.apps.web.form import make_order
 from jointid.apps.web.pages import _build_checks, _build_rows
 from jointid.apps.web.routes import _bundle, _events
 from jointid.common import parallel
-from jointid.diagnostics import run_checks
+from jointid.diagnostics.check_loop import search_faults
 from jointid.uncertainty.verdict import Subject
 from tests.apps.web.asking import LAW, UNITS
 
@@ -59,7 +59,7 @@ def identified(tmp_path: Path, log: bytes, monkeypatch: pytest.MonkeyPatch) -> t
         return check_and_count
 
     monkeypatch.setattr(Path, "replace", replace_and_keep)
-    monkeypatch.setattr(run_checks, "search_faults", count(run_checks.search_faults))
+    monkeypatch.setattr("jointid.diagnostics.diagnose.search_faults", count(search_faults))
     monkeypatch.setattr(parallel.Aside, "is_done", lambda aside, within=0.0: False)
     worker.identify(tmp_path)
     return Run(tmp_path), kept

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
-from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
-from jointid.diagnostics.robots.torques import DIRECTION, FRICTION
+from jointid.diagnostics.axis_parameters import Told, parameters_by_axis
+from jointid.diagnostics.axis_torques import DIRECTION, FRICTION
+from jointid.diagnostics.diagnose import diagnose_robot
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.models.controllers import Controller
@@ -42,7 +43,7 @@ def logged_by(loop: RobotLoop, drives: Sequence[Record] | None = None) -> tuple[
     return tuple(noisy)
 
 
-def asked(loop: RobotLoop, records: Sequence[Record], laws: Sequence[Controller]) -> RobotDiagnosis:
+def asked(loop: RobotLoop, records: Sequence[Record], laws: Sequence[Controller]) -> Diagnosis:
     return diagnose_robot(identified(loop.robot, records), records, laws)
 
 
@@ -52,8 +53,8 @@ def test_a_model_that_holds_leaves_noise() -> None:
     assert found.explained
     assert found.as_declared is None
     assert "Whether the controllers are as declared is not asked" in found.answer
-    assert all(one.whiteness is not None and one.whiteness.white for one in found.joints)
-    told = [name for one in found.joints for name in one.names(Told.TOLD)]
+    assert all(one.whiteness is not None and one.whiteness.white for one in found.axes)
+    told = [name for one in found.axes for name in one.names(Told.TOLD)]
     assert len(told) > 30
     assert any("does not tell from 0" in one for one in found.sentences)
 
@@ -63,8 +64,8 @@ def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     v = motion(2)[1][:, 3]
     more = with_torque(records, 3, 1.5 * np.sign(v) * np.exp(-np.abs(v) / 0.15))
     found = diagnose_robot(identified(arm(), more), more)
-    assert [one.name for one in found.joints if not one.explained] == ["joint4"]
-    follows = found.joints[3].follows
+    assert [one.name for one in found.axes if not one.explained] == ["joint4"]
+    follows = found.axes[3].follows
     assert follows is not None and follows[0] == FRICTION
     assert any(one.startswith("joint4: the model leaves") and "standstill" in one for one in found.sentences)
 
@@ -74,16 +75,16 @@ def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() ->
     first, second = loop.robot.joints
     other = replace(loop.robot, joints=(replace(first, viscous_backwards=12.0), second))
     records = logged_by(RobotLoop(other, loop.controllers))
-    found = diagnose_robot(identified(loop.robot, records), records).joints[0]
+    found = diagnose_robot(identified(loop.robot, records), records).axes[0]
     assert not found.explained
     assert found.follows is not None and found.follows[0] == DIRECTION
-    assert diagnose_robot(identified(other, records), records).joints[0].left < 0.2 * found.left
+    assert diagnose_robot(identified(other, records), records).axes[0].left < 0.2 * found.left
 
 
 def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
     records = records_of(arm(), 2, noise=0.2)
     estimate = identified(arm(), records)
-    joint = diagnose_robot(estimate, records).joints[0]
+    joint = diagnose_robot(estimate, records).axes[0]
     assert joint.whiteness is not None
     coloured = replace(joint, left=0.05, whiteness=replace(joint.whiteness, p_value=1e-6), follows=None)
     assert not coloured.explained
@@ -94,7 +95,7 @@ def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
 def test_the_motion_of_another_joint_is_named() -> None:
     records = records_of(arm(), 2, noise=0.02)
     more = with_torque(records, 4, 0.3 * motion(2)[2][:, 5])
-    found = diagnose_robot(identified(arm(), more), more).joints[4]
+    found = diagnose_robot(identified(arm(), more), more).axes[4]
     assert found.follows is not None and found.follows[0].startswith("the motion of joint6")
 
 
@@ -106,7 +107,7 @@ def test_controllers_that_make_the_torque_hold_and_others_do_not() -> None:
     assert "declared controllers make the logged torques" in found.answer
     first, second = loop.controllers
     stiffer = asked(loop, records, (first, replace(second, position_gain=1.3 * second.position_gain)))  # type: ignore[type-var, attr-defined]
-    assert [one.law_holds for one in stiffer.joints] == [True, False]
+    assert [one.law_holds for one in stiffer.axes] == [True, False]
     assert not stiffer.as_declared and any("joint2" in one for one in stiffer.sentences)
     halved = [replace(one, torque=replace(one.torque, values=0.5 * one.torque.values)) for one in records if one.torque]
     half = asked(loop, halved, loop.controllers)
@@ -143,7 +144,7 @@ def test_the_travel_is_that_of_the_motors_wherever_they_turn() -> None:
     records = logged_by(loop, driven)
     found = asked(loop, records, loop.controllers)
     true = [float(np.ptp(one.motor_position.values)) for one in records if one.motor_position is not None]
-    assert [one.travel for one in found.joints] == pytest.approx(true, rel=0.05)  # the filter's borders are off
+    assert [one.travel for one in found.axes] == pytest.approx(true, rel=0.05)  # the filter's borders are off
     assert found.torques.position.min() > 0.5
 
 
@@ -151,7 +152,7 @@ def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
     estimate = identified(arm(), records_of(arm(), 2, noise=0.2))
     part, said = estimate.require_robot(), "offset1 + m2 * 9.81"
     formulas = tuple(said if name == "offset1" else one for name, one in zip(part.names, part.formulas, strict=True))
-    found = parameters_by_joint(replace(estimate, robot=replace(part, formulas=formulas)))
+    found = parameters_by_axis(replace(estimate, robot=replace(part, formulas=formulas)))
     assert {one.name: one.formula for one in found}["offset1"] == said
 
 
@@ -160,7 +161,7 @@ def test_what_is_fixed_is_neither_told_nor_not_told() -> None:
     free, kept = (identified(arm(), records, IDIM(fixed=one)) for one in ({}, {"Fv4": 1.5, "offset2": 0.0}))
     assert {row.name for row in free.params.rows if row.free} - set(kept.params.names) == {"Fv4", "offset2"}
     found = diagnose_robot(kept, records)
-    known = {one.name: one.known for joint in found.joints for one in joint.parameters}
+    known = {one.name: one.known for joint in found.axes for one in joint.parameters}
     assert known["Fv4"] is Told.FIXED and known["offset2"] is Told.FIXED
     told, asked = sum(one is Told.TOLD for one in known.values()), len(kept.params) - 2
     assert f"The record tells {told} of {asked} parameters" in found.answer
@@ -175,7 +176,7 @@ def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:
     found = diagnose_robot(estimate, records)
     assert found.as_declared is None and "not seen apart from the model" in found.answer
     assert found.explained
-    np.testing.assert_allclose([one.left for one in found.joints], axis_errors(estimate), rtol=1e-9)
+    np.testing.assert_allclose([one.left for one in found.axes], axis_errors(estimate), rtol=1e-9)
 
 
 def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
@@ -185,13 +186,13 @@ def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
     assert sums["joint1.viscous"] == "joint1.viscous"
     assert any("lower" in text or " + " in text for text in sums.values())
     estimate = identified(loop, logged_by(loop))
-    rows = parameters_by_joint(estimate)
-    assert [one.joint for one in rows] == sorted(one.joint for one in rows)
+    rows = parameters_by_axis(estimate)
+    assert [one.axis for one in rows] == sorted(one.axis for one in rows)
     own = {one.name: one for one in rows}
     motors = [one for one in rows if one.name.startswith("joint")]
-    assert {one.joint for one in motors} == {0, 1}
-    assert all(one.name.startswith(f"joint{one.joint + 1}.") for one in motors)
-    assert own["joint2.coulomb"].joint == 1 and own["joint2.coulomb"].nominal == pytest.approx(1.5)
+    assert {one.axis for one in motors} == {0, 1}
+    assert all(one.name.startswith(f"joint{one.axis + 1}.") for one in motors)
+    assert own["joint2.coulomb"].axis == 1 and own["joint2.coulomb"].nominal == pytest.approx(1.5)
     assert own["joint2.coulomb"].known is Told.TOLD
 
 
@@ -201,7 +202,7 @@ def test_little_that_is_left_is_not_called_noise_where_it_is_coloured() -> None:
     v = motion(2)[1][:, 3]
     more = with_torque(records, 3, 0.1 * np.sign(v) * np.exp(-np.abs(v) / 0.15))
     found = diagnose_robot(identified(arm(), more), more)
-    joint = found.joints[3]
+    joint = found.axes[3]
     assert joint.explained and joint.coloured
     assert "but for noise" not in found.answer and "joint4 is no white noise" in found.answer
     assert any("which is little, but no white noise" in one and "stribeck_speed" in one for one in found.sentences)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.records.record import Channel, Record
 from jointid.simulation.robot_numbers import RobotNumbers

@@ -185,11 +185,11 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert np.all(held.joint_errors < 0.03)
     told = ji.diagnose(estimate, logged(twin))
     assert told.explained
-    assert "log_delay" not in {one.name for joint in told.joints for one in joint.parameters}
+    assert "log_delay" not in {one.name for joint in told.axes for one in joint.parameters}
     assert told.method == "drive_side"
     assert "not seen apart" not in told.answer
     travel = [float(np.ptp(r.motor_position.values)) for r in logged(twin) if r.motor_position]
-    assert [one.travel for one in told.joints] == pytest.approx(travel, rel=0.05)
+    assert [one.travel for one in told.axes] == pytest.approx(travel, rel=0.05)
 
 
 @pytest.mark.slow

@@ -8,7 +8,8 @@ import pytest
 pytest.importorskip("mujoco", reason="MuJoCo, of the extra robots, makes the independent data")
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.robot_numbers import RobotNumbers

@@ -26,7 +26,7 @@ from jointid.apps.cli import campaign as campaigns
 from jointid.apps.cli import endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
-from jointid.apps.cli.diagnose import advise, friction, intervals, loop, methods, robot, springs
+from jointid.apps.cli.diagnose import advise, diagnosis, friction, intervals, methods, springs
 from jointid.apps.cli.identify import examine, identify, learn_controller, tune
 from jointid.apps.cli.payload import payload
 from jointid.apps.cli.plan import design
@@ -54,14 +54,14 @@ diagnose = App(name="diagnose", help_format="plaintext")
 campaign = App(name="campaign", help="Many joints and many runs, here or on a cluster.", help_format="plaintext")
 for parent, commands in (
     (app, (demo, examine, identify, validate, report, compare, advise)),
-    (diagnose, (methods, springs, friction, intervals, loop)),
+    (diagnose, (methods, springs, friction, intervals)),
     (app, (diagnose, learn_controller, tune, design, simulate, export, payload, data, campaign, serve, reproduce)),
     (data, (inspect, convert)),
     (campaign, (campaigns.run, campaigns.work, campaigns.status, campaigns.report, campaigns.export)),
 ):
     for command in commands:
         parent.command(command)
-diagnose.default(robot)
+diagnose.default(diagnosis)
 
 
 def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoReturn:

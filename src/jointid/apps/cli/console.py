@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from jointid import Estimate, Record
     from jointid.apps.cli.bars import Bars
     from jointid.config import JointFile
+    from jointid.config.contents import File
     from jointid.config.robot_file import RobotFile
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
@@ -32,6 +33,7 @@ Several: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 """Keys of the joint file that are changed before it is checked; every setting can be reached."""
 
+R = TypeVar("R")
 F = TypeVar("F", "JointFile", "RobotFile", "JointFile | RobotFile")
 
 FilteringName = Literal["default", "published", "as-printed"]
@@ -93,20 +95,26 @@ class Inputs:
         outputs.spare(str(joint), *file.inputs(self.record))
         return file
 
-    def identify(self, file: JointFile, *, checks: bool = True) -> tuple[Record, Estimate]:
-        """Identify a joint from the record, as its file says, and return the record, too; without checks if so asked.
+    def identify(self, file: File[R], *, checks: bool = True, judged: bool = False) -> tuple[R, Estimate]:
+        """Identify a joint or a robot from the record, as its file says, and return the record, too.
+
+        Args:
+            file: as `load` returns it.
+            checks: whether to check the estimate.
+            judged: as of `File.record`.
 
         Raises:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
-        from jointid.diagnostics.find_causes import explain_failure
+        from jointid import Record
 
-        record = file.record(self.record)
-        ready(self.progress)
+        record = file.record(self.record, judged=judged)
+        if isinstance(record, Record):  # the engine of a robot is another
+            ready(self.progress)
         try:
             return record, file.identify(record, self.progress, checks=checks)
         except JointidError as error:
-            raise explain_failure(error, record, file.loop, self.progress, file.declared_numbers) from error
+            raise file.explain(error, record, self.progress) from error
 
     def identify_by_didim(self, joint: Path, outputs: Outputs = NOTHING) -> tuple[Record, Estimate]:
         """Identify the joint by didim whatever its file says, without checks, and return the record, too."""

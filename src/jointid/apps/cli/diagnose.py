@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Literal
 
 from jointid.apps.cli.console import (
     DEFAULTS,
-    Changes,
     FilteringName,
     Flag,
     Inputs,
     Options,
-    Quiet,
     Several,
     deliver,
     ready,
@@ -23,42 +21,28 @@ if TYPE_CHECKING:
     from jointid.config import JointFile
 
 
-def robot(
-    joint: Path,
-    /,
-    *,
-    record: Path | None = None,
-    changes: Changes = (),
-    quiet: Quiet = False,
-    json: Path | None = None,
-) -> None:
-    """Ask what an estimate is worth: of a joint file one question a command, of a robot file all at once.
+def diagnosis(joint: Path, /, *, options: Options = DEFAULTS) -> None:
+    """Ask what an estimate is worth, axis by axis: what its record tells, and whether loops and models are as declared.
 
-    Of a robot: which parameters its record tells, what is left of each joint's torque and what that follows, and
-    whether the declared controllers make the logged torques.
+    Of each axis: which parameters are told, what is left of the torque and what that follows, whether the declared
+    controller makes the logged torque, and which faults of loop, log and mechanics the record shows.
 
     Args:
-        joint: a robot file, which has the table [robot].
-        record: the record, instead of the one the robot file names.
-        changes: a key of the robot file and its value, as method.estimator=robust; may be given several times.
-        quiet: say nothing of the progress.
-        json: also write the answer as JSON to this file.
+        joint: a joint file, whose joint is identified by didim; or a robot file, which has the table [robot].
+        options: those that most commands have.
     """
-    from jointid import MethodError, diagnose
+    from jointid import diagnose
     from jointid.config.robot_file import RobotFile
 
-    options = Options(record=record, changes=changes, quiet=quiet, json=json)
-    file = options.load(joint, options.outputs)
-    if not isinstance(file, RobotFile):
-        raise MethodError(
-            f"{joint} is no robot file, which has the table [robot]; of a joint file one question is asked: jointid "
-            "diagnose --help lists them."
-        )
-    records = file.record(options.record, judged=True)
-    estimate = file.identify(records, options.progress)
-    controllers = [one.controller for one in file.joints]
-    found = diagnose(estimate, records, controllers=controllers, feed_forward=file.feed_forward)
-    deliver(found, options.json)
+    known = options.load(joint, options.outputs)
+    if isinstance(known, RobotFile):
+        records = known.record(options.record, judged=True)
+        estimate = known.identify(records, options.progress, checks=False)
+        controllers = [one.controller for one in known.joints]
+        deliver(diagnose(estimate, records, controllers=controllers, feed_forward=known.feed_forward), options.json)
+        return
+    record, made = options.identify(options.load_joint(joint, options.outputs, method="didim"), checks=False)
+    deliver(diagnose(made, record, shown=known.declared_numbers), options.json)
 
 
 def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
@@ -141,22 +125,6 @@ def intervals(
         require_quantities(of or (), file.loop)
     logged, estimate = options.identify(file, checks=False)
     show(run(estimate, logged, of or (), bootstrap=bootstrap or refit, refit=refit, progress=options.progress))
-
-
-def loop(joint: Path, /, *, options: Options = DEFAULTS) -> None:
-    """Identify a joint by didim, and test whether its controller and its log are as declared.
-
-    Gains, delay, time stamps, the log's gain and an offset are freed one at a time and together.
-
-    Args:
-        joint: the joint file (TOML); its method is didim.
-        options: those that most commands have.
-    """
-    from jointid import diagnose
-
-    file = options.load_joint(joint, options.outputs, method="didim")
-    record, estimate = options.identify(file, checks=False)
-    deliver(diagnose(estimate, record, shown=file.declared_numbers), options.json)
 
 
 def advise(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -25,7 +25,7 @@ from jointid.common.text import wrap
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import Estimate
+    from jointid.config.contents import File
 
 
 FAULTY = 3
@@ -108,19 +108,18 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Windowing, figures
-    from jointid.config import JointFile, require_joint
+    from jointid import Record, Windowing, figures
+    from jointid.config import require_joint
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
     outputs.spare("--record", *records)
     first = records[0] if records else None
     options = Options(record=first, changes=changes, axis=axis, json=json, quiet=quiet)
-    file = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
+    file: File[Any] = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
     if figure is not None and len(records) > 1:
         require_joint(file, "--figure of several records")
     logged = None
-    estimate: Estimate
     if window is not None or settling is not None:
         if len(records) > 1:
             raise MethodError(
@@ -132,12 +131,10 @@ def identify(
     elif len(records) > 1 or (file.runs and not records):
         ready(options.progress)
         estimate = file.identify_together(records, options.progress)
-    elif isinstance(file, JointFile):
-        logged, estimate = options.identify(file)
     else:
-        estimate = file.identify(file.record(options.record), options.progress)
+        logged, estimate = options.identify(file)
     deliver(estimate, json, (figure, figures.torque), details=details)
-    if logged is not None and estimate.checks.bounds:
+    if isinstance(logged, Record) and estimate.checks.bounds:
         from jointid import advise
 
         show("\n" + wrap(str(advise(estimate, logged)), WIDTH, below=2))

@@ -23,7 +23,7 @@ from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.verdict import Reason
 
 if TYPE_CHECKING:
-    from jointid.diagnostics.faults.findings import Finding, LoopCheck
+    from jointid.diagnostics.faults.findings import AxisFaults, Finding
     from jointid.diagnostics.faults.trials import Trial
     from jointid.diagnostics.hypothesis_fits import Fit
 
@@ -87,7 +87,7 @@ class Fault:
     name: str
     title: str
     called: str = ""
-    describe: Callable[[Finding, LoopCheck, bool], str] | None = None
+    describe: Callable[[Finding, AxisFaults, bool], str] | None = None
     vary: Callable[[ClosedLoopProblem, FloatArray], Iterable[FaultSignature]] | None = None
     try_mechanics: Callable[[FlexibleJoint, Simulation, Mapping[str, float]], Iterable[Trial]] | None = None
     search: Callable[[ClosedLoopProblem, FloatArray, Hint], Sequence[FaultSignature]] | None = None

@@ -1,11 +1,10 @@
-"""Result of the check of a loop: the faults found, their sizes, what they change, and the sentences that state it."""
+"""Faults of one axis that were tested: those found, their sizes, what they change, and the sentences that state it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.messages import Message
 from jointid.common.text import format_signed, number
 from jointid.common.transmission import Side
@@ -79,8 +78,8 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class LoopCheck(Documented):
-    """Faults of loop and log that were found, and the tests of all.
+class AxisFaults:
+    """Faults of one axis that were found, and the tests of all.
 
     Attributes:
         findings: faults found, the likeliest first.
@@ -93,6 +92,7 @@ class LoopCheck(Documented):
         law: the controller's declared numbers.
         shown: how the drive shows those that the joint file declares, by the law's names.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
+        of_loop: whether faults of the loop were tested, which needs its simulation.
     """
 
     findings: tuple[Finding, ...]
@@ -105,6 +105,7 @@ class LoopCheck(Documented):
     law: Mapping[str, float] = field(default_factory=dict)
     shown: Shown = field(default_factory=dict)
     laws: tuple[str, ...] = ()
+    of_loop: bool = True
 
     @property
     def as_declared(self) -> bool:
@@ -131,19 +132,6 @@ class LoopCheck(Documented):
     def sentences(self) -> tuple[str, ...]:
         """The words of the reasons."""
         return tuple(map(str, self.reasons))
-
-    def to_document(self, *, details: bool = False) -> Document:
-        """Return the faults found, and the table of all tests; there are no further details."""
-        del details
-        return Document("Controller and log", (Listing(self.sentences), self.table()))
-
-    def table(self, caption: str = "") -> Table:
-        """Return the table of all tests, each as if nothing else were wrong."""
-        rows = tuple(
-            (s.label, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2))
-            for s in self.tests
-        )
-        return Table(("fault", "more than declared", "2 sigma", "statistic", "p"), rows, caption)
 
     @property
     def open_law(self) -> OtherLaw | None:

@@ -13,7 +13,7 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.text import number, pluralise
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest, Hint, Measure, words
-from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import describe_number
 from jointid.diagnostics.faults.trials import with_joint
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -45,7 +45,7 @@ _LIKELIEST = 6  # that are simulated
 _SMALL = 0.01  # of the torque: how large a ripple is simulated
 
 
-def _describe_offset(finding: Finding, check: LoopCheck, spread: bool) -> str:
+def _describe_offset(finding: Finding, check: AxisFaults, spread: bool) -> str:
     s = finding.test
     size = s.show_size(check.on_side("torque"), spread=spread)
     signed = f"of {'-' if s.size < 0 else ''}{size}" if size else ""
@@ -236,7 +236,7 @@ def _simulate_ripple(
     return float(left @ columns @ parts) * amplitude, signature
 
 
-def _describe_cogging(finding: Finding, check: LoopCheck, spread: bool) -> str:
+def _describe_cogging(finding: Finding, check: AxisFaults, spread: bool) -> str:
     s = finding.test
     size = s.show_size(check.on_side("torque"), spread=spread)
     period = f"{number(s.shape, 3)} {check.on_side('position')}"

@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, Measure, words
-from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.trials import Trial
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import (
@@ -67,7 +67,7 @@ def _vary_stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
             yield FaultSignature(PRESLIDING, -column, speed, -raw)
 
 
-def _describe_stribeck(sense: str, finding: Finding, check: LoopCheck, spread: bool) -> str:
+def _describe_stribeck(sense: str, finding: Finding, check: AxisFaults, spread: bool) -> str:
     s = finding.test
     speed, size = f"{number(s.shape, 2)} {check.on_side('velocity')}", s.show_size(check.units["torque"], spread=spread)
     return words(f"towards standstill, below some {speed}, the friction is", size, f"{sense} than Coulomb's")
@@ -125,7 +125,7 @@ def _try_load_friction(joint: FlexibleJoint, _: Simulation, values: Mapping[str,
         yield Trial(LOAD_DEPENDENT_FRICTION, other, grows, _LOSS, without=without)
 
 
-def _describe_load_friction(finding: Finding, _: LoopCheck, spread: bool) -> str:
+def _describe_load_friction(finding: Finding, _: AxisFaults, spread: bool) -> str:
     size = finding.test.show_size("%", spread=spread, factor=100.0)
     return "the load's friction grows with its torque" + (f", by {size} of it" if size else "")
 
@@ -146,7 +146,7 @@ def _try_changing(joint: FlexibleJoint, run: Simulation, values: Mapping[str, fl
             yield Trial(CHANGING_FRICTION, other, still | falls, _LOST, shape, without)
 
 
-def _describe_changing(finding: Finding, _: LoopCheck, spread: bool) -> str:
+def _describe_changing(finding: Finding, _: AxisFaults, spread: bool) -> str:
     s = finding.test
     kind, way = "Coulomb" if s.shape == COULOMB else "viscous", "falls" if s.size > 0 else "rises"
     size = s.show_size("%", spread=spread, factor=100.0)

@@ -25,7 +25,7 @@ from jointid.diagnostics.faults.fault import (
     name_number,
     words,
 )
-from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop
@@ -57,7 +57,7 @@ def _show_related_times(name: str, value: float, law: Mapping[str, float], shown
     )
 
 
-def describe_number(finding: Finding, check: LoopCheck, spread: bool) -> str:
+def describe_number(finding: Finding, check: AxisFaults, spread: bool) -> str:
     """Return the clause on the difference of a number from its declaration."""
     s = finding.test
     there = check.in_drive(s.fault)
@@ -113,7 +113,7 @@ def _describe_no_size(name: str, share: float, deviation: float, more: bool) -> 
     return None
 
 
-def _describe_delay(what: str, than: str, finding: Finding, _: LoopCheck, spread: bool) -> str:
+def _describe_delay(what: str, than: str, finding: Finding, _: AxisFaults, spread: bool) -> str:
     s = finding.test
     unit, factor = ("ms", 1e3) if abs(s.size) >= MICROSECOND else ("us", 1e6)
     size = s.show_size(unit, spread=spread, factor=factor)

@@ -26,7 +26,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis
-from jointid.diagnostics.faults.findings import Finding, LoopCheck, OtherLaw
+from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_present_sample
@@ -164,7 +164,7 @@ def refit_other_laws(problem: ClosedLoopProblem, x: FloatArray, asked: Set[str])
             continue
 
 
-def _describe_laws(finding: Finding, check: LoopCheck, _: bool) -> str:
+def _describe_laws(finding: Finding, check: AxisFaults, _: bool) -> str:
     """Return the clause on another law of the drive, and on equally good ones; rates of one law are joined.
 
     A law that is reported as undecided is not repeated.

@@ -10,7 +10,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hint, Measure, words
-from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.trials import Trial, list_trials, search
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import FlexibleJoint, springs_beside
@@ -42,7 +42,7 @@ def _try_cubic(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float
                 yield Trial(CUBIC_SPRING, replace(joint, spring=law), start, more, more)
 
 
-def _describe_cubic(finding: Finding, _: LoopCheck, spread: bool) -> str:
+def _describe_cubic(finding: Finding, _: AxisFaults, spread: bool) -> str:
     s = finding.test  # "or more", as one step towards a large size is short
     size = s.show_size("%", spread=spread, factor=100.0)
     sense = "stiffer" if s.size > 0 else "softer"

@@ -100,7 +100,7 @@ class IDIM(Method):
     fixed: Mapping[str, float] = field(
         default_factory=dict,
         hash=False,
-        metadata=declare("by the symbols of parameters what they are known to be", systems=("robot",)),
+        metadata=declare("of a robot: by the symbols of parameters what they are known to be", systems=("robot",)),
     )
 
     @classmethod

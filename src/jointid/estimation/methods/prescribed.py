@@ -243,6 +243,7 @@ class OpenLoopFit(Method):
     name = "open_loop"
     title = "the open-loop method"
     default_for = OpenLoop
+    systems = MODELS
 
     log_delay: float | None = _log_delay()
     highpass: float | None = setting(

@@ -49,7 +49,8 @@ MODELS = ("rigid", "flexible")
 ROBOT = ("robot",)
 """The system of settings that are a robot's alone."""
 
-_CALLED = {"rigid": "a rigid joint", "flexible": "a flexible joint", "robot": "a robot"}
+CALLED: Mapping[str, str] = {"rigid": "a rigid joint", "flexible": "a flexible joint", "robot": "a robot"}
+"""What sentences call them."""
 
 
 SURROUNDINGS = (
@@ -59,11 +60,11 @@ SURROUNDINGS = (
 )
 """What the methods that simulate the loop say of their setting ``free``."""
 
-OFFSETS = "whether a constant torque of each motor is identified, too"
-EVALUATIONS = "simulations with derivatives at most, of each search of springs"
+OFFSETS = "of a robot: whether a constant torque of each motor is identified, too"
+EVALUATIONS = "of a robot: simulations with derivatives at most, of each search of springs"
 FREQUENCIES = (
-    "by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of springs "
-    "begins; without them they are searched"
+    "of a robot: by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of "
+    "springs begins; without them they are searched"
 )
 """What the methods that simulate a robot say of their settings."""
 
@@ -98,6 +99,7 @@ class Method(Protocol):
         default_for: the type of model that it identifies where no method is named, None if it must be named.
         needs_controller: whether it simulates the closed loop.
         any_law: whether it identifies springs and frictions that are not linear.
+        systems: that it identifies.
     """
 
     name: ClassVar[str]
@@ -105,6 +107,7 @@ class Method(Protocol):
     default_for: ClassVar[Any] = None
     needs_controller: ClassVar[bool] = False
     any_law: ClassVar[bool] = False
+    systems: ClassVar[tuple[str, ...]] = (*MODELS, *ROBOT)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -135,9 +138,9 @@ class Method(Protocol):
         for one in settings_of(type(self)):
             systems, default = one.setting.systems, one.factory() if one.factory else one.default
             if systems and system not in systems and getattr(self, one.name) != default:
-                meant = " or ".join(_CALLED[each] for each in systems)
+                meant = " or ".join(CALLED[each] for each in systems)
                 raise MethodError(
-                    f"{type(self).__name__}.{one.name} is for {meant}, and this is {_CALLED[system]}; leave it out."
+                    f"{type(self).__name__}.{one.name} is for {meant}, and this is {CALLED[system]}; leave it out."
                 )
 
     @property

@@ -60,12 +60,12 @@ class CheckResults:
     Attributes:
         verdicts: which replace those of the method on the same subjects.
         widenings: of the intervals.
-        loop: the check of the controller and the log; None where it could not be made.
+        diagnosis: of loop, log and residual, axis by axis; None where it could not be made.
     """
 
     verdicts: tuple[Verdict, ...] = ()
     widenings: tuple[Widening, ...] = ()
-    loop: Documented | None = None
+    diagnosis: Documented | None = None
 
 
 def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_constant: str = "") -> Estimate:
@@ -94,7 +94,7 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
             verdicts=(*own, *checked.verdicts),
             warnings=(*fit.before, *fit.checks.warnings, *fit.after),
             encoder_lag=fit.encoder_lag,
-            loop=checked.loop,
+            diagnosis=checked.diagnosis,
         ),
         data=replace(
             fit.data,

@@ -292,7 +292,7 @@ class Checks:
         agreement: whether several records, each by itself, agree.
         drift: whether the segments of a long log agree.
         encoder_lag: that hides the spring between both encoders, where they were read.
-        loop: the check of the controller and the log, a `LoopCheck`; None where it was not made.
+        diagnosis: of loop, log and residual, axis by axis, a `Diagnosis`; None where it was not made.
         warnings: one sentence each.
         notes: on how the intervals were obtained, one sentence each.
     """
@@ -305,7 +305,7 @@ class Checks:
     agreement: Agreement | None = None
     drift: DriftTest | None = None
     encoder_lag: EncoderLag | None = None
-    loop: Documented | None = None
+    diagnosis: Documented | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

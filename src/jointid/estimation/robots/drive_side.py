@@ -28,7 +28,7 @@ from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
 from jointid.estimation.problems.rest import moving_weights
-from jointid.estimation.robots.didim import fixed_point
+from jointid.estimation.robots.fit import fixed_point
 from jointid.estimation.robots.flexible import (
     SLOW,
     FlexibleRobotFit,
@@ -232,14 +232,8 @@ def _of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay:
             name = f"{robot.joints[j].name}.initial_link_{word}"
             more.append((Parameter(name, f"initial_{word}", quantity), NumberPlace(NumberOf.BESIDE, int(j), column)))
     log = np.array([[0.0 if delay.free else delay.start]])
-    return replace(
-        parameters,
-        parameters=(*parameters.parameters, *(one for one, _ in more)),
-        places=(*parameters.places, *(place for _, place in more)),
-        logarithmic=np.append(parameters.logarithmic, np.zeros(len(more), dtype=np.bool_)),
-        base=replace(parameters.base, beside=np.zeros((n, 2)), log=log),
-        grouping=np.vstack([parameters.grouping, np.zeros((len(more), len(parameters.dropped)))]),
-    )
+    base = replace(parameters.base, beside=np.zeros((n, 2)), log=log)
+    return replace(parameters.add(*more), base=base)
 
 
 def identify_flexible_drive_side(
@@ -273,14 +267,16 @@ def identify_flexible_drive_side(
         MethodError: as of `identify_flexible_robot`.
     """
     require_springs(robot, frequencies)
-    robot.require_lines("The drive side of a robot takes")
-    stiff = replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
-    parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True), known or {})
+    instead = 'identify the robot by "didim"'
+    robot.require_linear_friction("The drive side of a robot takes", instead)
+    robot.require_linear_springs("The drive side of a robot takes", instead)
+    stiff, known = robot.rigid, known or {}
+    parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True, whole=False), known)
     logs = each_log(records)
     parts = [drive_side_problem(robot, log, parameters, filtering, delay) for log in logs]
     problem = add_problems(parts)
     require_frequencies(frequencies, problem.sample_time)
-    of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets), known or {})
+    of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets, whole=False), known)
     slow_parts = [drive_side_problem(stiff, log, of_stiff, SLOW) for log in logs]
     # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down to
     # what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.

@@ -137,7 +137,7 @@ class InverseModelRobot(IdentifiedRobot):
             for k, joint in enumerate(prior.joints):
                 own = {term.number: float(x) for term, x in zip(terms, others, strict=True) if term.joint == k}
                 # To IDIM a joint is rigid: what it finds is the friction of both sides.
-                joints.append(replace(joint_with_friction(joint, own), rotor_inertia=float(rotors[k]), spring=None))
+                joints.append(replace(joint_with_friction(joint.rigid, own), rotor_inertia=float(rotors[k])))
             return replace(prior.with_inertials(inertials), joints=tuple(joints))
 
         return Sums(self.values, self.covariance, of_standard, of_others, friction, least, build_robot)
@@ -343,8 +343,7 @@ def robot_instruments(
         RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
         MethodError: controllers or logs share no clock.
     """
-    loop.robot.require_lines("IDIM of a robot takes")
-    rigid = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
+    rigid = loop.robot.rigid
     experiment, size = prepare_robot(replace(loop, robot=rigid), records), len(motion.q)
 
     def columns(values: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,16 +20,24 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.base_parameters import formula_of, group_columns
+from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, with_values
+from jointid.simulation.robot_numbers import (
+    SPRING_NUMBERS,
+    MassNumbers,
+    NumberOf,
+    NumberPlace,
+    RobotNumbers,
+    law_places,
+    with_values,
+)
 from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import MassMotion
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
 _OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
-_OF_SPRING = ("stiffness", "damping")
 _QUANTITIES = {
     "rotor_inertia": Quantity.INERTIA,
     "viscous": Quantity.VISCOUS,
@@ -75,6 +83,17 @@ class RobotParameters:
         """Which are of the robot, and not of the record, (parameters,)."""
         return np.array([not place.is_of_record for place in self.places], dtype=np.bool_)
 
+    def add(self, *more: tuple[Parameter, NumberPlace]) -> RobotParameters:
+        """Return these and more parameters, with which nothing is grouped."""
+        alone = np.zeros((len(more), len(self.dropped)))
+        return replace(
+            self,
+            parameters=(*self.parameters, *(one for one, _ in more)),
+            places=(*self.places, *(place for _, place in more)),
+            logarithmic=np.append(self.logarithmic, np.zeros(len(more), dtype=np.bool_)),
+            grouping=np.vstack([self.grouping, alone]),
+        )
+
     def formulas(self, robot: Robot) -> tuple[str, ...]:
         """Return the sums that the parameters stand for, as text; of one that stands alone its name."""
         symbols = (*self.names, *(_name_parameter(place, robot, self.base, False).name for place in self.dropped))
@@ -107,23 +126,29 @@ class RobotParameters:
         return with_values(self.base, self.places, values)
 
 
-def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = False) -> RobotParameters:
+def robot_parameters(
+    robot: Robot, *, offsets: bool = True, logarithmic: bool = False, whole: bool = True
+) -> RobotParameters:
     """Return the parameters of a robot that are identifiable with sufficient excitation.
 
+    The links' parameters are grouped with friction, springs and rotors, all of lines; what the laws have beside lines
+    stands alone.
+
     Args:
-        robot: whose joints are rigid or flexible.
+        robot: whose joints are rigid or flexible, with any law.
         offsets: whether a constant torque of each motor is one of them; else it keeps the robot's.
         logarithmic: whether the rotors and springs of flexible joints are searched on a logarithmic scale.
+        whole: whether all numbers of the laws are parameters. Else the equations are linear in them: they have the rise
+            of a friction towards standstill, but the speed below which it does is the robot's.
     """
-    robot.require_lines("An identification of a robot takes")
     numbers = RobotNumbers.of(robot)
-    places = _order_parameters(robot, numbers, offsets)
+    places = _order_parameters(robot, numbers, offsets, rising=not whole)
     kept, sums = group_columns(_random_columns(robot, numbers, places))
     base = with_values(numbers, places, np.zeros(len(places)))
     logs = [logarithmic and _positive(place, numbers) for place in places]
     parameters = [_name_parameter(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
-    return RobotParameters(
+    found = RobotParameters(
         tuple(parameters[i] for i in kept),
         tuple(places[i] for i in kept),
         np.array([logs[i] for i in kept], dtype=np.bool_),
@@ -131,6 +156,26 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
         tuple(places[i] for i in dropped),
         sums[:, dropped],
     )
+    return found.add(*_of_laws(robot, numbers)) if whole else found
+
+
+def name_in_robot(joint: str, name: str) -> str:
+    """Return the name of a joint's parameter in a robot: of "elbow" "load_coulomb" is "elbow.link_coulomb"."""
+    side, _, own = name.partition("_")
+    return f"{joint}.{own if side == 'motor' else f'link_{own}' if side == 'load' else name}"
+
+
+def _of_laws(robot: Robot, numbers: RobotNumbers) -> Iterator[tuple[Parameter, NumberPlace]]:
+    """Yield the parameters that laws have beside lines, as a joint's identification takes them."""
+    for place, p in law_places(numbers):
+        name = name_in_robot(robot.joints[joint_of(place, numbers.rotors)].name, p.name)
+        yield replace(p, name=name, symbol=name.partition(".")[2].removeprefix("link_")), place
+
+
+def joint_of(place: NumberPlace, rotors: IntArray) -> int:
+    """Return the joint of a number that is a robot's, or that carries its link."""
+    own = np.flatnonzero(rotors == place.row) if place.of is NumberOf.MASS else np.zeros(0, dtype=np.int64)
+    return int(own[0]) if own.size else place.row
 
 
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
@@ -164,9 +209,11 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
     Raises:
         MethodError: one is of something else, or has a start.
     """
-    known = [one.name for one in robot_parameters(robot).parameters if one.symbol in _OF_MASS[1:]]
+    parameters = robot_parameters(robot).parameters
+    beside = [p.name for p, _ in _of_laws(robot, RobotNumbers.of(robot))]
+    known = [p.name for p in parameters if p.symbol in _OF_MASS[1:] or p.name in beside]
     for name, one in stated.items():
-        if name in known and one.free and one.start is not None:
+        if name in known and name not in beside and one.free and one.start is not None:
             raise MethodError(
                 f"{name} is free and has a start, which the methods of a robot do not use: leave the start out, or fix "
                 "the value."
@@ -183,13 +230,15 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
             )
 
 
-def _order_parameters(robot: Robot, numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
-    """Return all places, those first that are to be kept."""
+def _order_parameters(robot: Robot, numbers: RobotNumbers, offsets: bool, rising: bool) -> tuple[NumberPlace, ...]:
+    """Return the places of lines, those first that are to be kept; `rising` adds the rise towards standstill."""
     n, masses = numbers.rotors.size, range(len(numbers.masses))
     two = {int(row) for row, joint in zip(numbers.rotors, robot.joints, strict=True) if joint.asymmetric}
+    two |= {i for i, joint in enumerate(robot.joints) if joint.asymmetric and joint.friction is not None}
     friction = [NumberPlace(NumberOf.MASS, row, c) for row in masses for c in ((4, 5) if row in two else (1,))]
     friction += [NumberPlace(NumberOf.MASS, row, 2) for row in masses]
-    friction += [NumberPlace(NumberOf.MASS, row, 6) for row in masses if numbers.masses[row, 7] > 0.0]
+    rises = numbers.masses[:, MassNumbers.SPEED] > 0.0 if rising else np.zeros(len(numbers.masses), dtype=np.bool_)
+    friction += [NumberPlace(NumberOf.MASS, int(row), MassNumbers.RISE) for row in np.flatnonzero(rises)]
     # A Coulomb friction of two sizes is one of both directions and an offset.
     constant = [NumberPlace(NumberOf.MASS, int(row), 3) for row in numbers.rotors if offsets or int(row) in two]
     springs = [
@@ -229,11 +278,10 @@ def _name_parameter(place: NumberPlace, robot: Robot, numbers: RobotNumbers, log
         name, symbol = f"{robot.links[place.row].name}.{SYMBOLS[place.column]}", SYMBOLS[place.column]
         quantity = Quantity.INERTIA if place.column >= 4 else Quantity.RATIO
         return Parameter(name, symbol, quantity)
+    joint = joint_of(place, numbers.rotors)
     if place.of is NumberOf.SPRING:
-        joint, symbol = place.row, _OF_SPRING[place.column]
-        name = symbol
+        name = symbol = SPRING_NUMBERS[place.column]
     else:
-        joint = int(np.flatnonzero(numbers.rotors == place.row)[0]) if place.row in numbers.rotors else place.row
         symbol = _OF_MASS[place.column]
         name = symbol if place.row == numbers.rotors[joint] else f"link_{symbol}"
     lower = 0.0 if symbol in ("coulomb", "stribeck_force") or _QUANTITIES[symbol] is Quantity.VISCOUS else -math.inf

@@ -195,6 +195,12 @@ class RobotProblem(ABC, Generic[Run]):
         return self.norms(self.filtered_torque)
 
     @property
+    def size(self) -> float:
+        """Norm of the weighted torques."""
+        seen = self.filtered_torque
+        return float(np.linalg.norm(seen * self.weights(seen.size)))
+
+    @property
     def floor(self) -> float:
         """Norm of an error that the simulation itself may have: no joint's is taken for smaller."""
         return EXACT * float(np.max(self.sizes))

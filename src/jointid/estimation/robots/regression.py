@@ -258,7 +258,7 @@ def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) 
         coulomb = FrictionTerm(term.joint, Friction.COULOMB).symbol
         if term.number is Friction.RISE and term.symbol not in fixed and sizes[term.symbol] < _REACHED * sizes[coulomb]:
             raise MethodError(
-                f"The friction of {joint.name} is declared to rise below {joint.stribeck_speed:g} "
+                f"The friction of {joint.name} is declared to rise below {joint.motor['stribeck_speed']:g} "
                 f"{robot.position_unit(term.joint)}/s, and beside reversals, which IDIM leaves out, this record has "
                 f"hardly a sample there; move it slowly, leave the speed out, or fix {term.symbol} by method.fixed."
             )

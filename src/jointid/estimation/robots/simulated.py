@@ -23,10 +23,11 @@ from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict, Sums
 from jointid.estimation.robots.build import build_robot_result
-from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
+from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.flexible import identify_flexible_robot
-from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
+from jointid.estimation.robots.numbers import RobotParameters, joint_of, robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.models.robots.dynamics import IntArray
@@ -150,6 +151,7 @@ def identify_simulated_robot(
                 filtering,
                 offsets=didim.offsets,
                 iterations=didim.iterations,
+                evaluations=didim.evaluations,
                 known=known,
                 progress=progress,
             )
@@ -247,10 +249,7 @@ def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]
 
 def _joint_of(place: NumberPlace, rotors: IntArray) -> int | None:
     """Return the joint of a parameter, or that carries its link; None of a number of the whole log."""
-    if place.of is NumberOf.LOG:
-        return None
-    own = np.flatnonzero(rotors == place.row) if place.of is NumberOf.MASS else np.zeros(0)
-    return int(own[0]) if own.size else place.row
+    return None if place.of is NumberOf.LOG else joint_of(place, rotors)
 
 
 def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:

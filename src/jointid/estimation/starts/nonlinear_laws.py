@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -68,31 +69,67 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     values, run = found.values, linear.simulate(found.x)
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}
-    begins: list[Mapping[str, float]] = [values]
-    if joint.friction.softens and isinstance(joint, FlexibleJoint):
-        begins.append({**values, "stiffness": _STIFFER * values["stiffness"]})
-    still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
-    starts = [
-        {**still, **begin, **start, **given} for begin in begins for start in _starts(joint, linear.joint, begin, run)
-    ]
-    laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
-    laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
-    laws += [] if joint.ripple is None else ["ripple"]
-    history.progress(f"looking for a {' and '.join(laws)}, from {pluralise(len(starts), 'start')}")
+    starts = law_starts(joint, linear.joint, values, JointMotion.of(run), given)
+    history.progress(f"looking for a {name_laws(joint)}, from {pluralise(len(starts), 'start')}")
     ends = [history.solve(problem, roughly(problem), problem.vector(start)) for start in starts]
     best = min(ends, key=lambda end: end.norm)
     return history.finish(best, tolerance).with_starts(found.solution.starts)
 
 
-def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simulation) -> Iterator[dict[str, float]]:
-    """Yield each start of the spring with each start of the friction.
+class JointMotion(NamedTuple):
+    """The motion of a joint with linear laws, for the starts of others.
 
-    The values are its parameters, and the run is of the loop with it.
+    Attributes:
+        duration: s.
+        motor: (samples,) position and velocity. load: of a flexible joint.
     """
+
+    duration: float
+    motor: tuple[FloatArray, FloatArray]
+    load: tuple[FloatArray, FloatArray] | None = None
+
+    @classmethod
+    def of(cls, run: Simulation) -> JointMotion:
+        """Return the motion of a simulation."""
+        load = None
+        if run.load_position is not None and run.load_velocity is not None:
+            load = run.load_position, run.load_velocity
+        return cls(run.sample_time * run.torque.size, (run.motor_position, run.motor_velocity), load)
+
+
+def name_laws(joint: Joint) -> str:
+    """Return the nonlinear laws of a joint in words: "backlash spring and presliding friction"."""
+    laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
+    laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
+    laws += [] if joint.ripple is None else ["ripple"]
+    return " and ".join(laws)
+
+
+def law_starts(
+    joint: Joint, linear: Joint, values: Mapping[str, float], motion: JointMotion, given: Mapping[str, float]
+) -> list[dict[str, float]]:
+    """Return the starts of the search of a joint's laws, each with the values of all its parameters.
+
+    Args:
+        joint: with nonlinear laws.
+        linear: the same with others, which were found.
+        values: of its parameters.
+        motion: of it.
+        given: starts that are stated.
+    """
+    begins: list[Mapping[str, float]] = [values]
+    if joint.friction.softens and isinstance(joint, FlexibleJoint):
+        begins.append({**values, "stiffness": _STIFFER * values["stiffness"]})
+    still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
+    return [{**still, **begin, **start, **given} for begin in begins for start in _starts(joint, linear, begin, motion)]
+
+
+def _starts(joint: Joint, found: Joint, values: Mapping[str, float], motion: JointMotion) -> Iterator[dict[str, float]]:
+    """Yield each start of the spring with each start of the friction."""
     springs: list[dict[str, float]] = [{}]
     if isinstance(joint, FlexibleJoint) and isinstance(found, FlexibleJoint) and joint.spring != found.spring:
-        assert run.load_position is not None
-        windup = float(np.max(np.abs(run.motor_position - run.load_position)))
+        assert motion.load is not None
+        windup = float(np.max(np.abs(motion.motor[0] - motion.load[0])))
         if not (values["stiffness"] > 0.0 and windup > 0.0):
             raise MethodError(
                 f"A {joint.spring.name} spring is searched from a linear one, and the record shows none; identify "
@@ -101,11 +138,13 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
         springs = list(joint.spring.starts(values, windup))
     frictions: list[dict[str, float]] = [{}]
     if joint.friction != found.friction:
-        sides = {"motor_": (run.motor_position, run.motor_velocity), "load_": (run.load_position, run.load_velocity)}
-        moving = sides if isinstance(joint, FlexibleJoint) else {"": sides["motor_"]}
+        moving = {"": motion.motor}
+        if isinstance(joint, FlexibleJoint):
+            assert motion.load is not None
+            moving = {"motor_": motion.motor, "load_": motion.load}
         by_side = [
-            joint.friction.starts(_motion_size(run, *motion, joint.friction, values, prefix), prefix)
-            for prefix, motion in moving.items()
+            joint.friction.starts(_motion_size(motion.duration, *side, joint.friction, values, prefix), prefix)
+            for prefix, side in moving.items()
         ]
         frictions = [
             {name: value for side in both for name, value in side.items()} for both in zip(*by_side, strict=True)
@@ -115,15 +154,14 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
 
 
 def _motion_size(
-    run: Simulation,
-    position: FloatArray | None,
-    velocity: FloatArray | None,
+    duration: float,
+    position: FloatArray,
+    velocity: FloatArray,
     law: Friction,
     values: Mapping[str, float],
     prefix: str,
 ) -> MotionSize:
     """Return how one side moves, and the lines of its friction."""
-    assert position is not None and velocity is not None
     viscous, coulomb = (sum(by * values[name] for name, by in law.mean(part, prefix).items()) for part in PARTS)
     speed = float(np.max(np.abs(velocity)))
-    return MotionSize(speed, float(np.ptp(position)), run.sample_time * run.torque.size, viscous, coulomb)
+    return MotionSize(speed, float(np.ptp(position)), duration, viscous, coulomb)

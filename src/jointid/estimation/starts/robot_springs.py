@@ -18,7 +18,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
-from jointid.estimation.robots.didim import RobotFit
+from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.models.joints import spring_at

@@ -51,21 +51,21 @@ class FrictionTerm:
 
     def value(self, joint: RobotJoint) -> float:
         """Return the number of a joint's motor, the link's side apart."""
-        coulomb, offset = joint.coulomb_both
+        if self.number is Friction.OFFSET:
+            return joint.constant_torque
+        motor, (viscous, viscous_back, coulomb, coulomb_back) = joint.motor, joint.law.directions(joint.motor)
         return {
-            Friction.VISCOUS: joint.viscous,
-            Friction.FORWARDS: joint.viscous,
-            Friction.BACKWARDS: joint.viscous_back,
-            Friction.COULOMB: coulomb,
-            Friction.RISE: joint.stribeck_force,
-            Friction.OFFSET: offset,
+            Friction.VISCOUS: viscous,
+            Friction.FORWARDS: viscous,
+            Friction.BACKWARDS: viscous_back,
+            Friction.COULOMB: 0.5 * (coulomb + coulomb_back),
+            Friction.RISE: motor["stribeck_force"],
         }[self.number]
 
     def column(self, v: FloatArray, joint: RobotJoint) -> FloatArray:
         """Return its regressor column at speeds of the motor, (samples,)."""
         if self.number is Friction.RISE:
-            assert joint.stribeck_speed is not None
-            return np.asarray(np.sign(v) * low_speed_share(v / joint.stribeck_speed))
+            return np.asarray(np.sign(v) * low_speed_share(v / joint.motor["stribeck_speed"]))
         return {
             Friction.VISCOUS: v,
             Friction.FORWARDS: np.maximum(v, 0.0),
@@ -82,13 +82,13 @@ def friction_terms(robot: Robot) -> tuple[FrictionTerm, ...]:
     rises towards standstill has its rise.
 
     Raises:
-        MethodError: a law is not one of lines.
+        MethodError: a law is not linear in its parameters.
     """
-    robot.require_lines("A regression of a robot takes")
+    robot.require_linear_friction("IDIM of a robot takes", 'identify the robot by "didim"')
     found = []
     for k, joint in enumerate(robot.joints):
         viscous = (Friction.FORWARDS, Friction.BACKWARDS) if joint.asymmetric else (Friction.VISCOUS,)
-        rise = () if joint.stribeck_speed is None else (Friction.RISE,)
+        rise = () if joint.law.linear else (Friction.RISE,)
         found += [FrictionTerm(k, one) for one in (*viscous, Friction.COULOMB, *rise, Friction.OFFSET)]
     return tuple(found)
 
@@ -114,14 +114,21 @@ def friction_values(robot: Robot) -> FloatArray:
 
 def joint_with_friction(joint: RobotJoint, numbers: dict[Friction, float]) -> RobotJoint:
     """Return a joint whose motor has the numbers of `friction_terms`; the spring and the inertia stay."""
-    forwards = numbers.get(Friction.FORWARDS)
+    forwards, coulomb = numbers.get(Friction.FORWARDS), numbers[Friction.COULOMB]
+    viscous = numbers[Friction.VISCOUS] if forwards is None else forwards
     backwards = numbers.get(Friction.BACKWARDS)
+    found = {
+        "viscous": viscous, "viscous_forwards": viscous, "viscous_backwards": backwards, "coulomb": coulomb,
+        "coulomb_forwards": coulomb, "coulomb_backwards": coulomb, "stribeck_force": numbers.get(Friction.RISE),
+    }  # fmt: skip
+    own = {name: found.get(name.removeprefix("motor_"), value) for name, value in joint.numbers.items()}
     return replace(
         joint,
-        viscous=numbers[Friction.VISCOUS] if forwards is None else forwards,
+        viscous=viscous,
         viscous_backwards=backwards,
-        coulomb=numbers[Friction.COULOMB],
+        coulomb=coulomb,
         coulomb_backwards=None,
-        stribeck_force=numbers.get(Friction.RISE, 0.0),
+        stribeck_force=0.0 if "stribeck_force" in own else numbers.get(Friction.RISE, 0.0),
         offset=numbers[Friction.OFFSET],
+        numbers={name: value for name, value in own.items() if value is not None},
     )

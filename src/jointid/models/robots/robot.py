@@ -30,8 +30,8 @@ from jointid.models.friction import (
     StribeckFriction,
     SymmetricFriction,
 )
-from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
+from jointid.models.robots.inertial import SYMBOLS, change_frame, inertia_matrix
 from jointid.models.springs import ElasticLoad, LinearSpring, Spring
 
 _UNIT = 1e-9  # how far a unit vector may be from one, and a rotation from one
@@ -188,11 +188,36 @@ class RobotJoint:
         return FlexibleJoint("revolute", self.law, spring=self.spring.law)
 
     @property
+    def linear(self) -> RobotJoint:
+        """The joint with a linear spring, and the lines of its friction alone."""
+        friction = None if self.friction is None else self.friction.lines
+        spring = None if self.spring is None else replace(self.spring, law=LinearSpring())
+        names = {p.name for p in self.model.linear.parameters}
+        return replace(
+            self, friction=friction, spring=spring, stribeck_force=0.0, stribeck_speed=None,
+            numbers={name: value for name, value in self.numbers.items() if name in names},
+        )  # fmt: skip
+
+    @property
+    def rigid(self) -> RobotJoint:
+        """The joint whose spring does not give."""
+        if not isinstance(self.model, FlexibleJoint):
+            return self
+        whole = self.model.rigid
+        beside = {name.removeprefix("motor_").removeprefix("load_") for name in self.numbers}
+        numbers = {p.name: of_whole(p, self.values) for p in whole.parameters if p.name in beside}
+        return replace(
+            self, friction=self.friction and whole.friction, spring=None, numbers=numbers,
+        )  # fmt: skip
+
+    @property
     def values(self) -> dict[str, float]:
         """Its numbers by the names of a joint's parameters; what its link weighs is not among them."""
-        motor, own = "" if self.spring is None else "motor_", (self.viscous, self.viscous_back)
-        back = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
-        found = _friction_values(motor, *own, self.coulomb, back, self.stribeck_force, self.stribeck_speed or 0.0)
+        motor = "" if self.spring is None else "motor_"
+        back = self.viscous if self.viscous_backwards is None else self.viscous_backwards
+        held = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
+        rise = self.stribeck_force, self.stribeck_speed or 0.0
+        found = _friction_values(motor, self.viscous, back, self.coulomb, held, *rise)
         if self.spring is not None:
             viscous, coulomb = self.spring.viscous, self.spring.coulomb
             found |= _friction_values("load_", viscous, viscous, coulomb, coulomb, 0.0, 0.0)
@@ -203,18 +228,20 @@ class RobotJoint:
     @property
     def asymmetric(self) -> bool:
         """True of a friction that is another in the other direction."""
+        if self.friction is not None:
+            return self.friction.depends_on_direction("viscous")
         return self.viscous_backwards is not None or self.coulomb_backwards is not None
 
     @property
-    def viscous_back(self) -> float:
-        """Viscous friction backwards."""
-        return self.viscous if self.viscous_backwards is None else self.viscous_backwards
+    def motor(self) -> dict[str, float]:
+        """Numbers of the motor's side, by the names of a rigid joint's parameters, and those of the spring."""
+        return {name.removeprefix("motor_"): value for name, value in self.values.items()}
 
     @property
-    def coulomb_both(self) -> tuple[float, float]:
-        """Coulomb friction the same in both directions, and the offset beside it: the same torques, at rest too."""
-        back = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
-        return 0.5 * (self.coulomb + back), self.offset + 0.5 * (self.coulomb - back)
+    def constant_torque(self) -> float:
+        """Constant part of the motor's torque, with half of what Coulomb friction has more forwards than backwards."""
+        _, _, forwards, backwards = self.law.directions(self.motor)
+        return self.offset + 0.5 * (forwards - backwards)
 
 
 def _friction_values(
@@ -331,19 +358,58 @@ class Robot:
         """Which joints have a spring."""
         return tuple(joint.spring is not None for joint in self.joints)
 
-    def require_lines(self, taker: str) -> None:
-        """Raise a `MethodError` if a law is smooth, a spring is in pieces, or one has numbers beside those of lines.
+    @property
+    def linear(self) -> Robot:
+        """The robot with linear springs, and the lines of its friction alone."""
+        return replace(self, joints=tuple(joint.linear for joint in self.joints))
+
+    @property
+    def rigid(self) -> Robot:
+        """The robot whose springs do not give."""
+        return replace(self, joints=tuple(joint.rigid for joint in self.joints))
+
+    def axis_inertia(self, number: int) -> float:
+        """Return the inertia of all links that a joint moves, about its axis, with the joints beyond it at 0.
 
         Args:
-            taker: who takes laws for lines, as "IDIM of a robot takes".
+            number: of the joint, from 0.
+
+        Returns:
+            In kg m2, of a prismatic joint the mass in kg; without the rotor.
+        """
+        bodies = [link.inertial for link in self.links]
+        for k in range(len(self) - 1, number, -1):
+            link = self.links[k]
+            if link.parent >= 0:
+                bodies[link.parent] = bodies[link.parent] + change_frame(bodies[k], link.rotation, link.origin)
+        axis = self.links[number].axis
+        if self.links[number].kind == "prismatic":
+            return float(bodies[number][0])
+        return float(axis @ inertia_matrix(bodies[number]) @ axis)
+
+    def require_linear_friction(self, taker: str, instead: str) -> None:
+        """Raise a `MethodError` if a friction is not linear in its parameters on a known motion.
+
+        One that rises towards standstill is, below a speed that is known.
+
+        Args:
+            taker: who takes no other friction, as "IDIM of a robot takes".
+            instead: what else may be done.
         """
         for joint in self.joints:
-            sprung = joint.spring is not None and not joint.spring.law.linear
-            if sprung or joint.law.stepped or joint.numbers:
-                law = joint.spring.law if joint.spring is not None and sprung else joint.law
+            if joint.law.stepped:
                 raise MethodError(
-                    f'{taker} friction and springs for lines; received the law "{law.name}" of {joint.name}: leave it '
-                    "out, or simulate the robot with it."
+                    f"{taker} friction that is linear in its parameters on the measured motion; received the law "
+                    f'"{joint.law.name}" of {joint.name}: declare another friction, or {instead}.'
+                )
+
+    def require_linear_springs(self, taker: str, instead: str) -> None:
+        """Raise a `MethodError` if a spring is not linear; see `require_linear_friction`."""
+        for joint in self.joints:
+            if joint.spring is not None and not joint.spring.law.linear:
+                raise MethodError(
+                    f'{taker} linear springs; received the law "{joint.spring.law.name}" of {joint.name}: declare a '
+                    f"linear one, or {instead}."
                 )
 
     def torque_unit(self, number: int) -> str:

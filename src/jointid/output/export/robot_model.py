@@ -124,9 +124,11 @@ def _lost(robot: Robot) -> list[str]:
     uneven = [joint.name for joint in robot.joints if joint.asymmetric]
     if uneven:
         lost.append(f"that the friction of {', '.join(uneven)} is another backwards; what is written is the mean")
-    rising = [joint.name for joint in robot.joints if joint.stribeck_force]
+    rising = [joint.name for joint in robot.joints if joint.motor.get("stribeck_force")]
     if rising:
         lost.append(f"what the friction of {', '.join(rising)} rises by towards standstill")
+    smooth = [(joint.name, joint.law) for joint in robot.joints if joint.law.stepped]
+    lost += [f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in smooth]
     if not np.array_equal(robot.coupling, np.eye(len(robot))):
         lost.append("the coupling of the motors; rotors and friction are those of the motors, at the joints")
     if any(robot.flexible):
@@ -136,20 +138,15 @@ def _lost(robot: Robot) -> list[str]:
 
 def _simplify(robot: Robot) -> Robot:
     """Return a robot whose joints are rigid, with the friction of both sides, the same in both directions."""
-    robot.require_lines("An export of a robot takes")
 
     def simple(joint: RobotJoint) -> RobotJoint:
-        coulomb, offset = joint.coulomb_both
-        excess = (0.0, 0.0) if joint.spring is None else (joint.spring.viscous, joint.spring.coulomb)
-        return replace(
-            joint,
-            viscous=0.5 * (joint.viscous + joint.viscous_back) + excess[0],
-            coulomb=coulomb + excess[1],
-            offset=offset,
-            viscous_backwards=None,
-            coulomb_backwards=None,
-            spring=None,
-        )
+        sides = [""] if joint.spring is None else ["motor_", "load_"]
+        each = np.array([joint.law.directions(joint.values, side) for side in sides])
+        viscous, coulomb = 0.5 * np.sum(each.reshape(-1, 2, 2), axis=(0, 2))
+        return RobotJoint(
+            joint.name, joint.rotor_inertia, float(viscous), float(coulomb), joint.constant_torque,
+            coupling=joint.coupling,
+        )  # fmt: skip
 
     return replace(robot, joints=tuple(map(simple, robot.joints)))
 

@@ -16,7 +16,7 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.matplotlib_backend import Charted
 from jointid.common.matplotlib_backend import draw as draw_chart
-from jointid.diagnostics.robots.diagnose import RobotDiagnosis
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures import charts
@@ -51,8 +51,8 @@ def torque(answer: Estimate | Validation) -> Figure:
 
 def torque_chart(answer: Estimate | Validation) -> Chart:
     """Return the chart of `torque`; of a robot that was checked, a panel for each joint."""
-    if isinstance(answer, Estimate) and isinstance(answer.checks.loop, RobotDiagnosis):
-        return charts.torques_chart(AxisSignals.of_robot(answer.checks.loop))
+    if isinstance(answer, Estimate) and answer.robot is not None and isinstance(answer.checks.diagnosis, Diagnosis):
+        return charts.torques_chart(AxisSignals.of_robot(answer.checks.diagnosis))
     if isinstance(answer, Estimate):
         title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
     else:

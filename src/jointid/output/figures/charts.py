@@ -36,9 +36,9 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.position_forces import Motion
 
 if TYPE_CHECKING:
+    from jointid.diagnostics.diagnosis import Diagnosis
     from jointid.diagnostics.intervals import Intervals
     from jointid.diagnostics.report_data import FrequencyResponse, ReportData, Spectra
-    from jointid.diagnostics.robots.diagnose import RobotDiagnosis
 
 _MODES = {
     "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
@@ -115,17 +115,17 @@ class AxisSignals:
         )  # fmt: skip
 
     @classmethod
-    def of_robot(cls, found: RobotDiagnosis) -> list[AxisSignals]:
+    def of_robot(cls, found: Diagnosis) -> list[AxisSignals]:
         """Return the filtered signals of each joint of a robot."""
         torques = found.torques
         return [
             cls(
-                joint.name, torque_word(torques.robot.torque_unit(k)), torques.robot.torque_unit(k),
-                torques.robot.position_unit(k), _PREDICTIONS.get(found.method, "simulated"), "", torques.time,
-                torques.measured[k], torques.predicted[k], torques.seen[k], joint.left, torques.position[k],
+                axis.name, torque_word(axis.torque_unit), axis.torque_unit, axis.position_unit,
+                _PREDICTIONS.get(found.method, "simulated"), "", torques.time,
+                torques.measured[k], torques.predicted[k], torques.seen[k], axis.left, torques.position[k],
                 torques.velocity[k],
             )
-            for k, joint in enumerate(found.joints)
+            for k, axis in enumerate(found.axes)
         ]  # fmt: skip
 
     @property

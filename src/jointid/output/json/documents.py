@@ -127,9 +127,19 @@ SHAPES: Mapping[str, Shape] = {
         "jointid.examination/1", "record healthy sentence logged transmission questions=answers parameters changes"
     ),
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
-    "LoopCheck": document_shape(
-        "jointid.loop/1", "as_declared level sentences reasons findings undecided suspects=tests"
+    "Diagnosis": document_shape(
+        "jointid.diagnosis/1", "name method answer explained as_declared feed_forward sentences reasons axes"
     ),
+    "AxisDiagnosis": {
+        **keys(
+            "name left explained white=whiteness.white travel speed moving as_declared law_holds law "
+            "level=faults.level findings=faults.findings undecided=faults.undecided suspects=faults.tests"
+        ),
+        "follows": lambda axis: None if axis.follows is None else axis.follows[0],
+        "follows_share": lambda axis: None if axis.follows is None else axis.follows[1].explained,
+        "parameters": by_name("parameters"),
+    },
+    "AxisParameter": keys("value std unit nominal formula known at_least"),
     "Finding": {
         **keys("suspect=test value changes"),
         "rivals": lambda finding: [test.label for test in finding.rivals],
@@ -218,17 +228,6 @@ SHAPES: Mapping[str, Shape] = {
         "robot=robot.name joints=robot.names better_than_nominal=better bodies_better_than_nominal=bodies_better "
         "left=joint_errors nominal_left=nominal_errors bodies_left=body_errors",
     ),
-    "RobotDiagnosis": document_shape(
-        "jointid.robot_diagnosis/1",
-        "robot=robot.name method answer explained as_declared feed_forward sentences joints",
-    ),
-    "JointDiagnosis": {
-        **keys("name left explained white=whiteness.white travel speed moving law_holds law"),
-        "follows": lambda joint: None if joint.follows is None else joint.follows[0],
-        "follows_share": lambda joint: None if joint.follows is None else joint.follows[1].explained,
-        "parameters": by_name("parameters"),
-    },
-    "ParameterOfJoint": keys("value std unit nominal formula known at_least"),
     "RobotSimulation": {
         **keys("sample_time explanation=outcome.value events"),
         "samples": lambda simulation: len(simulation.torque),

@@ -15,9 +15,8 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_folder, write_whole
 from jointid.common.matplotlib_backend import png, svg
 from jointid.common.messages import Progress, ignore_progress
-from jointid.diagnostics.diagnose import diagnose
+from jointid.diagnostics.diagnose import FeedForwardName, diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
-from jointid.diagnostics.robots.diagnose import FeedForwardName
 from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
@@ -141,7 +140,7 @@ class Report:
     def title(self) -> str:
         """The axis, and the date of its record if it is known."""
         given = self.data
-        own = given.diagnosis.robot.name if isinstance(given, RobotReportData) else given.estimate.data.record
+        own = given.diagnosis.name if isinstance(given, RobotReportData) else given.estimate.data.record
         return f"{self.name or own}{f', {self.repetition.date}' if self.repetition.date else ''}"
 
     def _repr_html_(self) -> str:
@@ -157,7 +156,7 @@ class Report:
             "estimate": given.estimate,
             "validation": given.validation,
             "checks": given.checks,
-            "loop": given.loop,
+            "diagnosis": given.diagnosis,
             "profiles": given.profiles,
             "frequencies": {} if given.response is None else given.response.modes,
             "revealing": given.stiffness_test,

@@ -10,9 +10,9 @@ from jointid.common.charts import Chart
 from jointid.common.document import Block, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
+from jointid.diagnostics.axis_parameters import AxisParameter, Told
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.report_data import Spectra, estimate_spectra
-from jointid.diagnostics.robots.diagnose import RobotDiagnosis
-from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
 from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
@@ -37,7 +37,7 @@ class RobotReportData:
     """
 
     estimate: Estimate
-    diagnosis: RobotDiagnosis
+    diagnosis: Diagnosis
     validation: RobotValidation | None = None
     absent: dict[str, str] = field(default_factory=dict)
 
@@ -113,19 +113,19 @@ def _result(given: RobotReportData) -> Iterator[Block]:
     yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
 
 
-def _parameters(found: RobotDiagnosis) -> Iterator[Block]:
+def _parameters(found: Diagnosis) -> Iterator[Block]:
     """Yield a table of each joint's parameters."""
-    stated = sum(one.known is Told.TOLD for joint in found.joints for one in joint.parameters)
-    whole = sum(len(joint.asked) for joint in found.joints)
+    stated = sum(one.known is Told.TOLD for joint in found.axes for one in joint.parameters)
+    whole = sum(len(joint.asked) for joint in found.axes)
     yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
     header = ("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
-    for joint in found.joints:
+    for joint in found.axes:
         if joint.parameters:
             rows = tuple(_parameter(one) for one in joint.parameters)
             yield Table(header, rows, joint.name, (0, 1, 2, 5))
 
 
-def _parameter(one: ParameterOfJoint) -> tuple[str, ...]:
+def _parameter(one: AxisParameter) -> tuple[str, ...]:
     nominal = number(one.nominal, 4)
     if one.value is None or one.std is None:
         shown = "-" if one.at_least is None else f"at least {number(one.at_least, 3)}"
@@ -136,9 +136,9 @@ def _parameter(one: ParameterOfJoint) -> tuple[str, ...]:
     return one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
 
 
-def _sums(found: RobotDiagnosis) -> Iterator[Block]:
+def _sums(found: Diagnosis) -> Iterator[Block]:
     items = tuple(
-        f"{one.name} is {one.formula}" for joint in found.joints for one in joint.parameters if one.formula != one.name
+        f"{one.name} is {one.formula}" for joint in found.axes for one in joint.parameters if one.formula != one.name
     )
     yield Paragraph(
         "Of many inertial parameters only sums act on the torques; each is named after the first that is in it."
@@ -146,7 +146,7 @@ def _sums(found: RobotDiagnosis) -> Iterator[Block]:
     yield Listing(items) if items else Paragraph("Every parameter stands for itself.")
 
 
-def robot_charts(found: RobotDiagnosis) -> dict[str, Chart]:
+def robot_charts(found: Diagnosis) -> dict[str, Chart]:
     """Return the charts that can be drawn, by name."""
     axes, torques = AxisSignals.of_robot(found), found.torques
     spectra: list[Spectra | None] = []

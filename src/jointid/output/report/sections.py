@@ -18,7 +18,7 @@ from jointid.common.document import (
 )
 from jointid.common.text import join, number, sentence
 from jointid.diagnostics.faults.fault import FaultTest, Measure
-from jointid.diagnostics.faults.findings import LoopCheck
+from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.report_data import ReportData
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.summary import (
@@ -89,9 +89,9 @@ def _section(title: str, shown: list[Block], *more: Table | None) -> list[Block]
 
 def _loop(given: ReportData) -> list[Block]:
     table = _suspects_table(given)
-    if given.loop is None or table is None:
+    if given.faults is None or table is None:
         return []
-    stated = given.loop.sentences if given.cause is None else [str(given.cause)]
+    stated = given.faults.sentences if given.cause is None else [str(given.cause)]
     return [Heading("Controller and log"), Listing(tuple(sentence(one) for one in stated)), table]
 
 
@@ -184,13 +184,13 @@ def _profiles_table(given: ReportData) -> Table | None:
 
 def _suspects_table(given: ReportData) -> Table | None:
     """Return every test of loop and log, in words; None where they were not checked."""
-    if given.loop is None:
+    if given.faults is None:
         return None
     caption = (
         "Every suspect, each tested as if nothing else were wrong; the sentences above take in, one after the other, "
         "what was found before them"
     )
-    named = {finding.test.name for finding in given.loop.findings}
+    named = {finding.test.name for finding in given.faults.findings}
     if given.cause is not None:
         named, caption = (
             set(),
@@ -200,16 +200,16 @@ def _suspects_table(given: ReportData) -> Table | None:
             ),
         )
     rows = []
-    for test in given.loop.tests:
-        scale, unit = _scale(test, given.loop)
-        found = "named above" if test.name in named else "likely" if test.p_value <= given.loop.level else "nothing"
+    for test in given.faults.tests:
+        scale, unit = _scale(test, given.faults)
+        found = "named above" if test.name in named else "likely" if test.p_value <= given.faults.level else "nothing"
         size = f"{scale * test.size:+.3g} ± {number(2 * scale * test.std, 2)}"
         rows.append((test.title, size, unit, p_value(test.p_value), found))
     header = ("suspect", "more than declared", "unit", "p", "found")
     return Table(header, tuple(rows), caption, words=(0, 2, 4))
 
 
-def _scale(test: FaultTest, check: LoopCheck) -> tuple[float, str]:
+def _scale(test: FaultTest, check: AxisFaults) -> tuple[float, str]:
     """Return the factor and the unit in which the size of a fault is read."""
     of_declared = (100.0 / abs(test.declared), "%") if test.declared else (1.0, "")
     return {

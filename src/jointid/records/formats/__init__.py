@@ -20,6 +20,7 @@ from jointid.records.formats.reader_process import MEMORY, read_apart, read_bloc
 from jointid.records.formats.rosbag import RosBag
 from jointid.records.formats.table import Block, Format, Holds, NotStreamedError, Streamed, Table, format_size
 from jointid.records.formats.tdms import Tdms
+from jointid.records.formats.text import is_packed
 
 __all__ = [
     "FORMATS", "Block", "Csv", "Format", "Hdf5", "Holds", "Matlab", "Npy", "Parquet", "RosBag", "Streamed", "Table",
@@ -29,6 +30,7 @@ __all__ = [
 FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Hdf5(), Parquet(), Tdms(), RosBag())
 """Every format there is."""
 
+_TEXTS = (Csv,)  # that are read packed, too
 _LONG = 2**26  # bytes of a text that is read in chunks
 _SHORT = 2**21  # bytes of a text that takes less time than a process would to start
 
@@ -41,14 +43,19 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     """
     is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
+    packed = is_packed(path) and not is_folder
+    suffix = path.suffixes[-2] if packed and len(path.suffixes) > 1 else path.suffix
     for entry in FORMATS:
-        if path.suffix.lower() in entry.suffixes and not is_folder:
+        if suffix.lower() in entry.suffixes and not is_folder and (not packed or isinstance(entry, _TEXTS)):
             break
         if isinstance(entry, RosBag) and (is_folder or not path.suffix):
             break
     else:
         known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS)
-        raise RecordError(f'{path.name} has the suffix "{path.suffix}", which names no known format ({known}).')
+        fact = f'has the suffix "{path.suffix}", which names no known format ({known})'
+        if packed and suffix != path.suffix:
+            fact = f'is packed by gzip, which is unpacked for texts alone; unpack it to "{path.stem}"'
+        raise RecordError(f"{path.name} {fact}.")
     known = ", ".join(option.name for option in fields(entry)) or "none"
     unknown = set(options) - {option.name for option in fields(entry)}
     if unknown:
@@ -100,7 +107,8 @@ def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> I
     """Yield tables of `rows` rows, or one table without `read_blocks` support."""
     try:
         # All rows of a text determine its dialect if they fit into memory.
-        is_short_text = isinstance(format_of(path), Csv) and Path(path).is_file() and Path(path).stat().st_size < _LONG
+        is_text = isinstance(format_of(path), Csv) and Path(path).is_file() and not is_packed(Path(path))
+        is_short_text = is_text and Path(path).stat().st_size < _LONG
         blocks = iter(()) if is_short_text else read_blocks(path, rows, **options)
         first = next(blocks, None)
     except NotStreamedError:
@@ -117,7 +125,8 @@ def _is_harmless(reader: Format, path: Path) -> bool:
 
     Rows of NumPy files are at known offsets; short text takes a few hundred times its bytes.
     """
-    return isinstance(reader, Npy) or (isinstance(reader, Csv) and path.stat().st_size <= _SHORT)
+    is_short = path.stat().st_size <= _SHORT and not is_packed(path)
+    return isinstance(reader, Npy) or (isinstance(reader, Csv) and is_short)
 
 
 def _require_file(path: Path) -> None:
@@ -158,6 +167,8 @@ def write_table(path: str | os.PathLike[str], table: Table, **options: object) -
     """
     path = Path(path)
     writer = format_of(path, **options)
+    if is_packed(path):
+        raise RecordError(f"{path.name} would be packed by gzip, which is not written; write {path.stem}, and pack it.")
     if isinstance(writer, RosBag) and not path.suffix and path.exists():
         raise RecordError(f"{path} is already there, and a bag is not written over; name another folder.")
     with beside(path) as fresh:

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import csv
 import re
-from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -18,29 +17,49 @@ from typing import ClassVar
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import pluralise, short
-from jointid.common.units import UnitError, unit
+from jointid.common.units import UnitError, normalise_unit, unit
 from jointid.records.formats.scope import find_scope, read_scope
-from jointid.records.formats.table import WIDEST, Block, Holds, NotStreamedError, Table, join_tables, require_place
+from jointid.records.formats.stamps import Stamps, is_stamp
+from jointid.records.formats.table import (
+    TIME_NAME,
+    WIDEST,
+    Block,
+    Holds,
+    NotStreamedError,
+    Table,
+    join_tables,
+    require_place,
+)
 from jointid.records.formats.text import (
     BLANKS,
+    COMMA_BLANK,
     Dialect,
     Fit,
+    Kind,
     Line,
     TextFile,
     build_text,
+    exceeds,
     is_comment,
     is_number,
+    kinds_of,
     point_rows,
     read_lines,
     sniff,
     stream_lines,
 )
 
+_WORDY = re.compile(r"[A-Za-z_:/#]|\d-\d|\.\d*\.")  # what numbers alone, but for exponents and NaN, do not contain
 _LONGEST_NAME = 1000  # characters
 _BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
 _NO_UNIT = ("", "-")
+_OTHER_UNITS = frozenset({
+    "V", "mV", "µV", "uV", "kV", "mA", "µA", "uA", "kA", "W", "kW", "VA", "Hz", "kHz", "MHz", "°C", "degC", "C", "K",
+    "bar", "Pa", "J", "g", "kg", "dB", "ppm", "m/s²", "m/s^2", "m/s2", "rad/s²", "rad/s2",
+})  # fmt: skip
 _LONG, _LONG_BLOCK = 2**26, 100_000  # bytes of a file that is read in blocks of so many rows
 _BEGINNING = 1000  # lines, that tell how those of a long file are written
 _RUN = ("=", "+", "-", "@")  # with these a cell begins that a spreadsheet program takes for a formula
@@ -51,7 +70,11 @@ _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, o
 class Layout:
     """Layout of a file's rows from content line `start` on.
 
-    `closed` marks rows that end with a delimiter.
+    Attributes:
+        closed: whether the rows end with a delimiter.
+        numbers: places of the columns that hold numbers; None for all of them.
+        stamps: the columns that hold instants, by place.
+        passed: see `Table`.
     """
 
     file: str
@@ -59,22 +82,50 @@ class Layout:
     names: Sequence[str]
     start: int
     closed: bool
+    numbers: Sequence[int] | None = None
+    stamps: Mapping[int, Stamps] = field(default_factory=dict)
+    passed: Mapping[str, str] = field(default_factory=dict)
 
     def read(self, lines: Sequence[Line], ends: bool, count: int) -> Table:
         """Parse the first `count` lines, which may include the end of the file."""
-        rows = lines[:count]
-        if self.closed:
-            rows = [Line(i, row.rstrip(BLANKS).removesuffix(self.dialect.delimiter)) for i, row in rows]
+        rows = [self.open_row(row) for row in lines[:count]] if self.closed else lines[:count]
+        if self.numbers is not None:
+            return self._read_mixed(rows, ends)
         mark = None if self.dialect.delimiter == BLANKS else self.dialect.delimiter
         try:
             plain = point_rows(rows, self.dialect.decimal)
             values = np.loadtxt(plain, dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
-        except ValueError:  # quotes, an empty cell or a fault: only the slow way can tell
-            values = np.array([self._parse_row(row, ends and row is rows[-1]) for row in rows])
-        return Table(dict(zip(self.names, values.T, strict=True)), source=self.file)
+        except (ValueError, TypeError):  # quotes, an empty cell or a fault: only the slow way can tell
+            return self._read_mixed(rows, ends)
+        return Table(dict(zip(self.names, values.T, strict=True)), source=self.file, passed=self.passed)
 
-    def _parse_row(self, line: Line, last: bool) -> list[float]:
-        """Parse one row; raise the sentence on its fault."""
+    def _read_mixed(self, rows: Sequence[Line], ends: bool) -> Table:
+        """Parse cell by cell."""
+        numbers = range(len(self.names)) if self.numbers is None else self.numbers
+        values, instants = np.empty((len(rows), len(numbers))), {place: list[str]() for place in self.stamps}
+        for index, row in enumerate(rows):
+            cells = self._split_row(row, ends and row is rows[-1])
+            values[index] = [self._parse_number(row, place, cells[place]) for place in numbers]
+            for place, found in instants.items():
+                found.append(cells[place])
+        columns = {place: values[:, index] for index, place in enumerate(numbers)}
+        for place, found in instants.items():
+            columns[place] = self._parse_stamps(rows, place, found)
+        read = {self.names[place]: columns[place] for place in sorted(columns)}
+        clock = [self.names[place] for place in self.stamps]
+        return Table(
+            read,
+            source=self.file,
+            units=dict.fromkeys(clock, "s"),
+            passed=self.passed,
+            # A single column of instants is the clock, whatever its name.
+            clocks={}
+            if len(clock) != 1 or any(map(TIME_NAME.fullmatch, read))
+            else dict.fromkeys((name for name in read if name not in clock), clock[0]),
+        )
+
+    def _split_row(self, line: Line, last: bool) -> list[str]:
+        """Split one row; raise the sentence on its fault."""
         file, names = self.file, self.names
         try:
             cells = self.dialect.split(line.text)
@@ -89,16 +140,45 @@ class Layout:
                 f"{file}: {place} has {pluralise(len(cells), 'cell')} for {pluralise(len(names), 'column')}; {remedy} "
                 "that line."
             )
-        values = []
-        for name, cell in zip(names, cells, strict=True):
-            try:
-                values.append(self.dialect.number(cell))
-            except ValueError:
-                raise RecordError(
-                    f'{file}: line {line.number}, column "{name}" holds "{short(cell)}", which is not a number; '
-                    "mend it or leave the cell empty."
-                ) from None
-        return values
+        return cells
+
+    def _parse_number(self, line: Line, place: int, cell: str) -> float:
+        try:
+            return self.dialect.number(cell)
+        except ValueError:
+            raise self._fault(line, place, cell, "a number") from None
+
+    def _parse_stamps(self, rows: Sequence[Line], place: int, cells: Sequence[str]) -> FloatArray:
+        stamps = self.stamps[place]
+        try:
+            return stamps.seconds(cells)
+        except ValueError:
+            for row, cell in zip(rows, cells, strict=True):
+                try:
+                    stamps.seconds([cell])
+                except ValueError:
+                    raise self._fault(row, place, cell, "an instant as in the rows above") from None
+            raise
+
+    def _fault(self, line: Line, place: int, cell: str, expected: str) -> RecordError:
+        return RecordError(
+            f'{self.file}: line {line.number}, column "{self.names[place]}" holds "{short(cell)}", which is not '
+            f"{expected}; mend it or leave the cell empty."
+        )
+
+    def following(self, first: Line, before: Line) -> Layout:
+        """Return the layout of the block from `first` on, whose times of day go on from the block from `before` on."""
+        later = dict(self.stamps)
+        for place, stamps in self.stamps.items():
+            cells = [self._split_row(self.open_row(row), last=False)[place] for row in (before, first)]
+            if stamps.period and all(map(is_stamp, cells)):
+                later[place] = stamps.after(cells[1], float(stamps.seconds(cells[:1])[0]))
+        return replace(self, stamps=later)
+
+    def open_row(self, row: Line) -> Line:
+        """Leave out the delimiter at the end of a row."""
+        text = row.text.rstrip(BLANKS).removesuffix(self.dialect.delimiter) if self.closed else row.text
+        return Line(row.number, text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +216,7 @@ class Csv:
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
-        if path.stat().st_size > _LONG:
+        if exceeds(path, _LONG):
             beginning = build_text(path.name, list(islice(stream_lines(path), _BEGINNING)))
             if find_scope(beginning) is None:  # the text would take several times the memory of its numbers
                 return join_tables([block.table() for block in self.blocks(path, _LONG_BLOCK)])
@@ -179,6 +259,8 @@ class Csv:
         while block:
             following = list(islice(found, rows))
             yield Block(len(block), partial(layout.read, block, not following))
+            if following and layout.stamps:
+                layout = layout.following(following[0], block[0])
             block = following
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
@@ -212,13 +294,9 @@ class Csv:
                 f'{text.name} has a column name of {len(longest)} characters, "{short(longest)}"; expected at most '
                 f"{_LONGEST_NAME}: name it shorter, or give header = false to call the columns by their numbers."
             )
-        twice = sorted(name for name, count in Counter(names).items() if count > 1)
-        if twice:
-            raise RecordError(
-                f'{text.name} has more than one column called "{twice[0]}"; rename them, or give '
-                "header = false to call the columns by their numbers."
-            )
-        return Layout(text.name, dialect, names, start, unnamed)
+        passed: dict[str, str] = {}
+        names = _tell_apart(names, passed)
+        return _sort_columns(Layout(text.name, dialect, names, start, unnamed, passed=passed), rows)
 
     def _fit(self, text: TextFile) -> Fit:
         """Choose the dialect, by the line of names if ambiguous."""
@@ -239,7 +317,7 @@ class Csv:
                 f'{text.name} can be read in two ways: "{lines[start]}" is one number with a decimal comma, '
                 'or two whole numbers; give decimal = "," or delimiter = ",".'
             )
-        return several if len(several.dialect.split(above.text)) == several.width else single
+        return several if len(_split_names(above.text, several)) == several.width else single
 
     def _names(self, text: TextFile, start: int, fit: Fit, closed: bool) -> list[str] | None:
         """Cells of the header; None without one."""
@@ -248,7 +326,7 @@ class Csv:
             if self.header:
                 raise RecordError(f"{text.name} has no line above the numbers; leave header = true out.")
             return None
-        names = fit.dialect.split(above.text)
+        names = _split_names(above.text, fit)
         fits = len(names) == fit.width or (closed and len(names) == fit.width - 1)
         numbers = [name for name in names if is_number(name)]
         if self.header is None:
@@ -273,6 +351,55 @@ class Csv:
         return _add_units(fit.dialect.split(text.lines[start - 2].text), names) if start > 1 else names
 
 
+def _split_names(text: str, fit: Fit) -> list[str]:
+    """Split a line of names; a delimiter at its end is none."""
+    spaced = fit.dialect.delimiter == COMMA_BLANK
+    names = (replace(fit.dialect, delimiter=",") if spaced else fit.dialect).split(text)
+    while len(names) > fit.width and not names[-1]:
+        names.pop()
+    return names
+
+
+def _tell_apart(names: Sequence[str], passed: dict[str, str]) -> list[str]:
+    """Call columns of one name by their numbers too, and note the name that they share."""
+    places: dict[str, list[int]] = {}
+    for number, name in enumerate(names, start=1):
+        places.setdefault(name, []).append(number)
+    for name, found in places.items():
+        if len(found) > 1:
+            passed[name] = f'the name of {len(found)} columns; they are "column {found[0]}: {name}" and so on'
+    return [f"column {i}: {name}" if name in passed else name for i, name in enumerate(names, start=1)]
+
+
+def _sort_columns(layout: Layout, rows: Sequence[Line]) -> Layout:
+    """Find the columns of instants, and those of words, which are passed over."""
+    if not any(_WORDY.search(row.text) for row in rows):
+        return layout
+    width, dialect = len(layout.names), layout.dialect
+    try:
+        split = [(row, dialect.split(layout.open_row(row).text)) for row in rows]
+    except csv.Error:
+        return layout  # the row at fault is named when it is read
+    alike = [(row, cells) for row, cells in split if len(cells) == width]
+    kinds = kinds_of(dialect, [cells for _, cells in alike], width)
+    passed = dict(layout.passed)
+    stamps = {}
+    for place, kind in enumerate(kinds):
+        filled = ((row.number, cells[place]) for row, cells in alike if cells[place])
+        if kind is Kind.STAMP:
+            try:
+                stamps[place] = Stamps.of([cell for _, cell in filled if dialect.kind_of(cell) is kind])
+            except ValueError:
+                passed[layout.names[place]] = "its instants are not written alike"
+        elif kind is not Kind.NUMBER:
+            line, cell = next(each for each in filled if dialect.kind_of(each[1]) is kind)
+            passed[layout.names[place]] = f'it holds {kind.value}, such as "{short(cell)}" in line {line}'
+    numbers = [place for place, kind in enumerate(kinds) if kind is Kind.NUMBER]
+    if len(numbers) == width:
+        return layout
+    return replace(layout, numbers=numbers, stamps=stamps, passed=passed)
+
+
 def _add_units(over: list[str], names: list[str]) -> list[str]:
     """Join a line of units to the names above it."""
     units = [match[1] or match[2] if (match := _BRACKETED.fullmatch(cell)) else cell for cell in names]
@@ -286,9 +413,9 @@ def _add_units(over: list[str], names: list[str]) -> list[str]:
 
 def _is_unit(text: str) -> bool:
     try:
-        unit(text)
+        unit(normalise_unit(text))
     except UnitError:
-        return False
+        return text in _OTHER_UNITS
     return True
 
 

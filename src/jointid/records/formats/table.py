@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import heapq
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import Field, dataclass, field, replace
@@ -30,6 +31,9 @@ WIDEST = 10_000
 
 PIECES = 2**40
 """Bytes of numbers that are read in chunks, 1 TiB: more than a year of 4 columns at 1 kHz."""
+
+TIME_NAME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+"""Name by which a column is taken for the time without being named as such."""
 
 _NUMBER = 8  # bytes of a number in memory
 _FEW = 3  # things passed over that a sentence names
@@ -87,6 +91,11 @@ class Table:
         rest = f" and {len(names) - len(close)} more" if len(close) < len(names) else ""
         return (", ".join(f'"{short(name, _QUOTED)}"' for name in close) or "none") + rest
 
+    def explain_missing(self, names: Iterable[str]) -> str:
+        """Return in brackets why columns of these names are not there, as far as it is known."""
+        known = [self.passed[name] for name in names if name in self.passed]
+        return f" ({'; '.join(known)})" if known else ""
+
     @property
     def rows(self) -> int:
         """Count of rows: the length of the longest column."""
@@ -105,7 +114,7 @@ class Table:
         names = list(names)
         missing = [name for name in names if name not in self.columns]
         if missing:
-            why = f" ({self.passed[missing[0]]})" if missing[0] in self.passed else ""
+            why = self.explain_missing(missing[:1])
             raise RecordError(
                 f'{self.source} has no column "{show(missing[0])}"{why}; it has {self.list_columns(missing[0])}.'
             )

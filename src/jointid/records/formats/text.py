@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import codecs
 import csv
+import gzip
+import io
 import re
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 
 from jointid.common.errors import RecordError
+from jointid.records.formats.stamps import is_date, is_stamp
 
 _COMMENTS = ("#", "%", "//")
 _HEAD = 65536  # bytes
@@ -23,8 +29,13 @@ _SPREADSHEET = "sep="  # "sep=;" is a note from one spreadsheet program to anoth
 BLANKS = " "
 """The delimiter that stands for any run of blanks."""
 
+COMMA_BLANK = ", "
+"""The delimiter beside decimal commas that is a comma with a blank behind it."""
+
 _DELIMITERS = (";", "\t", "|", ",", BLANKS)  # of dialects that read a file alike, the first is taken
 _SAMPLE = 200  # lines that decide, from the end of the file, where the data is
+_COMMA_AND_BLANK = re.compile(r",[ \t]+")
+_SPLIT_NUMBER = re.compile(r"[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)  # a cell cut at the wrong mark
 _EXPONENT_OR_WORD = r"(?:e[+-]?\d+)?|nan|inf|infinity)"
 _NUMBERS = {
     ".": re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
@@ -53,14 +64,54 @@ class TextFile:
         return self.lines[index - 1] if index else self.comment
 
 
+def is_packed(path: Path) -> bool:
+    """Test for a text packed by gzip."""
+    return path.suffix.lower() == ".gz"
+
+
+def open_text(path: Path) -> IO[bytes]:
+    """Open the bytes of a text, unpacked."""
+    return gzip.open(path) if is_packed(path) else path.open("rb")  # type: ignore[return-value]
+
+
 def is_comment(text: str) -> bool:
     """Test for a comment."""
     return text.lstrip().startswith((*_COMMENTS, _SPREADSHEET))
 
 
+def exceeds(path: Path, size: int) -> bool:
+    """Test for a text of more than `size` bytes, unpacked."""
+    if not is_packed(path):
+        return path.stat().st_size > size
+    with _explain_packing(path), open_text(path) as file:
+        left = size
+        while left >= 0 and (part := file.read(2**20)):
+            left -= len(part)
+    return left < 0
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """Read the bytes of a text, unpacked; refuse more than `most`."""
+    with _explain_packing(path), open_text(path) as file:
+        raw = file.read(most + 1)
+    if len(raw) > most:
+        raise RecordError(f"{path.name} has more than {most} bytes of text; cut it into shorter files.")
+    return raw
+
+
 def read_lines(path: Path) -> TextFile:
     """Read a file in UTF-8, UTF-16 with byte order mark, or Latin-1."""
-    raw = path.read_bytes()
+    with _explain_packing(path), open_text(path) as file:
+        raw = file.read()
+    text = decode(path, raw)
+    # str.splitlines would also split at form feeds and other marks that occur inside names.
+    every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    filled = ((number, line) for number, line in enumerate(every, start=1) if line and not line.isspace())
+    return build_text(path.name, [_line(path, number, line) for number, line in filled])
+
+
+def decode(path: Path, raw: bytes) -> str:
+    """Decode UTF-8, UTF-16 with byte order mark, or Latin-1."""
     try:
         wide = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         text = raw.decode("utf-16" if wide else "utf-8-sig")
@@ -68,10 +119,16 @@ def read_lines(path: Path) -> TextFile:
         text = raw.decode("latin-1")
     if "\0" in text:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
-    # str.splitlines would also split at form feeds and other marks that occur inside names.
-    every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    filled = ((number, line) for number, line in enumerate(every, start=1) if line and not line.isspace())
-    return build_text(path.name, [_line(path, number, line) for number, line in filled])
+    return text
+
+
+@contextmanager
+def _explain_packing(path: Path) -> Iterator[None]:
+    """Say so where a packed text is damaged."""
+    try:
+        yield
+    except (gzip.BadGzipFile, EOFError, zlib.error):
+        raise RecordError(f"{path.name} cannot be unpacked by gzip: it is damaged or cut off; copy it again.") from None
 
 
 def build_text(name: str, filled: list[Line]) -> TextFile:
@@ -87,7 +144,7 @@ def stream_lines(path: Path) -> Iterator[Line]:
 
     The beginning determines the encoding.
     """
-    with path.open("rb") as raw:
+    with _explain_packing(path), open_text(path) as raw:
         head = raw.read(_HEAD)
     encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
@@ -96,7 +153,11 @@ def stream_lines(path: Path) -> Iterator[Line]:
         encoding, beginning = "latin-1", head.decode("latin-1")
     if "\0" in beginning:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
-    with path.open(encoding=encoding, errors="replace") as file:
+    with (
+        _explain_packing(path),
+        open_text(path) as raw,
+        io.TextIOWrapper(raw, encoding=encoding, errors="replace") as file,
+    ):
         # Not by iteration: a file may be one line that does not fit into memory.
         for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
             text = line.rstrip("\n")
@@ -126,6 +187,15 @@ def is_number(cell: str) -> bool:
     return any(pattern.fullmatch(cell) for pattern in _NUMBERS.values())
 
 
+class Kind(Enum):
+    """What the cells of a column hold."""
+
+    NUMBER = "numbers"
+    STAMP = "instants"
+    DATE = "dates without a time"
+    WORD = "words"
+
+
 @dataclass(frozen=True, slots=True)
 class Dialect:
     """Delimiter, a character or `BLANKS`, and decimal mark."""
@@ -135,6 +205,8 @@ class Dialect:
 
     def split(self, line: str) -> list[str]:
         """Split a line into cells, without blanks and quotes."""
+        if self.delimiter == COMMA_BLANK:
+            return [cell.strip(' \t"') for cell in _COMMA_AND_BLANK.split(line)]
         if '"' in line:
             reader = csv.reader([line.strip(" ")], delimiter=self.delimiter, skipinitialspace=True)
             return [cell.strip() for cell in next(reader)]
@@ -150,6 +222,12 @@ class Dialect:
             raise ValueError(cell)
         return float(cell.replace(self.decimal, "."))
 
+    def kind_of(self, cell: str) -> Kind:
+        """Return what a filled cell holds."""
+        if _NUMBERS[self.decimal].fullmatch(cell):
+            return Kind.NUMBER
+        return Kind.STAMP if is_stamp(cell) else Kind.DATE if is_date(cell) else Kind.WORD
+
     def width(self, line: str) -> int:
         """Number of cells in a row of numbers; 0 for other lines."""
         if self.delimiter == self.decimal and '"' not in line:
@@ -161,15 +239,28 @@ class Dialect:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Rows of numbers under a dialect, and their commonest width."""
+    """Rows under a dialect, and their commonest width.
+
+    Attributes:
+        kinds: of the columns, where not all of them hold numbers.
+    """
 
     dialect: Dialect
     rows: int
     width: int
+    kinds: tuple[Kind, ...] | None = None
 
     def first_row(self, lines: Sequence[str]) -> int:
-        """Return the index of the first row of numbers of this width."""
-        return next(i for i, line in enumerate(lines) if self.dialect.width(line) == self.width)
+        """Return the index of the first row of this width."""
+        return next(i for i, line in enumerate(lines) if self.is_row(line))
+
+    def is_row(self, line: str) -> bool:
+        """Test for a row: its cells hold what their columns do, or nothing."""
+        if self.kinds is None:
+            return self.dialect.width(line) == self.width
+        cells = self.dialect.split(line)
+        known = [(c, k) for c, k in zip(cells, self.kinds, strict=False) if k is not Kind.WORD and c]
+        return len(cells) == self.width and bool(known) and all(self.dialect.kind_of(c) is k for c, k in known)
 
 
 def sniff(lines: Sequence[str], delimiter: str | None, decimal: str | None) -> list[Fit]:
@@ -178,14 +269,22 @@ def sniff(lines: Sequence[str], delimiter: str | None, decimal: str | None) -> l
     "1,5" is ambiguous: two integers, or a decimal comma (second). The last lines decide.
     """
     fits: list[Fit] = []
-    for mark in (delimiter,) if delimiter else _DELIMITERS:
-        for point in (decimal,) if decimal else (".", ","):
-            dialect = Dialect(mark, point)
-            widths = Counter(width for line in lines[-_SAMPLE:] if (width := dialect.width(line)))
-            fits.extend(Fit(dialect, rows, width) for width, rows in widths.most_common(1))
-    if not fits:
+    dialects = [Dialect(m, p) for m in ((delimiter,) if delimiter else _DELIMITERS) for p in (decimal or ".,")]
+    if delimiter is None and decimal != ".":
+        dialects.append(Dialect(COMMA_BLANK, ","))
+    for dialect in dialects:
+        widths = Counter(width for line in lines[-_SAMPLE:] if (width := dialect.width(line)))
+        fits.extend(Fit(dialect, rows, width) for width, rows in widths.most_common(1))
+    best = _prefer_blanks(fits, max(fits, key=lambda fit: (fit.rows, fit.width > 1), default=None))
+    if best is None or 2 * best.rows < len(lines[-_SAMPLE:]):
+        mixed = [fit for dialect in dialects for fit in _fit_mixed(lines[-_SAMPLE:], dialect)]
+        chosen = _prefer_blanks(mixed, max(mixed, key=_count_read, default=None))
+        if chosen is not None and (best is None or chosen.rows > 2 * best.rows):
+            return [chosen]
+    if best is None:
         return []
-    best = max(fits, key=lambda fit: (fit.rows, fit.width > 1))
+    if best.dialect.delimiter == COMMA_BLANK:
+        return [best]
     pairs = [fit for fit in fits if fit.width == 2 and fit.dialect.delimiter == ","]
     singles = [fit for fit in fits if fit.width == 1 and fit.dialect.decimal == ","]
     if pairs and singles and best.rows == singles[0].rows:
@@ -194,3 +293,42 @@ def sniff(lines: Sequence[str], delimiter: str | None, decimal: str | None) -> l
     twins = [f for f in fits if f.rows == best.rows and f.dialect.delimiter == best.dialect.delimiter]
     marked = [line for line in lines if "." in line or "," in line] if len(twins) > 1 else []
     return [max(twins, key=lambda fit: sum(fit.dialect.width(line) == fit.width for line in marked))]
+
+
+def _prefer_blanks(fits: Sequence[Fit], best: Fit | None) -> Fit | None:
+    """Prefer fewer columns between ", ": the commas without a blank behind them are decimal marks."""
+    spaced = next((fit for fit in fits if fit.dialect.delimiter == COMMA_BLANK), None)
+    return spaced if spaced and best and spaced.rows == best.rows and 1 < spaced.width < best.width else best
+
+
+def _count_read(fit: Fit) -> int:
+    return fit.rows * sum(kind in (Kind.NUMBER, Kind.STAMP) for kind in fit.kinds or ())
+
+
+def _fit_mixed(lines: Sequence[str], dialect: Dialect) -> Iterator[Fit]:
+    """Yield the fit of rows that also hold instants or words."""
+    if dialect.delimiter == dialect.decimal or not lines:
+        return
+    try:
+        split = [dialect.split(line) for line in lines]
+    except csv.Error:
+        return
+    width, _ = Counter(map(len, split)).most_common(1)[0]
+    alike = [cells for cells in split if len(cells) == width]
+    kinds = kinds_of(dialect, alike, width)
+    words = {cell for cells in alike for cell, kind in zip(cells, kinds, strict=True) if kind is Kind.WORD}
+    cut = any(_SPLIT_NUMBER.fullmatch(cell) and dialect.kind_of(cell) is Kind.WORD for cell in words)
+    if width < 2 or Kind.NUMBER not in kinds or cut:
+        return
+    fit = Fit(dialect, 0, width, kinds)
+    if rows := sum(map(fit.is_row, lines)):
+        yield replace(fit, rows=rows)
+
+
+def kinds_of(dialect: Dialect, rows: Sequence[Sequence[str]], width: int) -> tuple[Kind, ...]:
+    """Return what most filled cells of each column hold; of an empty one numbers."""
+    kinds = []
+    for column in range(width):
+        found = Counter(dialect.kind_of(cells[column]) for cells in rows if cells[column])
+        kinds.append(max(Kind, key=lambda kind: found[kind]))
+    return tuple(kinds)

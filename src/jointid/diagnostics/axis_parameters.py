@@ -1,4 +1,4 @@
-"""Parameters of a robot's estimate by joint, with formulas and significance.
+"""Parameters of an estimate by axis, with formulas and significance.
 
 A record determines a parameter if its deviation is below a tenth of it, roughly if it is below the value itself. Else
 the parameter is not distinguished from 0. A refused stiffness has its bound. A fixed parameter is not estimated from
@@ -28,36 +28,39 @@ class Told(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterOfJoint:
-    """One parameter of a robot's estimate.
+class AxisParameter:
+    """One parameter of an estimate.
 
     Attributes:
-        joint: place of its joint, or of the joint that carries its link.
+        axis: place of its joint, or of the joint that carries its link.
         name: as the estimate calls it.
         value, std: None where it is refused.
         unit: SI, behind the gear.
-        nominal: of the initial model and file.
+        nominal: of a robot's initial model and file; None of a single joint.
         formula: the sum of standard parameters that it stands for; its own name where it stands for itself.
         known: whether the record tells it.
         at_least: bound of a stiffness that is refused.
     """
 
-    joint: int
+    axis: int
     name: str
     value: float | None
     std: float | None
     unit: str
-    nominal: float
+    nominal: float | None
     formula: str
     known: Told
     at_least: float | None = None
 
 
-def parameters_by_joint(estimate: EstimateParts) -> tuple[ParameterOfJoint, ...]:
-    """Return the robot's parameters of an estimate, from the first joint to the last."""
-    part, found = estimate.require_robot(), []
-    joints = {name: k for k, name in enumerate(part.model.names)}
-    for row, nominal, formula in zip(estimate.params.rows, part.nominal, part.formulas, strict=True):
+def parameters_by_axis(estimate: EstimateParts) -> tuple[AxisParameter, ...]:
+    """Return the parameters of an estimate, from the first axis to the last."""
+    part, found = estimate.robot, []
+    rows = estimate.params.rows
+    axes = {"": 0} if part is None else {name: k for k, name in enumerate(part.model.names)}
+    nominals = [None] * len(rows) if part is None else part.nominal.tolist()
+    formulas = [row.name for row in rows] if part is None else part.formulas
+    for row, nominal, formula in zip(rows, nominals, formulas, strict=True):
         if not row.of_joint:
             continue
         known, std = Told.REFUSED, 0.0 if not row.free else row.stderr
@@ -67,8 +70,6 @@ def parameters_by_joint(estimate: EstimateParts) -> tuple[ParameterOfJoint, ...]
             share = std / abs(row.value) if row.value else math.inf
             known = Told.TOLD if share < KNOWN else Told.ROUGHLY if share < _ROUGHLY else Told.NOT
         found.append(
-            ParameterOfJoint(
-                joints[row.axis], row.name, row.value, std, row.unit, float(nominal), formula, known, row.lower_bound
-            )
+            AxisParameter(axes[row.axis], row.name, row.value, std, row.unit, nominal, formula, known, row.lower_bound)
         )
-    return tuple(sorted(found, key=lambda one: one.joint))
+    return tuple(sorted(found, key=lambda one: one.axis))

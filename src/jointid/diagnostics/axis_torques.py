@@ -1,4 +1,4 @@
-"""The torques of a robot's record beside those of an estimate, joint by joint, on the rows that were compared.
+"""The torques of a record beside those of an estimate, axis by axis, on the rows that were compared.
 
 Beside them stand shapes: what a part that the model lacks would add to a joint's torque. A friction that is no straight
 line, grows with the load or differs by direction; what repeats with the position; a gear that bends, which adds the
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem
 from jointid.estimation.robots.idim import InverseModelRobot
@@ -23,7 +24,6 @@ from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.estimation.robots.simulated import SimulatedRobot, problem_of
-from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import simulation_of
@@ -39,11 +39,10 @@ SPRING = "changes of its acceleration: a gear that bends"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotTorques:
-    """Torques of all joints, filtered and thinned, on an estimate's own record or another one.
+class AxisTorques:
+    """Torques of all axes, filtered and decimated, on an estimate's own record or another one.
 
     Attributes:
-        robot: whose joints they are.
         time: (rows,) of them, s.
         sample_time, cutoff: s between rows, and Hz of the filter.
         measured, predicted: (n, rows) N m or N, behind the gear.
@@ -53,7 +52,6 @@ class RobotTorques:
         shapes: of each joint, by what they are of, (rows, columns).
     """
 
-    robot: Robot
     time: FloatArray
     sample_time: float
     cutoff: float
@@ -71,11 +69,29 @@ class RobotTorques:
         return self.measured - self.predicted
 
 
-def torques_of(estimate: EstimateParts, records: Sequence[Record]) -> RobotTorques:
-    """Return the torques of the record that an estimate is from, beside its own.
+def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
+    """Return the torque of a joint's solved problem, beside that of its simulation."""
+    run = problem.simulate(x)
+    q, v = run.motor_position[:, np.newaxis], run.motor_velocity[:, np.newaxis]
+    motion = q, v, np.gradient(v, problem.sample_time, axis=0)
+    measured = problem.filter(problem.measured)
+
+    def thin(columns: FloatArray) -> FloatArray:
+        return problem.filter(columns[:, 0])[np.newaxis]
+
+    return _torques(
+        ("",), problem.filtering, problem.sample_time,
+        (measured[np.newaxis], (measured - problem.residual(x))[np.newaxis], None),
+        np.ones((1, measured.size), dtype=np.bool_), thin(np.stack([q, v], axis=2)),
+        motion, problem.measured[:, np.newaxis], thin,
+    )  # fmt: skip
+
+
+def torques_of_robot(estimate: EstimateParts, records: Sequence[Record]) -> AxisTorques:
+    """Return the torques of the record that a robot's estimate is from, beside its own.
 
     Args:
-        estimate: of the robot, by IDIM or DIDIM.
+        estimate: of the robot, by any method.
         records: of each joint, that it was identified from.
 
     Raises:
@@ -88,7 +104,7 @@ def torques_of(estimate: EstimateParts, records: Sequence[Record]) -> RobotTorqu
     return _by_simulation(part, filtering, records)
 
 
-def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Sequence[Record]) -> RobotTorques:
+def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
     robot, motion = part.model, motion_of_robot(part.model, records, filtering)
     rows = base_rows(robot, part.base, motion)
     coupling = robot.coupling.T
@@ -103,12 +119,12 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
     nominal = rows.by_equation(rows.W @ part.nominal) if robot.has_masses else None
     measured = rows.by_equation(rows.Y)
     return _torques(
-        robot, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values), nominal),
+        robot.names, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values), nominal),
         seen, path, (q, v, a), motion.torque, thin,
     )  # fmt: skip
 
 
-def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> RobotTorques:
+def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
     problem = problem_of(part.setup, records, robot_parameters(robot), filtering)
     measured = problem.by_joint(problem.decimate(problem.measured))
@@ -134,13 +150,13 @@ def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence
         )
         whole = partial(thin, of=replace(problem, motion=everywhere))
     return _torques(
-        robot, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
+        robot.names, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
         whole(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
     )  # fmt: skip
 
 
 def _torques(
-    robot: Robot,
+    axes: Sequence[str],
     filtering: Filtering,
     sample_time: float,
     torques: tuple[FloatArray, FloatArray, FloatArray | None],
@@ -149,7 +165,7 @@ def _torques(
     motion: tuple[FloatArray, FloatArray, FloatArray],
     torque: FloatArray,
     thin: Callable[[FloatArray], FloatArray],
-) -> RobotTorques:
+) -> AxisTorques:
     """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are.
 
     The path is positions and velocities of the rows, (n, rows, 2).
@@ -157,23 +173,23 @@ def _torques(
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     q, v, a = motion
-    names, columns = _shapes(robot, q, v, a, torque, sample_time)
+    names, columns = _shapes(axes, q, v, a, torque, sample_time)
     widths = [one.shape[2] for one in columns]
     parts = np.split(thin(np.concatenate(columns, axis=2)), np.cumsum(widths)[:-1], axis=2)
-    shapes = tuple({names(k, i): part[k] for i, part in enumerate(parts)} for k in range(len(robot)))
+    shapes = tuple({names(k, i): part[k] for i, part in enumerate(parts)} for k in range(len(axes)))
     step = sample_time * filtering.decimation
     measured, predicted, nominal = torques
-    return RobotTorques(
-        robot, np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted, nominal,
-        seen, path[:, :, 0], path[:, :, 1], shapes,
+    return AxisTorques(
+        np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted, nominal, seen,
+        path[:, :, 0], path[:, :, 1], shapes,
     )  # fmt: skip
 
 
 def _shapes(
-    robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray, torque: FloatArray, sample_time: float
+    axes: Sequence[str], q: FloatArray, v: FloatArray, a: FloatArray, torque: FloatArray, sample_time: float
 ) -> tuple[Callable[[int, int], str], list[FloatArray]]:
     """Return a function from joint and place to the name of a shape, and the shapes, (samples, n, columns) each."""
-    n, way = len(robot), np.sign(v)
+    n, way = len(axes), np.sign(v)
     slow = _SLOW * np.max(np.abs(v), axis=0) + 1e-300
     turns = 2.0 * np.pi * (q - q.min(axis=0)) / (np.ptp(q, axis=0) + 1e-300)
     waves = [wave(m * turns) for m in range(1, _HARMONICS + 1) for wave in (np.sin, np.cos)]
@@ -194,6 +210,6 @@ def _shapes(
         if place < len(own):
             return (FRICTION, LOAD, POSITION, DIRECTION, SPRING)[place]
         other = place - len(own)
-        return f"the motion of {robot.names[other + (other >= joint)]}: motors or gears that are coupled"
+        return f"the motion of {axes[other + (other >= joint)]}: motors or gears that are coupled"
 
     return name, own + others

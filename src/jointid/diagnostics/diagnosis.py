@@ -1,0 +1,384 @@
+"""Diagnosis of an estimate, axis by axis: what its record tells, and whether its loops and models are as declared.
+
+Of each axis: the part of its torque that the estimate leaves, whether that is noise, and what it correlates with; the
+parameters that the record tells; the controller's torque along the logged motor position; and the faults that were
+tested. The controller is compared without a model of the axis, so its faults are distinguished from those of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from jointid.common.document import Block, Document, Documented, Heading, Listing, Paragraph, Table
+from jointid.common.messages import Message
+from jointid.common.text import join, number, pluralise
+from jointid.diagnostics.axis_parameters import AxisParameter, Told
+from jointid.diagnostics.axis_torques import AxisTorques
+from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.model_free import LawOnPosition
+from jointid.uncertainty.residual_tests import Coupling, Whiteness
+
+_LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
+_SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together
+_MUCH = 0.25  # of what is left, that follows one thing
+_BEYOND_NOISE = 2.0  # times what any law leaves: the declared one is not what the drive runs
+_OF_ANY_LAW = 0.1  # of a torque, that any law leaves: no law alone makes the torque
+_GAIN = 0.03  # off 1
+_RESTS = 0.5  # of the record, moving
+_MOST_NAMES = 8
+_MOST_TESTS = 20  # rows of a table
+
+OF_LAW = 0.03
+"""Share of a torque that a controller which holds leaves along the logged position, at most."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisDiagnosis:
+    """Diagnosis of one axis.
+
+    Attributes:
+        name: of the joint; empty of a joint alone.
+        left: share of its filtered torque that the estimate leaves.
+        whiteness: of what is left; None where the record is too short.
+        follows: what that follows most, and the share of it that does; None where nothing exceeds chance.
+        travel, speed: of its motor, in `position_unit`, and per s; as measured, or simulated where it was not.
+        moving: share of the rows in which it moves.
+        position_unit, torque_unit: rad or m; of its torque.
+        parameters: of it.
+        law: what the declared controller leaves of the logged torque; None without a controller, a reference or a
+            logged motor position.
+        faults: that were tested, and those found.
+    """
+
+    name: str
+    left: float
+    whiteness: Whiteness | None
+    follows: tuple[str, Coupling] | None
+    travel: float
+    speed: float
+    moving: float
+    position_unit: str
+    torque_unit: str
+    parameters: tuple[AxisParameter, ...]
+    law: LawOnPosition | None
+    faults: AxisFaults
+
+    @property
+    def asked(self) -> tuple[AxisParameter, ...]:
+        """Its parameters without the fixed ones."""
+        return tuple(one for one in self.parameters if one.known is not Told.FIXED)
+
+    def names(self, *known: Told) -> tuple[str, ...]:
+        """Return the names of the parameters that are known so."""
+        return tuple(one.name for one in self.parameters if one.known in known)
+
+    @property
+    def explained(self) -> bool:
+        """True if what is left is small, or nothing but noise as far as is seen."""
+        if self.left < _LEFT or self.whiteness is None or self.whiteness.white:
+            return True
+        return self.whiteness.p_value > _SURE and not self._one_thing
+
+    @property
+    def coloured(self) -> bool:
+        """True if what is left is little, but surely no white noise."""
+        return self.explained and self.whiteness is not None and self.whiteness.p_value <= _SURE
+
+    @property
+    def law_holds(self) -> bool | None:
+        """Whether the declared controller makes the logged torque; None where that is not seen."""
+        if self.law is None:
+            return None
+        found = self.law
+        in_time = found.late == 0.0 and abs(found.gain - 1.0) < _GAIN
+        return in_time and found.left < max(OF_LAW, _BEYOND_NOISE * found.noise)
+
+    @property
+    def as_declared(self) -> bool | None:
+        """False if a fault was found or the controller does not hold; None if neither was tested."""
+        if self.faults.findings or self.law_holds is False:
+            return False
+        return True if self.law_holds or self.faults.of_loop else None
+
+    @property
+    def subject(self) -> str:
+        """Begin of a sentence on the axis; empty of a joint alone."""
+        return f"{self.name}: " if self.name else ""
+
+    @property
+    def _one_thing(self) -> bool:
+        return self.follows is not None and self.follows[1].explained > _MUCH
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Faults of the axis, each with its remedy."""
+        found = [self._describe_law(), self._describe_rest()]
+        if self.faults.findings or self.faults.undecided is not None:
+            found += [f"{self.subject}{one}" for one in self.faults.sentences]
+        elif not self.explained:
+            found.append(self._describe_unexplained_part())
+        elif self.coloured:
+            follows = f"; it follows {self.follows[0]}" if self.follows is not None and self._one_thing else ""
+            found.append(
+                f"{self.subject}the model leaves {100 * self.left:.3g} % of the torque, which is little, but no white "
+                f"noise{follows}. Where it matters try another friction: viscous_backwards, stribeck_speed."
+            )
+        found += [
+            f"{self.subject}the spring is refused, at least {number(one.at_least, 3)} {one.unit}; declare the joint "
+            "rigid, or excite its mode, as with a multisine on top of the motion."
+            for one in self.parameters
+            if one.known is Told.REFUSED and one.at_least is not None
+        ]
+        return tuple(filter(None, found))
+
+    def _describe_rest(self) -> str:
+        if self.moving >= _RESTS:
+            return ""
+        return (
+            f"{self.subject}the axis moves in {100 * self.moving:.0f} % of the record; its friction and inertia are "
+            "told while it moves: let it move throughout."
+        )
+
+    def _describe_unexplained_part(self) -> str:
+        said = f"{self.subject}the model leaves {100 * self.left:.3g} % of the torque, and that is no noise"
+        if self.follows is None or not self._one_thing:
+            return (
+                f"{said}. It follows no single thing that is looked for: check geometry, gears and couplings of the "
+                "model, and do not rely on this joint's intervals."
+            )
+        what, share = self.follows
+        return (
+            f"{said}: {100 * share.explained:.0f} % of it follows {what} (by chance at most "
+            f"{100 * share.by_chance:.0f} %). Model that, or take the parameters with as much doubt."
+        )
+
+    def _describe_law(self) -> str:
+        """Return a fault of the controller or the log that one number corrects, or ""."""
+        law = self.law
+        if law is None or self.law_holds or law.left_in_time > _BEYOND_NOISE * max(law.noise, OF_LAW):
+            return ""
+        share = f"{100 * law.left:.3g} % of the torque"
+        said = f"{self.subject}along the logged position the declared controller leaves {share}"
+        if law.late and law.noise < _OF_ANY_LAW:
+            when = f"{1e3 * abs(law.late):.3g} ms {'later' if law.late > 0.0 else 'earlier'}"
+            return (
+                f"{said}; what fits best acts {when} than declared: correct delay or time stamps, "
+                "or the gains, which may look like that."
+            )
+        if law.noise < _OF_ANY_LAW:
+            return f"{said}, which is {law.gain:.3g} times the law's: correct torque_constant, ratio or gains."
+        return ""
+
+    @property
+    def other_law(self) -> bool:
+        """True if no single number corrects the controller."""
+        return self.law_holds is False and not self._describe_law()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis(Documented):
+    """Diagnosis of an estimate: of each axis its parameters, its residual, its controller and its faults.
+
+    Attributes:
+        name: of the record of a joint, or of the robot.
+        method: of the estimate.
+        axes: the diagnosis of each: one of a joint.
+        torques: of the record, beside the estimate's.
+        feed_forward: "gravity" or "inverse-model" where the controllers leave much less with it; None otherwise.
+    """
+
+    name: str
+    method: str
+    axes: tuple[AxisDiagnosis, ...]
+    torques: AxisTorques
+    feed_forward: str | None = None
+
+    @property
+    def explained(self) -> bool:
+        """True if no axis' torque has a part that the model should have explained."""
+        return all(one.explained for one in self.axes)
+
+    @property
+    def as_declared(self) -> bool | None:
+        """True if all loops and logs are as declared, False if one is not; None if one cannot be tested."""
+        seen = [one.as_declared for one in self.axes]
+        return False if False in seen else None if None in seen else True
+
+    @property
+    def reasons(self) -> tuple[Message, ...]:
+        """The faults found, and what was tested where none was, of all axes."""
+        return tuple(reason for one in self.axes for reason in one.faults.reasons)
+
+    @property
+    def untested(self) -> tuple[str, ...]:
+        """Names of the axes whose controllers cannot be tested, if others can."""
+        found = tuple(one.name for one in self.axes if one.law_holds is None)
+        return found if len(found) < len(self.axes) else ()
+
+    @property
+    def untested_clause(self) -> str:
+        """A clause on the controllers that cannot be tested; "" without any."""
+        if not self.untested:
+            return ""
+        return (
+            f"the controller of {join(self.untested)} was not checked, which needs a declared controller, a motor "
+            "position and a reference"
+        )
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Faults of all axes, each with its remedy."""
+        found = []
+        if self.feed_forward is not None:
+            found.append(
+                f'With robot.feed_forward = "{self.feed_forward}" the controllers leave much less of the torques: '
+                "declare it."
+            )
+        found += [*self._other_laws(), *(one for axis in self.axes for one in axis.sentences)]
+        unknown = []
+        for one in self.axes:
+            if names := one.names(Told.NOT):
+                more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+                unknown.append(f"{one.name and f'of {one.name} '}{', '.join(names[:_MOST_NAMES])}{more}")
+        if unknown:
+            found.append(
+                f"The record does not tell from 0: {'; '.join(unknown)}. On motions like this one 0 does as well; for "
+                "others move more: jointid design plans a motion that tells them."
+            )
+        return tuple(found)
+
+    def _other_laws(self) -> list[str]:
+        """Return the sentence on controllers that no single number corrects, or none."""
+        if self.feed_forward is not None:
+            return []
+        seen = [(one.name, one.law, one.left) for one in self.axes if one.other_law and one.law is not None]
+        if not seen:
+            return []
+        names = self._of([name for name, _, _ in seen])
+        declared, free, model = (
+            ", ".join(f"{100 * value:.2g}" for value in values)
+            for values in zip(*((law.left, law.noise, left) for _, law, left in seen), strict=True)
+        )
+        any_law = any(law.noise > _OF_ANY_LAW for _, law, _ in seen)
+        why = (
+            "Where no law does, something else is added to the torque, or the log is too slow to see the law"
+            if any_law
+            else "The drives run another law, or are given a feed-forward"
+        )
+        return [
+            f"Along the logged positions the declared controllers{names} leave {declared} % of the torque, any "
+            f"linear law of the last samples {free} %, and the model {model} %. {why}: declare it, log it as "
+            "injected, or identify by idim, which needs no controller."
+        ]
+
+    def _of(self, names: Sequence[str]) -> str:
+        """Return the names of axes in a sentence, or none of a joint alone."""
+        return f" of {join(names)}" if any(names) else ""
+
+    @property
+    def answer(self) -> str:
+        """The diagnosis in short."""
+        bad = [one.name for one in self.axes if not one.explained]
+        coloured = [one.name for one in self.axes if one.coloured]
+        alone = len(self.axes) == 1
+        whole = "torque" if alone else "torques of all joints"
+        first = f"The model explains the {whole} but for noise, as far as this record shows."
+        if bad:
+            first = f"The model does not explain the torque{self._of(bad)}."
+        elif coloured:
+            every = "the" if alone else "every joint's"
+            first = (
+                f"The model leaves little of {every} torque, but what it leaves{self._of(coloured)} is no white noise."
+            )
+        count = sum(len(one.asked) for one in self.axes)
+        stated = sum(len(one.names(Told.TOLD)) for one in self.axes)
+        return " ".join(
+            filter(None, (first, *self._loops(), f"The record tells {stated} of {count} parameters to a tenth."))
+        )
+
+    def _loops(self) -> Iterator[str]:
+        """Yield what is known of loops, logs and mechanics: by the faults tested, then by the logged positions."""
+        tested = [one for one in self.axes if one.faults.tests]
+        faulty = [one.name for one in tested if one.faults.findings]
+        if faulty:
+            yield f"A fault{self._of(faulty)} was found, see below."
+        elif tested and all(one.faults.of_loop for one in tested):
+            yield "Loop and log are as declared, as far as this record shows."
+        wrong = [one.name for one in self.axes if one.law_holds is False]
+        held = [one.name for one in self.axes if one.law_holds]
+        several, untested = len(self.axes) > 1, f"; {self.untested_clause}" if self.untested else ""
+        plural, makes = ("s", "make") if several else ("", "makes")
+        if wrong:
+            yield (
+                f"The declared controller{self._of(wrong)} does not make the logged torque of the logged positions: "
+                f"unless these are noisy or rounded, do not rely on DIDIM with it{untested}."
+            )
+        elif self.untested:
+            yield f"The declared controller{self._of(held)} makes the logged torque of the logged positions{untested}."
+        elif held:
+            yield f"The declared controller{plural} {makes} the logged torque{plural} of the logged positions."
+        elif not any(one.faults.of_loop for one in self.axes):
+            why = (
+                "is not seen apart from the model: no motor position and reference were logged"
+                if self.method == "didim"
+                else "is not asked: the file declares none, or the record has no reference"
+            )
+            yield f"Whether the controllers are as declared {why}."
+
+    def to_document(self, *, details: bool = False) -> Document:
+        """Return the answer, a table of the axes, and what to do.
+
+        Args:
+            details: whether undetermined parameters and all tests are listed in full.
+        """
+        header: tuple[str, ...] = ("joint", "left, %", "white", "told", "roughly", "not told")
+        if any(one.law for one in self.axes):
+            header = (*header, "controller leaves, %", "any law, %")
+        rows = tuple(_row(one)[: len(header)] for one in self.axes)
+        caption = "left of each joint's filtered torque, and parameters by how well the record tells them"
+        motion = tuple(
+            (
+                one.name or "joint",
+                f"{number(one.travel, 3)} {one.position_unit}",
+                f"{number(one.speed, 3)} {one.position_unit}/s",
+                f"{100 * one.moving:.0f}",
+            )
+            for one in self.axes
+        )
+        good = self.explained and self.as_declared is not False
+        blocks: list[Block] = [
+            Paragraph(self.answer, lead=True, tone="good" if good else "bad"),
+            Table(header, rows, caption, (0, 2)),
+            Table(("joint", "travel", "peak speed", "moving, %"), motion, "motion of the motors, behind their gears"),
+            *((Heading("What to do"), Listing(self.sentences)) if self.sentences else ()),
+            *self._tests(details),
+        ]
+        if details:
+            unknown = tuple(
+                f"{one.subject}{', '.join(one.names(Told.NOT))}" for one in self.axes if one.names(Told.NOT)
+            )
+            blocks += [Heading("Not told from 0"), Listing(unknown)] if unknown else []
+        return Document(f"{self.name}: what the record tells of {pluralise(len(self.axes), 'joint')}", tuple(blocks))
+
+    def _tests(self, details: bool) -> tuple[Table, ...]:
+        """Return the table of the tests, or of the significant ones where there are many."""
+        tests = [(one, test) for one in self.axes for test in one.faults.tests]
+        if not details and len(tests) > _MOST_TESTS:
+            tests = [(one, test) for one, test in tests if test.p_value <= one.faults.level]
+        rows = tuple(
+            (
+                one.name or "joint", s.label, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}",
+                number(s.p_value, 2),
+            )
+            for one, s in tests
+        )  # fmt: skip
+        header = ("joint", "fault", "more than declared", "2 sigma", "statistic", "p")
+        return (Table(header, rows, "faults, each as if nothing else were wrong", (0, 1)),) if rows else ()
+
+
+def _row(one: AxisDiagnosis) -> tuple[str, ...]:
+    white = "-" if one.whiteness is None else "yes" if one.whiteness.white else "no"
+    law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
+    stated = (one.names(Told.TOLD), one.names(Told.ROUGHLY), one.names(Told.NOT, Told.REFUSED))
+    return (one.name or "joint", f"{100 * one.left:.3g}", white, *(str(len(names)) for names in stated), *law)

@@ -1,0 +1,144 @@
+"""The fit of a robot to its torques, and the fixed point of steps by the regressor of the simulated motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.messages import Progress
+from jointid.common.parameters import Bounds
+from jointid.estimation.robots.numbers import RobotParameters
+from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run
+from jointid.models.robots.robot import Robot
+from jointid.simulation.robot_drive_side import RobotDriveSideRun
+from jointid.simulation.robot_numbers import robot_with
+from jointid.simulation.robots import RobotOutcome, RobotRun
+from jointid.uncertainty.covariance import Covariance, robust
+
+SETTLED = 0.02
+"""Standard deviations: the largest change of a parameter that ends the search."""
+
+NEAR = 0.2
+"""Standard deviations: a change that ends the search where another one is to follow."""
+
+_HALVINGS = 6  # of a step to a candidate that cannot be simulated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotFit:
+    """The fit of a robot to the records of its joints.
+
+    Attributes:
+        parameters: what they are. values: (parameters,) of them. covariance: of their errors.
+        sigma: (n,) sizes of the joints' filtered errors, N m or N.
+        relative_error: (n,) of the filtered torques, a share each.
+        iterations: that were made. converged: whether they settled.
+        run: at the values.
+        information: (parameters, parameters) triangle R, of which ``R' R`` is the information on what is searched, for
+            white errors. Beside it the covariance has lost what is known of the sum of two that are not known.
+    """
+
+    parameters: RobotParameters
+    values: FloatArray
+    covariance: Covariance
+    sigma: FloatArray
+    relative_error: FloatArray
+    iterations: int
+    converged: bool
+    run: RobotRun | RobotDriveSideRun | RobotRuns
+    information: FloatArray
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.parameters.names
+
+    def robot(self, robot: Robot) -> Robot:
+        """Return a robot with what was found: the same torques, but grouped numbers stand in the one that is kept.
+
+        A Coulomb friction that is another backwards is one of both directions and an offset.
+
+        Args:
+            robot: that was identified; its places, names and gravity are taken.
+
+        Raises:
+            MethodError: a rotor's inertia, with what is grouped with it, was found negative.
+        """
+        return robot_with(robot, self.run.numbers)
+
+    def value(self, name: str) -> tuple[float, float]:
+        """Return a parameter and its standard deviation."""
+        at = self.names.index(name)
+        return float(self.values[at]), float(self.covariance.std[at])
+
+
+def fixed_point(
+    problem: RobotProblem[Run],
+    x: FloatArray,
+    run: Run,
+    iterations: int,
+    progress: Progress = lambda _: None,
+    settled: float = SETTLED,
+) -> RobotFit:
+    """Iterate with the regressor of the simulated motion from a valid start."""
+    bounds, size, floor = Bounds.of(problem.free), problem.sizes, problem.floor
+    arrived, made = False, 0
+    for number in range(iterations):
+        error, W = problem.error(run), problem.regressor(run)
+        step, std, left = problem.step(W, error)
+        problem = problem.reweight(left, x.size, floor)
+        step, std, left = problem.step(W, error)
+        share = problem.norms(error) / size
+        progress(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint")
+        after = bounds.clip(x + step)
+        arrived = bool(np.all(np.abs(after - x) <= settled * std))
+        made = number + 1
+        x, run = _take_step(problem, x, after, run)
+        if arrived:
+            break
+    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived)
+
+
+def conclude(
+    problem: RobotProblem[Run],
+    x: FloatArray,
+    run: Run,
+    J: FloatArray,
+    Z: FloatArray,
+    made: int,
+    settled: bool,
+) -> RobotFit:
+    """Return the fit at an end, with the covariance of instruments Z, (rows, free), beside slopes J; both not weighted.
+
+    Of least squares the instruments are the slopes.
+    """
+    error = problem.error(run)
+    problem = problem.reweight(error, x.size)
+    weights = problem.weights(error.size)
+    covariance = robust(
+        Z * weights[:, np.newaxis], J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size
+    )
+    of_values = np.where(problem.parameters.logarithmic, problem.parameters.values(x), 1.0)
+    return RobotFit(
+        problem.parameters,
+        problem.parameters.values(x),
+        replace(covariance, std=covariance.std * of_values),
+        problem.sigma,
+        problem.norms(error) / problem.sizes,
+        made,
+        settled,
+        run,
+        np.asarray(np.linalg.qr(J * weights[:, np.newaxis], mode="r")),
+    )
+
+
+def _take_step(problem: RobotProblem[Run], x: FloatArray, after: FloatArray, run: Run) -> tuple[FloatArray, Run]:
+    """Return the end of a step, halved until it can be simulated."""
+    for _ in range(_HALVINGS):
+        found = problem.run(after)
+        if found.outcome is RobotOutcome.FINISHED:
+            return after, found
+        after = 0.5 * (x + after)
+    return x, run

@@ -1,0 +1,137 @@
+"""Nonlinear laws of a robot's axes: searched one axis after the other, from the end with linear ones.
+
+As of one joint (`starts.nonlinear_laws`) every start of an axis's laws is followed a little, and the best is kept. The
+axes before it have their laws by then, those after it lines. At last all are searched together to the full tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress
+from jointid.common.parameters import Parameter
+from jointid.common.text import pluralise
+from jointid.estimation.robots.descents import Descents, End
+from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.numbers import RobotParameters, name_in_robot
+from jointid.estimation.robots.problem import RobotProblem, RobotRuns
+from jointid.estimation.starts.nonlinear_laws import JointMotion, law_starts, name_laws
+from jointid.models.robots.robot import Robot
+from jointid.simulation.robot_numbers import NumberOf, law_places, values_of_joint
+from jointid.simulation.robots import RobotRun, motion_at
+
+_REACH, _FACTOR = math.log(3.0), 2.0  # of a step: of a parameter on a logarithmic scale, and over the start of a law's
+_DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
+
+
+def search_laws(
+    robot: Robot,
+    linear: RobotFit,
+    pose: Callable[[Robot], RobotProblem[Any]],
+    known: Mapping[str, Parameter],
+    evaluations: int,
+    progress: Progress,
+) -> RobotFit:
+    """Search the laws of a robot from the fit of `Robot.linear`.
+
+    Args:
+        robot: with its laws.
+        linear: the fit with linear ones; itself the answer of a robot without others.
+        pose: the problem of a robot, by its laws.
+        known: starts of parameters, by name.
+        evaluations: simulations with derivatives, at most, of each descent.
+        progress: receives the steps.
+
+    Raises:
+        MethodError: an axis cannot be simulated at any start of its laws, or where the search ends.
+    """
+    if robot.linear.joints == robot.joints:
+        return linear
+    descents, best, sigma = Descents(evaluations, progress), None, linear.sigma
+    values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.run.numbers
+    bounds = {p.name: p for p in linear.parameters.parameters}
+    for i, joint in enumerate(robot.joints):
+        if joint.linear == joint:
+            continue
+        laws = replace(robot, joints=(*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :])))
+        problem = _bound(pose(laws), bounds).with_sigma(sigma)
+        given = {
+            p.name: known[name].start
+            for p in joint.model.parameters
+            if (name := name_in_robot(joint.name, p.name)) in known and known[name].start is not None
+        }
+        starts = law_starts(
+            joint.model,
+            joint.linear.model,
+            values_of_joint(numbers, i),
+            _motion_of(linear, i),
+            given,  # type: ignore[arg-type]
+        )
+        progress(f"{joint.name}: looking for a {name_laws(joint.model)}, from {pluralise(len(starts), 'start')}")
+        ends = [
+            _descend(descents, problem, values | {name_in_robot(joint.name, name): x for name, x in start.items()})
+            for start in starts
+        ]
+        best = min(ends, key=lambda end: end.norm)
+        if not best.solution.jacobian.any():
+            raise MethodError(
+                f"The robot cannot be simulated where the search of the laws of {joint.name} begins: "
+                f"{best.problem.run(best.solution.x).outcome.value}. Declare simpler laws, or state starts of their "
+                "parameters."
+            )
+        found = problem.parameters.values(best.solution.x)
+        values, numbers = dict(zip(problem.parameters.names, found, strict=True)), problem.parameters.numbers(found)
+        sigma = best.reweight().sigma
+    assert best is not None
+    end = descents.finish(problem, best)
+    fit = end.fit(descents.made)
+    if fit is None:
+        raise MethodError(
+            "The search of the laws led to where the robot cannot be simulated: "
+            f"{problem.run(end.solution.x).outcome.value}. Declare simpler laws, or state starts of their parameters."
+        )
+    return fit
+
+
+def _bound(problem: RobotProblem[Any], bounds: Mapping[str, Parameter]) -> RobotProblem[Any]:
+    """Return the problem with the bounds that the search with linear laws had."""
+    parameters = tuple(
+        replace(p, lower=bounds[p.name].lower, upper=bounds[p.name].upper) if p.name in bounds else p
+        for p in problem.free
+    )
+    return replace(problem, parameters=replace(problem.parameters, parameters=parameters))
+
+
+def _motion_of(fit: RobotFit, joint: int) -> JointMotion:
+    """Return the simulated motion of one axis."""
+    run = fit.run.each[0] if isinstance(fit.run, RobotRuns) else fit.run
+    assert isinstance(run, RobotRun)
+    clock, rotor = run.experiment.clock, int(run.numbers.rotors[joint])
+    seen = motion_at(run, clock.log_index)
+    motor, link = ((seen.position[:, row], seen.velocity[:, row]) for row in (rotor, joint))
+    return JointMotion(clock.sample_time * clock.samples, motor, link if rotor != joint else None)
+
+
+def _descend(descents: Descents, problem: RobotProblem[Any], values: Mapping[str, float]) -> End:
+    """Descend close to the minimum that a start leads to."""
+    parameters = problem.parameters
+    begin = np.array([values[name] for name in parameters.names])
+    return descents.follow(problem.roughly(), begin, _reach(parameters, begin))
+
+
+def _reach(parameters: RobotParameters, values: FloatArray) -> FloatArray:
+    """Return how far a step may move each parameter, (parameters,)."""
+    reach = np.where(parameters.logarithmic, _REACH, np.inf)
+    own = {place for place, _ in law_places(parameters.base)}
+    for c, place in enumerate(parameters.places):
+        damping = place.of is NumberOf.SPRING and place.column == 1
+        if (place in own or damping) and values[c] != 0.0:
+            reach[c] = (_DAMPED if damping else _FACTOR) * abs(values[c])
+    return reach

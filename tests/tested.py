@@ -1,0 +1,14 @@
+"""The faults that the diagnosis of a joint tests."""
+
+from __future__ import annotations
+
+from jointid.diagnostics.check_loop import LoopTests
+from jointid.diagnostics.diagnose import diagnose
+from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.estimation.result.estimate import Estimate
+from jointid.records.record import Record
+
+
+def faults_of(estimate: Estimate, record: Record, tests: LoopTests | None = None) -> AxisFaults:
+    """Return the faults that were tested of a joint's loop, log and mechanics."""
+    return diagnose(estimate, record, tests=tests).axes[0].faults
