@@ -1,4 +1,4 @@
-"""A designed test in the words of its file: columns, units and sides, the file's own record, and drives that add nothing."""
+"""Files of a designed test: columns, units, sides, the record of the file, and drives that inject nothing."""
 
 from __future__ import annotations
 
