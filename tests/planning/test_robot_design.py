@@ -186,7 +186,8 @@ def needed(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatAr
     torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("offset")
     for k, joint in enumerate(robot.joints):
         back = joint.coulomb if joint.coulomb_backwards is None else joint.coulomb_backwards
-        torque[:, k] += np.where(v[:, k] < 0, joint.viscous_back, joint.viscous) * v[:, k]
+        against = joint.viscous if joint.viscous_backwards is None else joint.viscous_backwards
+        torque[:, k] += np.where(v[:, k] < 0, against, joint.viscous) * v[:, k]
         torque[:, k] += np.where(v[:, k] < 0, -back, joint.coulomb)
     return torque
 
