@@ -1,0 +1,174 @@
+"""Files of a designed test: columns, units, sides, the record of the file, and drives that inject nothing."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.apps.cli import main
+from jointid.common.text import number
+from jointid.config import load, loads
+from jointid.config.test_layout import lay_out
+from jointid.models.limits import AxisLimits
+from jointid.planning.design import design
+from jointid.planning.predict import Noise
+from jointid.records.formats import read_table
+
+ARM = """<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="4"/>
+<inertia ixx="0.02" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="lower"><inertial><origin xyz="0.15 0 0"/><mass value="2"/>
+<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="s" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="200" velocity="5"/></joint>
+<joint name="e" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="200" velocity="5"/></joint></robot>"""
+JOINT = """
+[[joints]]
+name = "{name}"
+torque_constant = 0.1
+transmission = {{ ratio = {ratio} }}
+limits = {{ lower = -0.9, upper = 0.9, speed = 1.5, acceleration = 5.0 }}
+"""
+ROBOT = """
+[robot]
+model = "arm.urdf"
+[record]
+file = "log.csv"
+time = "t"
+[record.channels]
+torque = { column = "i{axis}", unit = "A", timing = "sampled" }
+motor_position = { column = "q{axis}", unit = "deg" }
+""" + "".join(JOINT.format(name=name, ratio=ratio) for name, ratio in (("s", 100.0), ("e", 50.0)))
+FRICTION = np.array([6.0, 2.5])  # N m of load, that the file does not state
+NOISE = np.array([0.05, 0.03])
+
+
+def played(robot: ji.Robot, q: np.ndarray, seed: int) -> np.ndarray:
+    """Return what the motors give for a motion, N m of load, with friction that no file states, and noise."""
+    from jointid.models.robots.dynamics import inverse_dynamics
+
+    v = np.gradient(q, 1e-3, axis=0)
+    torque = inverse_dynamics(robot.tree, robot.inertials, q, v, np.gradient(v, 1e-3, axis=0))
+    torque += FRICTION * np.sign(v) + np.array([2.0, 1.0]) * v
+    return np.asarray(torque + NOISE * np.random.default_rng(seed).normal(size=q.shape))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a robot file, its model and its record."""
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(ARM, encoding="utf-8")
+    (folder / "robot.toml").write_text(ROBOT, encoding="utf-8")
+    robot: ji.Robot = load(folder / "robot.toml").robot
+    t = np.arange(6000) * 1e-3
+    q = np.column_stack([0.5 * np.sin(2.1 * t) + 0.2 * np.sin(5.3 * t), 0.5 * np.sin(3.2 * t) - 0.2 * np.cos(4.4 * t)])
+    ratios = np.array([100.0, 50.0])
+    current, turned = played(robot, q, 1) / (ratios * 0.1), np.degrees(q * ratios)
+    table = np.column_stack([t, current, turned])
+    np.savetxt(folder / "log.csv", table, delimiter=",", header="t,i1,i2,q1,q2", comments="")
+    return folder
+
+
+def run(*words: object) -> None:
+    """Run a command that succeeds."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    assert ended.value.code == 0
+
+
+def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, answer = tmp_path / "out", tmp_path / "a.json"
+    run("design", folder / "robot.toml", "-q", "--search-time", "0.5", "--out", out, "--json", answer)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "as the first record's residual" in said, "the file's own record is used"
+    told = json.loads(answer.read_text(encoding="utf-8"))
+    columns = read_table(out / "test.csv").columns
+    assert list(columns) == ["t", "s.reference", "e.reference"]
+    ratios = np.array([100.0, 50.0])
+    q = np.radians(np.column_stack([columns["s.reference"], columns["e.reference"]])) / ratios
+    assert 0.5 < np.abs(q).max() < 0.9, "degrees of the motor"
+    robot: ji.Robot = load(folder / "robot.toml").robot
+    peaks = np.abs(played(robot, q, 2)).max(axis=0)
+    stated = np.array([axis["reached"]["torque"] for axis in told["axes"]])
+    assert np.all(np.abs(np.log(peaks / stated)) < math.log(1.1)), "friction is in the predicted torque"
+    assert told["peaks"][0] == f"s {number(stated[0] / 10.0, 3)} A of the motor ({number(stated[0], 3)} N m)"
+    assert re.search(r"peak torque s [\d.]+ A of the motor", said)
+    page = (out / "how-to-run.md").read_text(encoding="utf-8")
+    assert "s begins at" in page and "deg and stays between" in page
+
+
+def test_a_goal_and_limits_of_a_robot_are_kept(folder: Path, tmp_path: Path) -> None:
+    answers = []
+    for k, goal in enumerate(("all", "Fc1")):
+        answer = tmp_path / f"{k}.json"
+        run(
+            "design",
+            folder / "robot.toml",
+            "-q",
+            "--search-time",
+            "1",
+            "--goal",
+            goal,
+            "--jerk",
+            "40",
+            "--json",
+            answer,
+        )
+        answers.append(json.loads(answer.read_text(encoding="utf-8")))
+    stds = [one["tests"]["proposed"]["std"]["Fc1"] for one in answers]
+    assert stds[1] < 0.95 * stds[0]
+    assert all(axis["reached"]["jerk"] <= 40.0 for one in answers for axis in one["axes"])
+    assert not any(one["passed"] for one in answers)
+    assert "tells Fc1 to +-" in answers[1]["sentence"]
+
+
+JOINT_FILE = """
+[joint]
+kind = "revolute"
+torque_constant = 0.5
+[transmission]
+ratio = 20.0
+[record.channels]
+torque = { column = "current", unit = "A" }
+reference = { column = "demand", unit = "deg" }
+[controller]
+law = "cascade"
+position_gain = 40.0
+velocity_gain = 2.0
+"""
+
+
+def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
+    file = loads(JOINT_FILE)
+    assert file.loop is not None
+    values = {"inertia": 2.0, "viscous": 4.0, "coulomb": 1.0, "offset": 0.0}
+    limits = AxisLimits(stroke=1.0, speed=2.0, acceleration=10.0, torque=60.0)
+    asked = {"values": values, "noise": Noise(log=0.05), "limits": limits, "duration": 3.0, "sample_time": 1e-3}
+    found = lay_out(file, design(file.loop, injection=False, search_time=0.5, **asked))  # type: ignore[arg-type]
+    (record,) = found.records()
+    assert record.injected is None and "on the torque" not in found.description, "the drive adds nothing"
+    found.write(tmp_path)
+    columns, reference = read_table(tmp_path / "test.csv").columns, record.reference
+    assert reference is not None and list(columns) == ["t", "demand"]
+    np.testing.assert_allclose(columns["demand"], np.degrees(20.0 * reference.values), atol=1e-9)
+    peak = found.axes[0].reached["torque"]
+    assert found.peaks == (f"{number(peak / 10.0, 3)} A of the motor ({number(peak, 3)} N m)",)
+    again = file.driving(tmp_path / "test.csv").reference
+    assert again is not None
+    np.testing.assert_allclose(again.values, reference.values, atol=1e-12)
+    both = lay_out(file, design(file.loop, search_time=1.0, **asked))  # type: ignore[arg-type]
+    assert both.records()[0].injected is not None, "with a signal it tells more"
+    both.write(tmp_path)
+    columns = read_table(tmp_path / "test.csv").columns
+    injected = both.records()[0].injected
+    assert injected is not None
+    np.testing.assert_allclose(columns["injected"], injected.channel.values / 10.0, atol=1e-9)
