@@ -216,7 +216,7 @@ def test_the_predicted_torque_has_the_weight_that_is_grouped_with_an_offset() ->
     robot, (q, v, a) = Robot(links, (RobotJoint("lift", 5.0, 20.0, 30.0), RobotJoint("wrist", 0.3, 1.2, 1.5))), played()
     found = design(robot, limits=LIMITS, duration=4.0, sample_time=T, motion=references(robot, q))
     np.testing.assert_allclose(found.proposed.torques.T, needed(robot, q, v, a), atol=1e-6)
-    assert found.proposed.values["joint1.offset"] == pytest.approx(-5.0 * 9.81), "its rotor is not lifted"
+    assert found.proposed.values["lift.offset"] == pytest.approx(-5.0 * 9.81), "its rotor is not lifted"
 
 
 @pytest.mark.parametrize(("factor", "hertz"), [(0.0, 11.1), (1.0, 12.5), (2.0, 14.2)])
