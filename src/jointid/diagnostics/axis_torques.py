@@ -123,12 +123,13 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
 
 def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
-    problem = problem_of(part.setup, records, part.fit.parameters, filtering)
+    problem = problem_of(part.setup, records, part.parameters, filtering)
     measured = problem.by_joint(problem.decimate(problem.measured))
     error = problem.error_of(numbers)
     assert error is not None  # it was identified from these records
     predicted = measured - problem.by_joint(error)
-    slopes = problem.linearise(part.fit.parameters.to_search_variables(part.fit.values))[1]
+    values = part.values[: len(part.parameters.places)]
+    slopes = problem.linearise(part.parameters.to_search_variables(values))[1]
     slopes = slopes / problem.weights(len(slopes))[:, np.newaxis]
 
     def thin(columns: FloatArray, of: RobotLoopProblem | RobotDriveSideProblem = problem) -> FloatArray:
