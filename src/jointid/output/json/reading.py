@@ -18,12 +18,12 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.result.estimate import Estimate, IdentifiedJoint
+from jointid.estimation.robots.saved import RobotSystem, build_robot_estimate
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
 from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, ROBOT_REPORT_SCHEMA, plain
 from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA, Json
-from jointid.output.json.robot_estimates import RobotSystem, build_robot_estimate
 
 _LARGEST = 2**26  # bytes of a file: the page of a report on 25 s has 3 MB
 _DIGITS = 300  # of a whole number

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from jointid import Filtering
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.messages import Message
@@ -28,6 +27,7 @@ from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.robots.base_parameters import base_parameters
 from jointid.models.robots.friction_terms import friction_terms
 from jointid.models.robots.robot import Robot
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.covariance import Covariance
