@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -18,12 +18,14 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.result.estimate import Estimate, IdentifiedJoint
-from jointid.estimation.robots.saved import RobotSystem, build_robot_estimate
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
 from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, ROBOT_REPORT_SCHEMA, plain
 from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA, Json
+
+if TYPE_CHECKING:
+    from jointid.estimation.robots.saved import RobotSystem
 
 _LARGEST = 2**26  # bytes of a file: the page of a report on 25 s has 3 MB
 _DIGITS = 300  # of a whole number
@@ -81,6 +83,8 @@ def read_identified(
 
 
 def _read_robot(path: str | Path, answer: Json, system: RobotSystem) -> Estimate:
+    from jointid.estimation.robots.saved import build_robot_estimate
+
     if answer.get("schema") != ESTIMATE_SCHEMA or answer.get("model") != "robot":
         raise RecordError(f"{path} is no estimate of a robot; {_REMEDY}.")
     try:
