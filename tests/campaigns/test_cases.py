@@ -23,8 +23,7 @@ from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulate
 from jointid.campaigns.engines import LocalProcesses
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.report import export_rows, table_of
-from jointid.campaigns.run import _Waiting, run_cases
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.run import _Waiting, run_case, run_cases
 from jointid.campaigns.shards import Shard, open_shard
 from jointid.campaigns.store import open_database
 from jointid.common.errors import JointFileError, MethodError, RecordError

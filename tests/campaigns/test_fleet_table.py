@@ -10,8 +10,8 @@ import pytest
 
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Outcome, Row
-from jointid.campaigns.fleet_table import read_fleet_table
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.fleet import read_fleet_table
+from jointid.campaigns.run import run_case
 from jointid.common.errors import JointFileError
 from tests.campaigns.conftest import JOINT
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jointid import Estimate, Record
-    from jointid.apps.cli.bars import Bars
+    from jointid.apps.cli.terminal import Bars
     from jointid.config import JointFile
     from jointid.config.contents import File
     from jointid.config.robot_file import RobotFile
@@ -165,7 +165,7 @@ def tell(message: str) -> None:
 
 @lru_cache(maxsize=1)
 def _bars() -> Bars:
-    from jointid.apps.cli.bars import Bars
+    from jointid.apps.cli.terminal import Bars
 
     return Bars()
 

@@ -199,7 +199,7 @@ def design(
     from jointid import design as run
     from jointid import figures
     from jointid.config import JointFile
-    from jointid.config.test_layout import lay_out
+    from jointid.output.test_layout import lay_out
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
     outputs.spare("--motion", motion)

@@ -70,11 +70,11 @@ def report(
     from jointid import Report, design
     from jointid import validate as validate_estimate
     from jointid.config import JointFile
-    from jointid.config.test_layout import lay_out
     from jointid.output.json import read_choices
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
+    from jointid.output.test_layout import lay_out
 
     page = html if html or markdown or figures else Path("report.html")
     outputs = Outputs({"--html": page, "--json": options.json}, folders={"--markdown": markdown, "--figures": figures})
@@ -148,7 +148,7 @@ def _report_robot(
     """Report a robot, identified or saved, with a validation and the next test where they are asked for."""
     from jointid import IDIM, Report, design
     from jointid import validate as validate_estimate
-    from jointid.config.test_layout import lay_out
+    from jointid.output.test_layout import lay_out
 
     unseen = None if held_out is None else file.record(held_out)
     asked: dict[str, Any] = {}
