@@ -172,7 +172,7 @@ def test_a_spoiled_record_a_spoiled_joint_file_and_a_fault_of_ours_are_rows(
     assert row.sentence.endswith("is empty (0 bytes); log or copy it again.")
     assert run_case(replace(case, joint_file="[joint]")).sentence.startswith("joint.kind is missing")
     assert "was described by jointid 0.0.1" in run_case(replace(case, program="0.0.1")).sentence
-    monkeypatch.setattr("jointid.campaigns.run_case.digest", lambda _: 1 / 0)
+    monkeypatch.setattr("jointid.campaigns.run.digest", lambda _: 1 / 0)
     row = run_case(case)
     assert row.outcome is Outcome.FAILED
     assert row.sentence == "jointid failed, which is a fault of ours (ZeroDivisionError: division by zero)."
