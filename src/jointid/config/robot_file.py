@@ -273,6 +273,7 @@ class RobotFile(File[tuple[Record, ...]]):
             parameters=_parameters(files),
             source=files[0].source,
             feed_forward=said.robot.feed_forward,
+            name=said.robot.name,
             in_motion=said.robot.in_motion,
             unmodelled=tuple(unmodelled),
             path=path,

@@ -33,7 +33,6 @@ Several: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 """Keys of the joint file that are changed before it is checked; every setting can be reached."""
 
-R = TypeVar("R")
 F = TypeVar("F", "JointFile", "RobotFile", "JointFile | RobotFile")
 
 FilteringName = Literal["default", "published", "as-printed"]
@@ -95,7 +94,7 @@ class Inputs:
         outputs.spare(str(joint), *file.inputs(self.record))
         return file
 
-    def identify(self, file: File[R], *, checks: bool = True, judged: bool = False) -> tuple[R, Estimate]:
+    def identify(self, file: File[Any], *, checks: bool = True, judged: bool = False) -> tuple[Any, Estimate]:
         """Identify a joint or a robot from the record, as its file says, and return the record, too.
 
         Args:
