@@ -119,10 +119,6 @@ class File(ABC, Generic[R]):
     def _of_axes(self, records: tuple[Record, ...]) -> R:
         """Return the records of the axes as the record of this file."""
 
-    @abstractmethod
-    def _by_axes(self, record: R) -> tuple[Record, ...]:
-        """Return the record of each axis, the inverse of `_of_axes`."""
-
     @property
     def simulates(self) -> bool:
         """Whether the method simulates the motion under the controllers."""
@@ -295,7 +291,8 @@ class File(ABC, Generic[R]):
             RecordError: the file cannot be written, or would not be read back.
         """
         table: dict[str, FloatArray] = {}
-        for axis, one in zip(self.axes, self._by_axes(record), strict=True):
+        each: Any = (record,) if isinstance(record, Record) else record
+        for axis, one in zip(self.axes, each, strict=True):
             for name, values in axis.columns_to_write(one).items():
                 undeclared = name in one.channels and name not in axis.column_names
                 table[f"{axis.name}.{name}" if undeclared and len(self.axes) > 1 else name] = values
@@ -476,9 +473,6 @@ class JointFile(File[Record]):
 
     def _of_axes(self, records: tuple[Record, ...]) -> Record:
         return records[0]
-
-    def _by_axes(self, record: Record) -> tuple[Record, ...]:
-        return (record,)
 
     def record_of(self, table: Table, name: str) -> Record:
         """Return the record of this axis from a table of columns; see `record`.

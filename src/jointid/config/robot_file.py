@@ -288,9 +288,6 @@ class RobotFile(File[tuple[Record, ...]]):
     def _of_axes(self, records: tuple[Record, ...]) -> tuple[Record, ...]:
         return records
 
-    def _by_axes(self, record: tuple[Record, ...]) -> tuple[Record, ...]:
-        return record
-
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
         """Return the files that are read: the model, and the record that the file names or that takes its place."""
         return (self.path.parent / self.raw["robot"]["model"], *self.joints[0].inputs(record))
