@@ -34,8 +34,7 @@ from jointid.campaigns.cases import Case, Row
 from jointid.campaigns.engines import DaskCluster, Engine, LocalProcesses, on_one_core
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.report import export_rows
-from jointid.campaigns.run import run_cases
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.run import run_case, run_cases
 from jointid.campaigns.shards import Shard, open_shard
 from jointid.campaigns.store import open_database
 from jointid.paper.twin import JOINT_FILE, TABLE_2

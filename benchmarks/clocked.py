@@ -8,7 +8,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from jointid.campaigns.cases import Case, Row
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.run import run_case
 
 
 def clocked(log: Path, case: Case) -> Row:

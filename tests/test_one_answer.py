@@ -14,7 +14,7 @@ import jointid as ji
 from jointid.apps.cli import main
 from jointid.apps.web import worker
 from jointid.campaigns.cases import Case, Outcome
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.run import run_case
 from jointid.config import JointFile
 from jointid.output.report import sections
 from jointid.uncertainty.verdict import Status, Subject

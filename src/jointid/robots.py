@@ -2,7 +2,7 @@
 
 from jointid.config.robot_model import load_robot
 from jointid.estimation.robots.consistent import consistent_robot
-from jointid.estimation.robots.drive_gains import identify_drive_gains
+from jointid.estimation.robots.payload import identify_drive_gains
 from jointid.models.robots.robot import JointSpring, Link, RobotJoint
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop, add_feed_forward

@@ -23,8 +23,7 @@ from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulate
 from jointid.campaigns.engines import LocalProcesses
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.report import export_rows, table_of
-from jointid.campaigns.run import _Waiting, run_cases
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.run import _Waiting, run_case, run_cases
 from jointid.campaigns.shards import Shard, open_shard
 from jointid.campaigns.store import open_database
 from jointid.common.errors import JointFileError, MethodError, RecordError
@@ -173,7 +172,7 @@ def test_a_spoiled_record_a_spoiled_joint_file_and_a_fault_of_ours_are_rows(
     assert row.sentence.endswith("is empty (0 bytes); log or copy it again.")
     assert run_case(replace(case, joint_file="[joint]")).sentence.startswith("joint.kind is missing")
     assert "was described by jointid 0.0.1" in run_case(replace(case, program="0.0.1")).sentence
-    monkeypatch.setattr("jointid.campaigns.run_case.digest", lambda _: 1 / 0)
+    monkeypatch.setattr("jointid.campaigns.run.digest", lambda _: 1 / 0)
     row = run_case(case)
     assert row.outcome is Outcome.FAILED
     assert row.sentence == "jointid failed, which is a fault of ours (ZeroDivisionError: division by zero)."

@@ -10,8 +10,8 @@ import pytest
 
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Outcome, Row
-from jointid.campaigns.fleet_table import read_fleet_table
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.fleet import read_fleet_table
+from jointid.campaigns.run import run_case
 from jointid.common.errors import JointFileError
 from tests.campaigns.conftest import JOINT
 
@@ -150,10 +150,10 @@ def test_one_number_out_of_its_bounds_among_many_is_named(place: Path) -> None:
 
 
 def test_what_is_too_large_is_not_read(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jointid.campaigns.fleet_table._MOST_CELLS", 10)
+    monkeypatch.setattr("jointid.campaigns.fleet._MOST_CELLS", 10)
     with pytest.raises(JointFileError, match=r"has 11 cells or more \(a fleet's table has at most 10\); divide it"):
         listed(place, "name\n" + "a\n" * 30)
-    monkeypatch.setattr("jointid.campaigns.fleet_table._LARGEST", 10)
+    monkeypatch.setattr("jointid.campaigns.fleet._LARGEST", 10)
     with pytest.raises(JointFileError, match=r"has 11 bytes or more \(a fleet's table has at most 10\); divide it"):
         listed(place, "name\n" + "a\n" * 30)
     with pytest.raises(JointFileError, match=r'ends in no known format; expected ".csv" or ".parquet": name it so'):

@@ -8,7 +8,7 @@ import pytest
 
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Outcome
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.run import run_case
 from jointid.common.errors import JointFileError
 from tests.apps.cli.test_robots_from_torques import logged, run, write_files
 from tests.robots_plants import two

@@ -12,7 +12,7 @@ import pytest
 from jointid.campaigns.cases import Case, Found, Outcome, Row, Simulated
 from jointid.campaigns.folder import Results
 from jointid.campaigns.report import CampaignReport, table_of
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.run import run_case
 from jointid.campaigns.run_groups import truth_csv
 from jointid.common.errors import RecordError
 from tests.campaigns.conftest import TRUTH

@@ -16,8 +16,7 @@ from jointid.config import (
     load,
     loads,
 )
-from jointid.config.loading import load_to_learn
-from jointid.config.toml_text import deepest_key, split_sections
+from jointid.config.loading import deepest_key, load_to_learn, split_sections
 from jointid.models.controllers import (
     StateSpaceController,
 )

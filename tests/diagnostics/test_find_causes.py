@@ -11,7 +11,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
 from jointid.diagnostics import find_causes as searching
-from jointid.diagnostics import run_checks
+from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.faults.fault import Explanation, FaultTest
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import GEAR_SIDE, LAW_GAIN, REFERENCE_SCALE, TORQUE_CONSTANT, TORQUE_SCALE
@@ -281,7 +281,7 @@ def test_a_search_that_fails_hides_no_error_and_ends_no_identification(
     monkeypatch.setattr(searching, "find_causes", fails)
     raised = RecordError("it is wrong.")
     assert explain_failure(raised, record, loop) is raised
-    monkeypatch.setattr(run_checks, "explain_misfit", fails)
+    monkeypatch.setattr(identifying, "explain_misfit", fails)
     assert ji.identify(record, loop).checks.verdicts[-1].subject is Subject.LOOP
 
 

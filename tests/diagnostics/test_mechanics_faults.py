@@ -23,8 +23,8 @@ from jointid.diagnostics.faults.friction import (
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
 from jointid.diagnostics.faults.trials import solve_with_fault, vary_mechanics
+from jointid.diagnostics.identify import worst_shift
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.run_checks import worst_shift
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate

@@ -9,7 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.messages import Message
-from jointid.diagnostics import run_checks
+from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.check_loop import SearchState
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
@@ -86,8 +86,8 @@ def test_it_is_said_where_loop_and_log_pass_their_check(monkeypatch: pytest.Monk
     assert fit.x is not None
     state = SearchState(fit.problem, fit.x)
     monkeypatch.setattr("jointid.diagnostics.diagnose.search_faults", lambda *_, **__: (nothing_found, state))
-    monkeypatch.setattr(run_checks, "explain_misfit", lambda *_: None)
-    checked = assemble(fit, run_checks.run_checks(fit))
+    monkeypatch.setattr(identifying, "explain_misfit", lambda *_: None)
+    checked = assemble(fit, identifying.run_checks(fit))
     (said,) = (one for one in checked.checks.verdicts if one.subject is Subject.REPEATABLE)
     assert said.status is Status.FAILED
     assert said.reasons[0].code == Reason.RESIDUAL_FOLLOWS_MOTION

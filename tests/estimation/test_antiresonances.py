@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.starts.antiresonances import antiresonance_starts
-from jointid.estimation.starts.flexible_joint import frequency_of
+from jointid.estimation.starts.flexible_joint import antiresonance_starts, frequency_of
 from jointid.models.friction import AsymmetricFriction
 from jointid.records.signals.filtering import Filtering
 from tests.plants import prismatic

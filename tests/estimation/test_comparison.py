@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.diagnostics.compare import compare
-from jointid.diagnostics.method_comparison import MethodComparison
+from jointid.diagnostics.compare import MethodComparison, compare
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers

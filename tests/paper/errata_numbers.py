@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from decimal import ROUND_DOWN, Decimal
 
 from jointid import Filtering, FlexibleJoint
-from jointid.paper.errata import ERRATA, Erratum
 from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, Cell, PublishedTable
 from jointid.paper.recomputed import (
     DENOMINATORS,
@@ -21,6 +20,7 @@ from jointid.paper.recomputed import (
     recompute_cells,
     sum_sides,
 )
+from jointid.paper.reproduce import ERRATA, Erratum
 
 REGRESSOR_OF_2 = (
     ("a1", "v1", "sign(v1)", "-q2", "-v2", "0", "0", "0"),

@@ -12,7 +12,6 @@ import pytest
 
 from jointid.models.joints import FlexibleJoint
 from jointid.models.position_forces import Motion
-from jointid.paper.errata import ERRATA
 from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, PublishedTable
 from jointid.paper.recomputed import (
     METHODS,
@@ -27,6 +26,7 @@ from jointid.paper.recomputed import (
     recompute_cells,
     sum_sides,
 )
+from jointid.paper.reproduce import ERRATA
 from jointid.paper.twin import TABLE_2, TABLE_4
 from tests.paper.errata_numbers import (
     RECOMPUTED,

@@ -14,8 +14,8 @@ import jointid as ji
 from jointid.apps.cli import main
 from jointid.common.text import number
 from jointid.config import load, loads
-from jointid.config.test_layout import lay_out
 from jointid.models.limits import AxisLimits
+from jointid.output.test_layout import lay_out
 from jointid.planning.design import design
 from jointid.planning.predict import Noise
 from jointid.records.formats import read_table

@@ -22,10 +22,9 @@ from jointid.output.json.documents import to_dict
 from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
 from jointid.planning import search as search_module
-from jointid.planning.bound import least_deviation
 from jointid.planning.designed import Design
 from jointid.planning.goals import parse_goal
-from jointid.planning.joint_tests import JointTests, Purpose
+from jointid.planning.joint_tests import JointTests, Purpose, least_deviation
 from jointid.planning.plans import (
     Family,
     Plan,

@@ -29,10 +29,9 @@ from jointid.paper.twin import TABLE_2, twin
 from jointid.records.drives import Drive
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.interval import ellipsoid_radius, lowest_mode, possible_joints
 from jointid.tuning.margins import NAMES, joint_set
 from jointid.tuning.proposals import Tuning, with_gains
-from jointid.tuning.tune import compute_minimum_detectable_change, tune
+from jointid.tuning.tune import compute_minimum_detectable_change, ellipsoid_radius, lowest_mode, possible_joints, tune
 from jointid.tuning.tuned import Tuned
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins

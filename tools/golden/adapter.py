@@ -31,18 +31,17 @@ from jointid.apps.web import worker
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.folder import Results
 from jointid.campaigns.report import CampaignReport, export_rows
-from jointid.campaigns.run_case import run_case
+from jointid.campaigns.run import run_case
 from jointid.config import load_joint
 from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.models.disturbances import Drift
 from jointid.models.linear import frequency_response
 from jointid.models.position_forces import PositionHarmonics
 from jointid.output.export import read_joint_model
-from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES
 from jointid.paper.recomputed import compare_table as recomputed
 from jointid.paper.recomputed import find_misprints
-from jointid.paper.reproduce import reproduce
+from jointid.paper.reproduce import ERRATA, reproduce
 from jointid.planning.predict import planned_record, predict_test
 from jointid.records.resampling import Resampling
 from jointid.simulation.closed_loop import Initial, simulate_many

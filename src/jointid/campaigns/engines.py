@@ -95,7 +95,7 @@ class LocalProcesses:
         # A fork of this process would copy its threads' locks; on Linux a server without threads is forked instead.
         context = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
         if sys.platform == "linux":
-            context.set_forkserver_preload(["jointid.campaigns.run_case"])
+            context.set_forkserver_preload(["jointid.campaigns.run"])
         for name in BLAS_THREADS:  # a worker's libraries read this when they are loaded, before it can say so
             os.environ.setdefault(name, "1")
         before = set(multiprocessing.active_children())

@@ -33,6 +33,7 @@ from jointid.config.quantities import Stated, find_quantities
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.schema_record import Run, Source, Together
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
@@ -73,6 +74,7 @@ class File(ABC, Generic[R]):
         source: the file of the record.
         feed_forward: what the drives are given beside the controllers' torque.
         path: of the file; a text is taken to stand in `joint.toml`.
+        name: what reports call the joint or the robot.
     """
 
     method: Method
@@ -81,6 +83,7 @@ class File(ABC, Generic[R]):
     source: Source = field(default_factory=Source)
     feed_forward: FeedForward = "none"
     path: Path = field(default=Path("joint.toml"), compare=False)
+    name: str | None = None
 
     @property
     @abstractmethod
@@ -97,13 +100,24 @@ class File(ABC, Generic[R]):
     def setup(self) -> Any:
         """The joint or robot as its method takes it: alone, under its controllers, or along its motors' motion."""
 
+    @property
+    @abstractmethod
+    def limits(self) -> Any:
+        """Limits of the axis, or of each axis, in a test that is planned."""
+
+    @property
+    def design_settings(self) -> dict[str, Any]:
+        """Arguments of `design` for an estimate by this file.
+
+        Raises:
+            MethodError: a joint of a robot has no controller, and the method simulates it.
+        """
+        loop = None if isinstance(self.method, IDIM) else self.loop
+        return {"limits": self.limits, "filtering": self.filtering, "loop": loop}
+
     @abstractmethod
     def _of_axes(self, records: tuple[Record, ...]) -> R:
         """Return the records of the axes as the record of this file."""
-
-    @abstractmethod
-    def _by_axes(self, record: R) -> tuple[Record, ...]:
-        """Return the record of each axis, the inverse of `_of_axes`."""
 
     @property
     def simulates(self) -> bool:
@@ -277,7 +291,8 @@ class File(ABC, Generic[R]):
             RecordError: the file cannot be written, or would not be read back.
         """
         table: dict[str, FloatArray] = {}
-        for axis, one in zip(self.axes, self._by_axes(record), strict=True):
+        each: Any = (record,) if isinstance(record, Record) else record
+        for axis, one in zip(self.axes, each, strict=True):
             for name, values in axis.columns_to_write(one).items():
                 undeclared = name in one.channels and name not in axis.column_names
                 table[f"{axis.name}.{name}" if undeclared and len(self.axes) > 1 else name] = values
@@ -304,7 +319,6 @@ class JointFile(File[Record]):
         columns: the channels, and where they are found; with a profile of the drive it finds the others.
         controller: the controller's law as the joint sees it through its transmission, None while it is not known.
         drive: whose traces the record is made of, and the numbers behind its units.
-        name: what reports call the joint.
         runs: records that are identified together.
         together: how they are; see `jointid.SeveralRecords`.
         limits: of the axis in a test that is planned; see `jointid.design`.
@@ -328,7 +342,6 @@ class JointFile(File[Record]):
     columns: Mapping[str, Column]
     controller: Controller | None = None
     drive: Drive = field(default_factory=Drive)
-    name: str | None = None
     runs: tuple[Run, ...] = ()
     together: Together = field(default_factory=Together)
     limits: AxisLimits = field(default_factory=AxisLimits)
@@ -460,9 +473,6 @@ class JointFile(File[Record]):
 
     def _of_axes(self, records: tuple[Record, ...]) -> Record:
         return records[0]
-
-    def _by_axes(self, record: Record) -> tuple[Record, ...]:
-        return (record,)
 
     def record_of(self, table: Table, name: str) -> Record:
         """Return the record of this axis from a table of columns; see `record`.

@@ -273,6 +273,7 @@ class RobotFile(File[tuple[Record, ...]]):
             parameters=_parameters(files),
             source=files[0].source,
             feed_forward=said.robot.feed_forward,
+            name=said.robot.name,
             in_motion=said.robot.in_motion,
             unmodelled=tuple(unmodelled),
             path=path,
@@ -286,9 +287,6 @@ class RobotFile(File[tuple[Record, ...]]):
 
     def _of_axes(self, records: tuple[Record, ...]) -> tuple[Record, ...]:
         return records
-
-    def _by_axes(self, record: tuple[Record, ...]) -> tuple[Record, ...]:
-        return record
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
         """Return the files that are read: the model, and the record that the file names or that takes its place."""

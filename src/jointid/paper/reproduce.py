@@ -10,9 +10,11 @@ correct one, 60 Hz decimated by six; Nelder-Mead starts from (13) at the paper's
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.resources import files
 
 from jointid import (
     DIDIM,
@@ -30,7 +32,6 @@ from jointid.common.document import Block, Document, Heading, Paragraph, Picture
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.validation import Validation
-from jointid.paper.errata import ERRATA
 from jointid.paper.published import SYMBOLS, TABLES
 from jointid.paper.recomputed import DENOMINATORS, Denominator, compare_table
 from jointid.paper.twin import Twin, twin
@@ -317,3 +318,25 @@ def _format_sums(estimate: Estimate) -> dict[str, tuple[str, ...]]:
 
 def _format_share(ratio: float) -> str:
     return f"{100 * ratio:.2f}"
+
+
+@dataclass(frozen=True, slots=True)
+class Erratum:
+    """One finding.
+
+    Attributes:
+        recomputed: from the paper's own numbers and equations.
+    """
+
+    item: str
+    where: str
+    printed: str
+    recomputed: str
+    what_we_do: str
+
+
+ERRATA: tuple[Erratum, ...] = tuple(
+    Erratum(**one)
+    for one in tomllib.loads(files("jointid.paper").joinpath("errata.toml").read_text(encoding="utf-8"))["erratum"]
+)
+"""Every finding."""

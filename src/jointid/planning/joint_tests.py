@@ -10,8 +10,10 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
@@ -19,7 +21,6 @@ from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
 from jointid.diagnostics.other_experiments import choose_encoder_steps
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.limits import AxisLimits, describe_excess, find_excess, units_of_limits
-from jointid.planning.bound import Floor, least_deviation
 from jointid.planning.designed import DesignedAxis
 from jointid.planning.goals import Goal, parse_goal
 from jointid.planning.plans import Family, Plan, Room, Table, TorqueTable, families_in, room_of
@@ -351,3 +352,155 @@ def _draw(
             one[p.name] = min(max(values[p.name] + by, least), p.upper)
         drawn.append(one)
     return drawn
+
+
+_LINES = 120  # frequencies
+_STEP = 1e-6  # relative, of the differences by which P is differentiated
+_PARAMETERS = ("motor_inertia", "motor_viscous", "stiffness", "damping", "load_inertia", "load_viscous")
+_STEPS = 400  # of the search for the powers
+_LEFT = 0.1  # of a signal that is injected, at least
+_CLOSE = 0.08  # of the logarithm of a frequency
+_OF_ALL = 0.02  # of the power: frequencies with less matter little
+
+Complexes: TypeAlias = NDArray[np.complexfloating[Any, Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Floor:
+    """The least deviation over all motions, and the optimal force powers.
+
+    Attributes:
+        hertz, power: (frequencies,) of the force that acts, and its mean square at each.
+        sensitivity: (frequencies,) size of S: so much of a signal that is injected is left of it in the force.
+    """
+
+    deviation: float
+    hertz: FloatArray
+    power: FloatArray
+    sensitivity: FloatArray
+
+    @property
+    def lines(self) -> tuple[tuple[float, float], ...]:
+        """Dominant frequencies, Hz, with amplitudes to inject relative to the largest.
+
+        Neighbouring frequencies are merged. The reference has to compensate for the loop.
+        """
+        left = np.where(self.sensitivity > _LEFT, self.power, 0.0)
+        found = []
+        while left.max() > _OF_ALL * np.sum(self.power):
+            strongest = self.hertz[int(np.argmax(left))]
+            near = np.abs(np.log(self.hertz / strongest)) < _CLOSE
+            middle = float(np.exp(np.average(np.log(self.hertz[near]), weights=left[near])))
+            found.append((middle, math.sqrt(float(np.sum(left[near] / self.sensitivity[near] ** 2)))))
+            left = np.where(near, 0.0, left)
+        found.sort()
+        largest = max((size for _, size in found), default=1.0)
+        return tuple((f, size / largest) for f, size in found)
+
+
+def least_deviation(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    noise: Noise,
+    goal: Goal,
+    limits: AxisLimits,
+    *,
+    samples: int,
+    sample_time: float,
+    cutoff: float,
+) -> Floor:
+    """Lower bound of a goal's standard deviation for tests of a flexible joint.
+
+    A sliding flexible joint is linear, so information adds up over frequencies. With P the response of the motor's
+    position to the force on it, H the controller's torque per position, S = 1 / (1 + P H exp(-s d)) and F the force,
+    the torque's derivative by a parameter is ``-H S dP/dp F``, and the information is::
+
+        M = N sum_f |F(f)|^2 Re(g* g') / s(f),       g = H S dP/dp
+
+    with N samples and the noise's spectrum s(f): of the log ``log^2``, of a force ``force^2 |H P S|^2``. The variance
+    of a combination w, ``w' M^-1 w``, is convex in the powers ``|F|^2``. Constraints are the torque's mean square and
+    half of the stroke. The bound is optimistic: friction is known, the joint never sticks, all frequencies up to the
+    cut-off are free, and torque peaks are not limited. Coulomb friction takes ``(Fc1 + Fc2)^2`` of the mean square
+    torque, which holds for a moving axis, not for one that rests or rings about a stop.
+
+    Args:
+        loop: joint and controller.
+        values: every parameter of the joint by name.
+        noise: of the log, or of a force; not that of a first record.
+        goal: a linear parameter, or a combination of them.
+        limits: of torque (rms) and stroke.
+        samples: of the test.
+        sample_time: of its log, s.
+        cutoff: of the filter, Hz.
+    """
+    power = limits.rms_torque or limits.torque
+    if not isinstance(loop.joint, FlexibleJoint) or any(name not in values for name in _PARAMETERS):
+        raise MethodError("The bound is that of a flexible joint with symmetric friction and a linear spring.")
+    if power is None or not goal.weights.keys() <= set(_PARAMETERS) or not goal.weights:
+        raise MethodError(
+            f"A bound needs the torque limited, and a goal of {', '.join(_PARAMETERS)}; received {goal.name}."
+        )
+    if noise.left is not None:
+        raise MethodError("A bound needs the noise as white noise of the log or of a force; state it.")
+    hertz = np.geomspace(limits.lowest, cutoff, _LINES)
+    law = loop.controller.law(sample_time)
+    s = 2j * math.pi * hertz
+    H = -law.feedback(hertz)
+    P = _position(values, s)
+    S = 1 / (1 + P * H * np.exp(-s * (law.delay + 0.5 * law.period)))
+    slopes = np.array([_slope(values, name, s) for name in _PARAMETERS])
+    g = H * S * slopes
+    spectrum = noise.log**2 + noise.force**2 * np.abs(H * P * S) ** 2
+    information = samples * np.real(np.conj(g)[:, np.newaxis] * g[np.newaxis]) / spectrum  # (parameters, parameters, f)
+    friction = values["motor_coulomb"] + values["load_coulomb"]
+    if power <= friction:
+        raise MethodError(
+            f"A torque of {power:g} does not move the joint against a friction of {friction:g}; allow more."
+        )
+    most, square = power**2 - friction**2, np.abs(P) ** 2
+    allowed = np.vstack([np.full(hertz.size, 1 / most), square / (0.5 * limits.given.get("stroke", math.inf)) ** 2])
+    w = np.array([goal.weights.get(name, 0.0) for name in _PARAMETERS])
+    variance, found = _least_variance(information, allowed, w)
+    return Floor(math.sqrt(variance), hertz, found, np.abs(S))
+
+
+def _position(values: Mapping[str, float], s: Complexes) -> Complexes:
+    """Return the motor's position per force on it, sliding."""
+    spring = values["stiffness"] + values["damping"] * s
+    motor = values["motor_inertia"] * s**2 + values["motor_viscous"] * s + spring
+    load = values["load_inertia"] * s**2 + values["load_viscous"] * s + spring
+    return np.asarray(load / (motor * load - spring**2))
+
+
+def _slope(values: Mapping[str, float], name: str, s: Complexes) -> Complexes:
+    step = _STEP * (abs(values[name]) or 1.0)
+    high, low = (_position({**values, name: values[name] + by}, s) for by in (step, -step))
+    return (high - low) / (2 * step)
+
+
+def _least_variance(information: FloatArray, allowed: FloatArray, w: FloatArray) -> tuple[float, FloatArray]:
+    """Minimise ``w' M^-1 w`` over powers with sums, by the rows of `allowed`, up to 1.
+
+    S. D. Silvey's multiplicative rule: scale each power by the root of its gain, then normalise to the active
+    constraint.
+    """
+    sizes = np.sqrt(np.maximum(np.diag(np.sum(information, axis=2)), 1e-300))
+    information = information / np.outer(sizes, sizes)[:, :, np.newaxis]
+    w = w / sizes
+    power = np.full(information.shape[2], 1.0)
+    best, kept = math.inf, power
+    price = np.array([1.0, 0.0])
+    for _ in range(_STEPS):
+        power = power / max(float(np.max(allowed @ power)), 1e-300)
+        M = information @ power
+        solved = np.linalg.lstsq(M, w, rcond=1e-14)[0]
+        variance = float(w @ solved)
+        if variance < best:
+            best, kept = variance, power
+        gain = np.einsum("i,ijf,j->f", solved, information, solved)
+        used = allowed @ power
+        # What binds costs; the price moves until both are used up, or one is not needed.
+        price = np.maximum(price * np.exp(0.5 * (used - 1.0)), 1e-6)
+        price = price / price.sum()
+        power = power * np.sqrt(np.maximum(gain, 0.0) / np.maximum(price @ allowed, 1e-300))
+    return best, kept

@@ -13,7 +13,7 @@ from rich.console import Console
 
 import jointid as ji
 from jointid.apps.cli import console
-from jointid.apps.cli.bars import Bars
+from jointid.apps.cli.terminal import Bars
 from jointid.common.messages import Work, describe_pace, describe_time, follow, ignore_progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import ordinal

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import uvicorn
 
-from jointid.apps.web import serving
+from jointid.apps.web import application as serving
 from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Limits
 from jointid.models.controllers import Cascade

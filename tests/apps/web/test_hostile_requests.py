@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 import pytest
 
-from jointid.apps.web import serving
+from jointid.apps.web import application as serving
 from jointid.apps.web.folder import Limits
 from tests.apps.web.asking import MULTIPART, TOKEN, Served, parts
 from tests.drawing import draw_some
@@ -265,7 +265,7 @@ def test_no_request_brings_the_page_down_or_has_it_tell_what_it_should_not(
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(serving, "_HEADERS", 1.0)
+    monkeypatch.setattr(serving, "_HEADER_TIME", 1.0)
     (folder.parent / "secret.txt").write_text(SECRET)
     assert served.ask("POST", "/record", parts(log), MULTIPART)[0] == 303
     sent = list(attacks())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from jointid.apps.web import serving
+from jointid.apps.web import application as serving
 from jointid.apps.web.folder import Limits
 from tests.apps.web.asking import MULTIPART, TOKEN, Served, parts
 
@@ -72,7 +72,7 @@ class TestHasty:
 
 
 def test_a_connection_that_never_asks_is_closed(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_HEADERS", 0.2)
+    monkeypatch.setattr(serving, "_HEADER_TIME", 0.2)
     for begun in (b"", b"GET / HTTP/1.1\r\nhost: 127"):
         with served.connect() as silent:
             silent.sendall(begun)

@@ -11,8 +11,13 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.robot import SpringVerdict
-from jointid.estimation.robots.drive_gains import identify_drive_gains
-from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference, payload_of_torques
+from jointid.estimation.robots.payload import (
+    Payload,
+    identify_drive_gains,
+    identify_payload,
+    payload_difference,
+    payload_of_torques,
+)
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jointid import Estimate, Record
-    from jointid.apps.cli.bars import Bars
+    from jointid.apps.cli.terminal import Bars
     from jointid.config import JointFile
     from jointid.config.contents import File
     from jointid.config.robot_file import RobotFile
@@ -33,7 +33,6 @@ Several: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 """Keys of the joint file that are changed before it is checked; every setting can be reached."""
 
-R = TypeVar("R")
 F = TypeVar("F", "JointFile", "RobotFile", "JointFile | RobotFile")
 
 FilteringName = Literal["default", "published", "as-printed"]
@@ -95,7 +94,7 @@ class Inputs:
         outputs.spare(str(joint), *file.inputs(self.record))
         return file
 
-    def identify(self, file: File[R], *, checks: bool = True, judged: bool = False) -> tuple[R, Estimate]:
+    def identify(self, file: File[Any], *, checks: bool = True, judged: bool = False) -> tuple[Any, Estimate]:
         """Identify a joint or a robot from the record, as its file says, and return the record, too.
 
         Args:
@@ -165,7 +164,7 @@ def tell(message: str) -> None:
 
 @lru_cache(maxsize=1)
 def _bars() -> Bars:
-    from jointid.apps.cli.bars import Bars
+    from jointid.apps.cli.terminal import Bars
 
     return Bars()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from jointid.apps.cli.console import (
     DEFAULTS,
@@ -32,17 +32,15 @@ def diagnosis(joint: Path, /, *, options: Options = DEFAULTS) -> None:
         options: those that most commands have.
     """
     from jointid import diagnose
-    from jointid.config.robot_file import RobotFile
+    from jointid.config import JointFile
 
-    known = options.load(joint, options.outputs)
-    if isinstance(known, RobotFile):
-        records = known.record(options.record, judged=True)
-        estimate = known.identify(records, options.progress, checks=False)
-        controllers = [one.controller for one in known.joints]
-        deliver(diagnose(estimate, records, controllers=controllers, feed_forward=known.feed_forward), options.json)
-        return
-    record, made = options.identify(options.load_joint(joint, options.outputs, method="didim"), checks=False)
-    deliver(diagnose(made, record, shown=known.declared_numbers), options.json)
+    file = options.load(joint, options.outputs)
+    declared: dict[str, Any] = {"controllers": file.controllers, "feed_forward": file.feed_forward}
+    if isinstance(file, JointFile):
+        file = options.load_joint(joint, options.outputs, method="didim")
+        declared = {"shown": file.declared_numbers}
+    record, made = options.identify(file, checks=False, judged=True)
+    deliver(diagnose(made, record, **declared), options.json)
 
 
 def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:

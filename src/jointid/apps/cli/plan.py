@@ -199,7 +199,7 @@ def design(
     from jointid import design as run
     from jointid import figures
     from jointid.config import JointFile
-    from jointid.config.test_layout import lay_out
+    from jointid.output.test_layout import lay_out
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
     outputs.spare("--motion", motion)
@@ -230,26 +230,23 @@ def design(
 
 def _plan_robot(file: RobotFile, options: Options, asked: dict[str, Any], motion: tuple[Record, ...] | None) -> Design:
     """Plan the test of a robot, from the record that is named or that its file names, or from its model alone."""
-    from jointid import IDIM, design
+    from jointid import design
 
-    loop = None if isinstance(file.method, IDIM) else file.loop
-    asked |= {
-        # Of a motion that was never played nothing is logged: such a robot is predicted without.
-        "motion": motion, "feed_forward": "none" if file.feed_forward == "logged" else file.feed_forward,
-        "filtering": file.filtering,
-    }  # fmt: skip
+    # Of a motion that was never played nothing is logged: such a robot is predicted without.
+    feed_forward = "none" if file.feed_forward == "logged" else file.feed_forward
+    asked = file.design_settings | asked | {"motion": motion, "feed_forward": feed_forward}
     enough = motion is not None or all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
     if options.record is not None or file.source.first is not None or not enough:
         try:
             records = file.record(options.record)
             estimate = file.identify(records, options.progress, checks=False)
-            return design(estimate, records, loop=loop, **asked)
+            return design(estimate, records, **asked)
         except JointidError as error:
             if options.record is not None or not enough:
                 raise
             show(f"The record that the robot file names is not used, and the robot is as its model says: {error}")
     sample_time = asked.pop("sample_time", None) or file.source.sample_time
-    return design(loop or file.robot, sample_time=None if motion is not None else sample_time, **asked)
+    return design(asked.pop("loop") or file.robot, sample_time=None if motion is not None else sample_time, **asked)
 
 
 def _read(motion: Path, file: JointFile) -> Record:

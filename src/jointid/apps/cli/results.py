@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from jointid import Estimate, Report
     from jointid.config import JointFile
     from jointid.config.robot_file import RobotFile
-    from jointid.output.report import Repetition
+    from jointid.diagnostics.validation import Validation
     from jointid.planning.designed import Design
 
 
@@ -70,11 +70,11 @@ def report(
     from jointid import Report, design
     from jointid import validate as validate_estimate
     from jointid.config import JointFile
-    from jointid.config.test_layout import lay_out
     from jointid.output.json import read_choices
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
+    from jointid.output.test_layout import lay_out
 
     page = html if html or markdown or figures else Path("report.html")
     outputs = Outputs({"--html": page, "--json": options.json}, folders={"--markdown": markdown, "--figures": figures})
@@ -86,40 +86,30 @@ def report(
     choices = {"method": method, "filtering": filtering, "friction": friction}
     file = options.load(joint, outputs, **choices | ({} if estimate is None else read_choices(estimate)))
     html_name = "report.html" if page is None else page.name
-    source = Path(file.record_path(options.record))
     asked = {"axis": options.axis, **choices, "plan": plan, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
-    if not isinstance(file, JointFile):
+    if isinstance(file, JointFile):
+        _refuse_saved(estimate)
+        if plan is not None:
+            require_goal(file, plan)
+    else:
         _refuse_options(
             "The report of a robot has neither profiles nor tuning",
             {"--no-profiles": no_profiles, "--no-tuning": no_tuning},
         )
-        again = repetition(joint, source, asked, options.changes, html_name, "robot")
-        _report_robot(
-            file,
-            options,
-            again,
-            plan,
-            held_out,
-            partial(_save, page=page, markdown=markdown, figures=figures),
-            estimate,
-        )
-        return
-    if estimate is not None:
-        raise MethodError(
-            "The report of a joint follows the criterion of its search, which a saved estimate does not have; leave "
-            "--estimate out, and the joint is identified from its record."
-        )
-    if plan is not None:
-        require_goal(file, plan)
+    system: Literal["joint", "robot"] = "joint" if isinstance(file, JointFile) else "robot"
+    again = repetition(joint, Path(file.record_path(options.record)), asked, options.changes, html_name, system)
+    settings = file.design_settings if plan is not None else {}
     unseen = None if held_out is None else file.record(held_out)
-    again = repetition(joint, source, asked, options.changes, html_name)
-    record, found = options.identify(file)
+    if estimate is None or isinstance(file, JointFile):
+        record, found = options.identify(file, judged=True)
+    else:
+        record, found = file.record(options.record, judged=True), _saved_or_identified(file, estimate)
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
-    tuning = None if no_tuning else Aside(partial(tune_to_limit, found, file.drive, file.declared_numbers))
+    tuning = None if no_tuning else Aside(partial(tune_to_limit, found, file.axes[0].drive, file.declared_numbers))
     stated = Report.of(
-        found, record, checks, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
-        progress=options.progress,
+        found, record, checks, name=file.name or "", profiles=() if no_profiles else None,
+        controllers=file.controllers, feed_forward=file.feed_forward, repetition=again, progress=options.progress,
     )  # fmt: skip
     tuned = None if tuning is None else tuning.result()
     if isinstance(tuned, str):
@@ -128,50 +118,33 @@ def report(
         stated = replace(stated, tuned=tuned)
     if plan is not None:
         stated = _with_test(
-            stated,
-            lambda: lay_out(file, design(found, record, goal=plan, limits=file.limits, progress=options.progress)),
+            stated, lambda: lay_out(file, design(found, record, goal=plan, progress=options.progress, **settings))
         )
-    written = _save(stated, page, markdown, figures) + ([] if options.json is None else [options.json])
-    deliver(stated.estimate, options.json)
+    written = [] if page is None else [stated.save(page)]
+    written += [] if markdown is None else [stated.save_markdown(markdown)[0]]
+    written += [] if figures is None else [*stated.save_figures(figures)]
+    written += _deliver_report(stated, checks, options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
 
 
-def _report_robot(
-    file: RobotFile,
-    options: Options,
-    again: Repetition,
-    plan: str | None,
-    held_out: Path | None,
-    save: Callable[[Report], list[Path]],
-    saved: Path | None,
-) -> None:
-    """Report a robot, identified or saved, with a validation and the next test where they are asked for."""
-    from jointid import IDIM, Report, design
-    from jointid import validate as validate_estimate
-    from jointid.config.test_layout import lay_out
+def _deliver_report(stated: Report, checks: Sequence[Validation], json: Path | None) -> list[Path]:
+    """Print the result of a report, and write its JSON: of a joint the estimate, of a robot the whole report."""
+    if stated.estimate.robot is None:
+        deliver(stated.estimate, json)
+    else:
+        deliver(checks[0] if checks else stated.estimate)
+        if json is not None:
+            write_whole(json, stated.answer())
+    return [] if json is None else [json]
 
-    unseen = None if held_out is None else file.record(held_out)
-    asked: dict[str, Any] = {}
-    if plan is not None:
-        loop = None if isinstance(file.method, IDIM) else file.loop
-        asked = {"limits": file.limits, "filtering": file.filtering, "loop": loop, "goal": plan}
-    records = file.record(options.record, judged=True)
-    estimate = file.identify(records, options.progress) if saved is None else _saved_or_identified(file, saved)
-    checks = [] if unseen is None else [validate_estimate(estimate, unseen)]
-    controllers = [one.controller for one in file.joints]
-    stated = Report.of(
-        estimate, records, checks, controllers=controllers, feed_forward=file.feed_forward, repetition=again
-    )
-    if asked:
-        stated = _with_test(
-            stated, lambda: lay_out(file, design(estimate, records, progress=options.progress, **asked))
+
+def _refuse_saved(estimate: Path | None) -> None:
+    """Raise a `MethodError` if a saved estimate is given for the report of a joint."""
+    if estimate is not None:
+        raise MethodError(
+            "The report of a joint follows the criterion of its search, which a saved estimate does not have; leave "
+            "--estimate out, and the joint is identified from its record."
         )
-    written = save(stated)
-    deliver(checks[0] if checks else estimate)
-    if options.json is not None:
-        write_whole(options.json, stated.answer())
-        written.append(options.json)
-    show("\nWritten: " + ", ".join(map(str, written)))
 
 
 def _with_test(stated: Report, plan: Callable[[], Design]) -> Report:
@@ -184,13 +157,6 @@ def _with_test(stated: Report, plan: Callable[[], Design]) -> Report:
         stated.data.absent["design"] = str(error)
         show(f"Without a next test: {error}")
         return stated
-
-
-def _save(stated: Report, page: Path | None, markdown: Path | None, figures: Path | None) -> list[Path]:
-    """Write a report to the given places, and return the files."""
-    written = [] if page is None else [stated.save(page)]
-    written += [] if markdown is None else [stated.save_markdown(markdown)[0]]
-    return written + ([] if figures is None else [*stated.save_figures(figures)])
 
 
 def require_goal(file: JointFile, plan: str) -> None:

@@ -72,8 +72,7 @@ def run_page(folder: Path, host: str, port: int, announce: Callable[[str], None]
     """
     for module in ("uvicorn", "starlette", "python_multipart", "jinja2", "bokeh"):
         extra(module, "web", "The page")
-    from jointid.apps.web.application import build_application
-    from jointid.apps.web.serving import run
+    from jointid.apps.web.application import build_application, run
 
     Outputs(folders={"--folder": folder})
     make_folder(folder, "--folder", mode=0o700)

@@ -168,7 +168,7 @@ def plan(folder: Path) -> None:
     from jointid.common.document import Facts, Table
     from jointid.common.matplotlib_backend import png
     from jointid.config import load_joint
-    from jointid.config.test_layout import lay_out
+    from jointid.output.test_layout import lay_out
     from jointid.planning.design import design
     from jointid.simulation.warm_up import warm_up
 

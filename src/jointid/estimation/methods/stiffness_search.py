@@ -2,7 +2,7 @@
 
 1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
 2. A grid of flexible joints, a simulation each, on a band as wide as the log (`starts.flexible_joint`); and starts at
-   antiresonances, which need no rigid joint (`starts.antiresonances`).
+   antiresonances, which need no rigid joint (`starts.flexible_joint`).
 3. Rough descents from the best few, at frequencies apart, until two end together.
 4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
    first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.

@@ -73,7 +73,7 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
 
     Args:
         fit: the result of the method.
-        checked: the results of the checks, see `jointid.diagnostics.run_checks`.
+        checked: the results of the checks, see `jointid.diagnostics.identify.run_checks`.
         torque_constant: with its unit, where all values are proportional to it.
     """
     checked = checked or CheckResults()

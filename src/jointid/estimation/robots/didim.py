@@ -10,7 +10,7 @@ identification of robot dynamics, IEEE Transactions on Control Systems Technolog
 does not reach W, which so acts as instruments for the derivatives J of the torques; the covariance is theirs, robust to
 autocorrelation (`uncertainty.covariance`), with J by variation.
 
-The search begins at what the inverse model finds on a motion that the records imply (`starts.rigid_robot`). The column
+The search begins at what the inverse model finds on a motion that the records imply (`rigid_robot_start`). The column
 of Coulomb friction is that of the direction of sliding, but of the velocity's sign where it is now 0 or less: a mass
 without it never rests, and a fixed point with a negative one would stay. Viscous and Coulomb friction are not let below
 0.
@@ -23,21 +23,35 @@ as its references do.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import Bounds, Parameter
+from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.robots.fit import NEAR, SETTLED, RobotFit, fixed_point
 from jointid.estimation.robots.laws import search_laws
 from jointid.estimation.robots.numbers import apply_constraints, robot_parameters
-from jointid.estimation.robots.problem import RobotLoopProblem, add_problems, robot_problem
+from jointid.estimation.robots.problem import EXACT, RobotLoopProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
-from jointid.estimation.starts.rigid_robot import rigid_robot_start
+from jointid.estimation.starts.inverse_controller import command_of, reconstructed_position
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
-from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robots import RobotLoop, RobotOutcome
+from jointid.records.record import Channel, Record, Timing
+from jointid.records.signals.filtering import (
+    Filtering,
+    apply_window,
+    differentiate_twice,
+    lowpass,
+    settle,
+    window_torque,
+)
+from jointid.simulation.robot_sensitivities import columns_of
+from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
 
 
 def identify_rigid_robot(
@@ -91,3 +105,87 @@ def identify_rigid_robot(
             )
         fit = fixed_point(problem, x, runs, iterations, progress, settled)
     return search_laws(robot, fit, lambda of: add_problems(pose(of)), known, evaluations, progress)
+
+
+_REWEIGHTINGS = 3
+
+
+def rigid_robot_start(
+    problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record]
+) -> tuple[FloatArray, RobotRun]:
+    """Return the start of a search and its simulation: the inverse model on the motion that the controllers saw.
+
+    Where a controller cannot be turned round, the commanded motion is taken. A start of regular inertias is not tried:
+    M(q) of one may not be positive definite in a pose.
+    """
+    failures = []
+    for name, make in (("inversion", _reconstructed_motion), ("reference", _commanded_motion)):
+        try:
+            torques, positions = make(problem, loop, records)
+        except MethodError as error:
+            failures.append(str(error))
+            continue
+        x = _regress(problem, torques, positions)
+        run = problem.run(x)
+        if run.outcome is RobotOutcome.FINISHED:
+            return x, run
+        failures.append(f"at the {name} start {run.outcome.value}.")
+    raise MethodError(
+        "The robot cannot be simulated where its search begins: "
+        + " ".join(failures)
+        + " Check the controllers' gains, and their period where they run faster than the log, "
+        "the signs and units of torques and references, and the joints' places."
+    )
+
+
+def _reconstructed_motion(
+    problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the motors' torques and the positions that the controllers must have seen, (samples, n) each."""
+    measured, references = _commanded_motion(problem, loop, records)
+    found, samples = [], len(measured)
+    for j, (link, controller, record) in enumerate(zip(loop.robot.links, loop.controllers, records, strict=True)):
+        if problem.experiment.experiments[j].repeat > 1:  # the log shows each output of this slow controller many times
+            found.append((measured[:, j], references[:, j]))
+            continue
+        joint = RigidJoint(link.kind)
+        alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
+        found.append((command_of(alone)[:samples], reconstructed_position(alone)[:samples]))
+    torques, positions = (np.column_stack([pair[i] for pair in found]) for i in range(2))
+    return torques, positions
+
+
+def _commanded_motion(
+    problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the motors' torques and the references, (samples, n) each."""
+    del loop, records
+    clock = problem.experiment.clock
+    return problem.measured, problem.experiment.references[clock.log_index // clock.lengths.size]
+
+
+def _regress(problem: RobotLoopProblem, torques: FloatArray, positions: FloatArray) -> FloatArray:
+    """Return the inverse model's weighted estimate on a motion, within bounds."""
+    sample_time, cutoff = problem.sample_time, problem.filtering.position_cutoff
+    assert cutoff is not None
+    n, each_loop = torques.shape[1], problem.experiment.experiments
+    smooth = lowpass(positions, cutoff, sample_time)
+    each = [differentiate_twice(column, sample_time) for column in smooth.T]
+    velocity, acceleration = (np.column_stack([pair[i] for pair in each]) for i in range(2))
+    motion = MassMotion(smooth, velocity, acceleration, np.sign(settle(velocity)))
+    parameters = problem.parameters
+    rotors = parameters.base.rotors
+    columns = columns_of(problem.tree, parameters.base, parameters.places, motion, rotors)
+    held = [Channel(torques[:, j], "N m", sample_time, Timing.HELD) for j in range(n)]  # its unit is not read
+    seen = np.column_stack(
+        [window_torque(channel, each.law.delay) for channel, each in zip(held, each_loop, strict=True)]
+    )
+    borders = slice(*(50, len(seen) - 50) if len(seen) > 500 else (0, len(seen)))
+    Y = problem.decimate(seen[borders])
+    W = problem.decimate_columns([(own, apply_window(values)[borders]) for own, values in columns])
+    floor = EXACT * float(np.linalg.norm(Y))
+    x = np.zeros(len(parameters.places))
+    for _ in range(_REWEIGHTINGS):
+        x, _, left = problem.step(W, Y)
+        problem = problem.reweight(left, x.size, floor)
+    return Bounds.of(problem.free).clip(x)

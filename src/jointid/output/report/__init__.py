@@ -26,8 +26,7 @@ from jointid.output.json import plain
 from jointid.output.json.documents import REPORT_SCHEMA
 from jointid.output.report.page import page
 from jointid.output.report.pages import Repetition, repetition, require_page
-from jointid.output.report.robots import RobotReportData, robot_blocks, robot_charts, robot_contents
-from jointid.output.report.sections import report_blocks
+from jointid.output.report.sections import RobotReportData, report_blocks, robot_blocks, robot_charts, robot_contents
 from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 

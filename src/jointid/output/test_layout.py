@@ -10,8 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
-from jointid.config.contents import JointFile
-from jointid.config.robot_file import RobotFile
+from jointid.config.contents import File, JointFile
 from jointid.planning.designed import Design, PlayedAxis
 from jointid.records.columns import Column, unit_of_column
 from jointid.records.formats import Csv, format_of
@@ -28,12 +27,10 @@ class FileLayout:
     A channel that the test has and the file does not name is in the unit of the motor's position, or of the torque.
 
     Attributes:
-        files: the joint file of each axis.
-        robot: whether they are of a robot, where the columns of such channels begin with the joint's name.
+        files: the joint file of each axis; of several, the columns of such channels begin with the joint's name.
     """
 
     files: tuple[JointFile, ...]
-    robot: bool
 
     @property
     def options(self) -> Mapping[str, Any]:
@@ -60,7 +57,7 @@ class FileLayout:
         for name in record.channels:
             if name not in columns and file.drive.traces is None:
                 like = columns.get(_LIKE.get(name, ""), Column())
-                own = f"{file.name}.{name}" if self.robot else name
+                own = f"{file.name}.{name}" if len(self.files) > 1 else name
                 columns[name] = replace(like, column=own, timing=None, tap=None, sample_time=None, update_time=None)
         own_clock = file.source.sample_time in (None, next(iter(record.items()))[1].sample_time)
         source = file.source if own_clock else replace(file.source, sample_time=None)
@@ -89,7 +86,6 @@ class FileLayout:
         )  # fmt: skip
 
 
-def lay_out(file: JointFile | RobotFile, design: Design) -> Design:
+def lay_out(file: File[Any], design: Design) -> Design:
     """Return a design whose files have the columns, units and sides of a joint file or a robot file."""
-    robot = isinstance(file, RobotFile)
-    return replace(design, layout=FileLayout(file.joints if isinstance(file, RobotFile) else (file,), robot))
+    return replace(design, layout=FileLayout(file.axes))
