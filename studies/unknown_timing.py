@@ -27,16 +27,19 @@ def judge(seed: int, held: bool) -> dict[str, float]:
     low, high = np.log(_RATES)
     rate = float(np.exp(np.random.default_rng([seed, 1]).uniform(low, high)))
     found = identify(logged(rate, held, seed), RigidJoint("revolute"), IDIM(), checks=False)
-    return {name: float(((found[name].value or 0.0) - true) / (found[name].stderr or 0.0)) for name, true in TRUE.items()}
+    return {
+        name: float(((found[name].value or 0.0) - true) / (found[name].stderr or 0.0)) for name, true in TRUE.items()
+    }
 
 
-def logged(rate: float, held: bool, seed: int) -> Record:
+def logged(rate: float, held: bool, seed: int, noise: float = _NOISE) -> Record:
     """Return the record of a joint that follows four sines.
 
     Args:
         rate: of the log, Hz.
         held: whether the law runs at that rate, else at each step.
         seed: of sines and noise.
+        noise: on the log, of the torque.
     """
     rng, period = np.random.default_rng(seed), 1 / rate
     parts = max(round(period / _STEP), 10)
@@ -58,7 +61,7 @@ def logged(rate: float, held: bool, seed: int) -> Record:
         free = v + step * (u - TRUE["viscous"] * v) / inertia
         v = max(free - drop, 0.0) if free > 0 else min(free + drop, 0.0)
         q += step * v
-    torque = kept[:, 1] + _NOISE * kept[:, 1].std() * rng.standard_normal(size)
+    torque = kept[:, 1] + noise * kept[:, 1].std() * rng.standard_normal(size)
     return Record(
         torque=Channel(torque, "N m", period, Timing.HELD, stated=False),
         motor_position=Channel(kept[:, 0], "rad", period),

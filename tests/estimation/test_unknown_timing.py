@@ -23,8 +23,9 @@ def test_intervals_hold_the_truth_whichever_the_timing_was():
 
 
 @pytest.mark.parametrize("timing", ["held", "sampled"])
-def test_stated_timing_is_obeyed(timing):
-    record = logged(50.0, False, 1)
+def test_stated_timing_is_obeyed_and_a_wrong_one_is_said(timing):
+    record = logged(200.0, False, 1, noise=0.002)
     stated = replace(record, torque=replace(record.torque, timing=timing, stated=True))
     found = ji.identify(stated, ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
-    assert not any("held or sampled" in one for one in found.checks.warnings)
+    said = [one for one in found.checks.warnings if "samples before held" in one]
+    assert [one.startswith("the torque is stated as held") for one in said] == [True] * (timing == "held")
