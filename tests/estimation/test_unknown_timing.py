@@ -29,3 +29,14 @@ def test_stated_timing_is_obeyed_and_a_wrong_one_is_said(timing):
     found = ji.identify(stated, ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
     said = [one for one in found.checks.warnings if "samples before held" in one]
     assert [one.startswith("the torque is stated as held") for one in said] == [True] * (timing == "held")
+
+
+def test_validation_reads_a_fresh_record_as_the_estimate_did():
+    fresh = logged(200.0, False, 2, noise=0.002)
+    found = ji.identify(logged(200.0, False, 1, noise=0.002), ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
+    assert found.settings.timing == "sampled"
+    errors = [
+        ji.validate(found, replace(fresh, torque=replace(fresh.torque, timing=timing, stated=stated))).filtered_error
+        for timing, stated in (("held", False), ("sampled", True), ("held", True))
+    ]
+    assert errors[0] == errors[1] < errors[2]

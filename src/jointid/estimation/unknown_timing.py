@@ -27,6 +27,16 @@ _READINGS = (Timing.HELD, Timing.SAMPLED, Timing.AVERAGED)
 Logs: TypeAlias = Sequence[Record]
 
 
+def read_as(records: Logs, timing: Timing | None, stated: bool = False) -> Logs:
+    """Return records whose torques, where their timing was not stated, or where it was, have this one; None: as is."""
+    return [
+        replace(record, torque=replace(record.torque, timing=timing))
+        if timing is not None and record.torque is not None and record.torque.stated == stated
+        else record
+        for record in records
+    ]
+
+
 def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:
     """Return the fit by the reading of the torque that leaves less, with intervals that cover the other as needed.
 
@@ -42,16 +52,8 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
         return first
     own = read.pop()
 
-    def read_as(timing: Timing) -> Logs:
-        return [
-            replace(record, torque=replace(record.torque, timing=timing))
-            if record.torque is not None and record.torque.stated == stated
-            else record
-            for record in records
-        ]
-
     try:
-        fits = [first if timing is own else fit(read_as(timing)) for timing in _READINGS]
+        fits = [first if timing is own else fit(read_as(records, timing, stated)) for timing in _READINGS]
     except JointidError:  # another reading determines nothing
         return first
     left = np.array([[*one.fit.axis_errors.values()] or [one.fit.filtered_error] for one in fits]) ** 2
@@ -88,6 +90,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
     )
     return replace(
         chosen,
+        settings=replace(chosen.settings, timing=_READINGS[at]),
         params=replace(chosen.params, rows=rows),
         checks=replace(chosen.checks, warnings=(said, *chosen.checks.warnings)),
     )
