@@ -18,6 +18,7 @@ from studies.refusals import FACTORS, INVISIBLE, PLAIN, StiffnessRun
 from studies.robots import Found
 from studies.stiffness_bounds import BoundRun
 from studies.study import Share, Study
+from studies.unknown_timing import TRUE
 from studies.velocity_taps import TapsRun
 from tests.faults import FAULTS
 from tests.faults import PAIRS as FAULT_PAIRS
@@ -528,6 +529,14 @@ STUDIES: tuple[Study, ...] = (
         range(1, 3),
         (Share("a remedy helps or harms as stated", _remedied, 0.98),),
         tuple({"late": late, "share": 0.3, "remedy": remedy} for late in ("samples", "stamps") for remedy in REMEDIES),
+    ),
+    Study(
+        "unknown-timing",
+        "Rigid joints by IDIM, logged at 30 to 1,000 Hz, whose torque is held or sampled, as nobody stated.",
+        "studies.unknown_timing:judge",
+        range(50),
+        tuple(Share(f"{name} within 2 sigma", _within(name), 0.91, 0.985) for name in TRUE),
+        ({"held": True}, {"held": False}),
     ),
     Study(
         "velocity-taps",

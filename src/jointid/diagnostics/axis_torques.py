@@ -23,6 +23,7 @@ from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.problem import RobotLoopProblem
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.estimation.robots.simulated import SimulatedRobot, problem_of
+from jointid.estimation.unknown_timing import read_as
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import simulation_of
@@ -95,7 +96,7 @@ def torques_of_robot(estimate: EstimateParts, records: Sequence[Record]) -> Axis
     """
     part, filtering = estimate.require_robot(), estimate.settings.filtering
     if isinstance(part, InverseModelRobot):
-        return _by_inverse_model(part, filtering, records)
+        return _by_inverse_model(part, filtering, read_as(records, estimate.settings.timing))
     assert isinstance(part, SimulatedRobot)
     return _by_simulation(part, filtering, records)
 

@@ -45,6 +45,7 @@ from jointid.estimation.result.estimate import (
     relative_error,
 )
 from jointid.estimation.starts.rigid_joint import fit_initial_state
+from jointid.estimation.unknown_timing import read_as
 from jointid.models.disturbances import EncoderOffset, effect_parameters
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
@@ -424,7 +425,7 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     if isinstance(estimate, Estimate) and estimate.robot is not None:
         if not isinstance(record, Sequence):
             raise MethodError("The estimate of a robot is validated on a record of each joint; give them in order.")
-        robot, records = estimate.robot.model, record
+        robot, records = estimate.robot.model, read_as(record, estimate.settings.timing)
         found = _predict_robot(estimate, records)
         method, source, prints = estimate.settings.method, estimate.data.record, estimate.data.fingerprints
         gear: Transmission | None = None
@@ -435,7 +436,8 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
         record.require(("torque",), "Validation")
         check_record(record)
         identified = estimate.identified if isinstance(estimate, Estimate) else estimate
-        found, records, joint = _predict_joint(identified, record), (record,), identified.joint
+        records, joint = read_as([record], identified.timing), identified.joint
+        found = _predict_joint(identified, records[0])
         method, source, prints = identified.method, identified.record, identified.fingerprints
         length = POSITION_UNIT[joint.kind]
         assert record.torque is not None

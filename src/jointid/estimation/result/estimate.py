@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     import jointid
-    from jointid.records.record import Record
+    from jointid.records.record import Record, Timing
 
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
 _MOST = 64  # times that a position loop may be slower
@@ -45,6 +45,7 @@ class IdentifiedJoint:
         fingerprints: of the torque of each of its records, see `fingerprint`.
         controller: fingerprint of the loop's controller, for DIDIM; see `law_fingerprint`.
         effects: torques beside the joint's own model; `values` has their parameters too.
+        timing: as which a torque is read whose timing nobody stated; None: as its record has it.
     """
 
     method: str
@@ -57,6 +58,7 @@ class IdentifiedJoint:
     fingerprints: tuple[str, ...]
     controller: str = ""
     effects: tuple[Effect, ...] = ()
+    timing: Timing | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -150,7 +152,7 @@ class Estimate(EstimateParts, Documented):
         law = "" if settings.loop is None else law_fingerprint(settings.loop)
         return IdentifiedJoint(
             settings.method, settings.joint, settings.loop, {**self.values, **log}, settings.filtering, settings.delay,
-            data.record, data.fingerprints, law, settings.effects,
+            data.record, data.fingerprints, law, settings.effects, settings.timing,
         )  # fmt: skip
 
     def to_document(self, *, details: bool = False) -> Document:

@@ -20,7 +20,7 @@ from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import EncoderLag
-from jointid.records.record import Resampled
+from jointid.records.record import Resampled, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.solvers.regression import Conditioning
@@ -417,6 +417,7 @@ class Settings:
         delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
         effects: torques beside the joint's own model; their parameters follow the joint's.
         weighting: of the rows of several records, in words.
+        timing: as which a torque was read whose timing nobody stated; None where it was stated, or nothing else tried.
     """
 
     method: str
@@ -427,6 +428,7 @@ class Settings:
     delay: float = 0.0
     effects: tuple[Effect, ...] = ()
     weighting: str = ""
+    timing: Timing | None = None
 
     @property
     def joint(self) -> Joint:
