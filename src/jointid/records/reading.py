@@ -324,9 +324,9 @@ class _Columns:
         """
         jumps, made, remarks = dict[str, Wrap](), dict(found), list[str]()
         for name in _POSITIONS:
-            if name in found and found[name].wrap is None and self.factor_of(name, found):
+            if name in found and found[name].wrap is None and (factor := self.factor_of(name, found, own=True)):
                 values = self.table.columns[found[name].column]
-                wrap = find_wrap(values, abs(2 * np.pi / self.factor_of(name, found))) if values.size else None
+                wrap = find_wrap(values, abs(2 * np.pi / factor)) if values.size else None
                 jumps |= {} if wrap is None else {name: wrap}
         motor = self.table.columns[found["motor_position"].column] if "motor_position" in found else None
         for name, wrap in jumps.items():
@@ -346,13 +346,13 @@ class _Columns:
                 remarks.append(f"{jump}: if it wraps, give its channel wrap = {wrap.size:.10g}")
         return made, remarks
 
-    def factor_of(self, name: str, found: Mapping[str, Column]) -> float:
-        """SI units, on the joint's side, to one of a position's column; 0 if its unit is at fault."""
+    def factor_of(self, name: str, found: Mapping[str, Column], *, own: bool = False) -> float:
+        """SI units, on the joint's side or the column's own, to one of a position's; 0 if its unit is at fault."""
         column, kind = found[name], self.kind_of(name, found[name])
         known, load = known_units(name, kind), name == "load_position"
         unit = replace(self, faults=[]).resolve_unit(name, unit_of_column(name, found, kind), known, kind, of_load=load)
         gear = self.transmission
-        side = 1.0 if gear is None else gear.position(self.drive.side(name, column))
+        side = 1.0 if gear is None or own else gear.position(self.drive.side(name, column))
         return 0.0 if unit is None else column.sign * column.gain * unit.factor * side
 
     def align_turns(self, logged: Mapping[str, Channel], found: Mapping[str, Column]) -> dict[str, Channel]:
