@@ -94,6 +94,29 @@ def test_a_robot_and_its_record(folder: Path) -> None:
         assert record.reference.values == pytest.approx(rows[:, 6 + i] / gear)
 
 
+def test_clocks_and_wraps_of_a_robot_are_repaired_as_those_of_a_joint(folder: Path) -> None:
+    time, random = np.arange(2000) * 0.002, np.random.default_rng(5)
+    stamps = time + 0.2 * 0.002 * random.random(time.size)
+    motion = np.sin(np.outer(3 * stamps, (1.0, 0.7, 0.5)))
+    wrapped = motion * (4.0, 100.0, 4.0)  # a motor behind 100:1 turns 16 times
+    rows = np.column_stack([stamps, motion, np.mod(wrapped, 2 * np.pi), wrapped])
+    names = ["t", "i_0", "i_1", "i_2", "joint0.q", "joint1.q", "joint2.q", "r1", "r2", "last"]
+    rows = np.insert(rows, [301], rows[300], axis=0)
+    np.savetxt(folder / "log.csv", rows, delimiter=",", header=",".join(names), comments="")
+    (folder / "robot.toml").write_text(TEXT.replace("sample_time = 0.002", 'time = "t"'), encoding="utf-8")
+    for record, gear, size in zip(load(folder / "robot.toml").records(), (1, 100, 1), (4.0, 100.0, 4.0), strict=True):
+        assert record.motor_position is not None and record.reference is not None and record.resampled is not None
+        np.testing.assert_allclose(record.motor_position.values, record.reference.values, atol=1e-5)
+        assert np.ptp(record.motor_position.values) == pytest.approx(2 * size / gear, rel=1e-3)
+        repeated, wraps, jitter = record.remarks
+        assert "repeats 1 whole row" in repeated and "unwrapped as with wrap = 6.283185307" in wraps
+        assert 'the time column "t" jitters' in jitter and "resampled by them" in jitter
+    (folder / "robot.toml").write_text(
+        TEXT.replace("sample_time = 0.002", 'time = "t"\nstart = 1.0\nstop = 3.0'), encoding="utf-8"
+    )
+    assert load(folder / "robot.toml").records()[2].duration == pytest.approx(2.0, abs=0.01)
+
+
 def test_what_is_written_is_read_back(folder: Path) -> None:
     file = load(folder / "robot.toml", ["joints.3.offset=1.5"])
     save(file, folder / "again.toml")

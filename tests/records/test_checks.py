@@ -98,13 +98,8 @@ def test_jumps_of_the_clock_are_named(stamps: np.ndarray, part: str) -> None:
 def test_jitter_is_told_from_jumps() -> None:
     stamps = TIME.copy()
     stamps[700] += 0.08 * RATE
-    fault = only(clock_faults(stamps))
-    assert "jitters by up to 8.0% of the sample time of 0.001 s (0.3% rms)" in fault
-    assert "first above 5.0% after sample 699 (t = 0.699 s)" in fault
-    assert clock_faults(stamps, tolerance=0.1) == []
-    jump, jitter = clock_faults(np.delete(stamps, 900))
-    assert "leaves out 1 sample" in jump
-    assert "jitters by up to 8.0%" in jitter
+    assert clock_faults(stamps) == []
+    assert "leaves out 1 sample" in only(clock_faults(np.delete(stamps, 900)))
 
 
 @given(

@@ -19,7 +19,7 @@ from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Channel, Record, Timing
-from jointid.records.resampling import update_interval
+from jointid.records.resampling import Resampling, update_interval
 
 T = 1e-3
 TIME = np.arange(1000) * T
@@ -104,6 +104,75 @@ def test_steps_and_noise_are_no_wraps(noise: float) -> None:
         assert find_wrap(values + noise * random.standard_normal(TIME.size)) is None
     assert find_wrap(np.array([1.0])) is None
     assert find_wrap(np.array([-1e308, 1e308, np.nan, 0.0])) is None
+
+
+def test_whole_rows_that_are_repeated_are_left_out(tmp_path: Path) -> None:
+    rows = np.repeat(np.arange(1000), np.where(np.isin(np.arange(1000), [100, 700]), 2, 1))
+    path = tmp_path / "run.csv"
+    write_table(path, Table({"t": TIME[rows], "q": MOTION[rows]}))
+    record = read(path, {"motor_position": "q"})
+    np.testing.assert_allclose(record.motor_position.values, MOTION, rtol=1e-6)
+    (said,) = record.remarks
+    assert said == "run.csv repeats 2 whole rows, the first after sample 100 (t = 0.1 s): left out"
+    assert said in find_record_warnings(record, ("motor_position",))
+    moved = MOTION[rows] + np.arange(rows.size)  # the stamps are repeated, and not the rows
+    write_table(path, Table({"t": TIME[rows], "q": moved}))
+    with pytest.raises(RecordError, match=r"jumps 2 times: after sample 100 .* it repeats its stamp"):
+        read(path, {"motor_position": "q"})
+    np.testing.assert_allclose(
+        read(path, {"motor_position": "q"}, sample_time=T).motor_position.values, moved, rtol=1e-6
+    )
+
+
+BROKEN = {
+    "a gap": np.delete(TIME, range(300, 340)),
+    "a lost sample": np.delete(TIME, 300),
+    "a clock that starts again": np.concatenate([TIME[:300], TIME[:660]]),
+    "two gaps": np.delete(TIME, [*range(300, 340), *range(800, 900)]),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_the_remedies_that_a_broken_clock_names_work(tmp_path: Path, name: str) -> None:
+    stamps = BROKEN[name]
+    path = tmp_path / "run.csv"
+    write_table(path, Table({"t": stamps, "q": np.sin(stamps), "i": np.cos(stamps)}))
+    columns = {"motor_position": "q", "torque": "i"}
+    with pytest.raises(RecordError) as error:
+        read(path, columns)
+    (said,) = error.value.faults
+    part, first, last = map(int, re.search(r"give part = (\d+) \(samples (\d+) to (\d+)", said).groups())
+    for chosen in (part, 0):
+        record = read(path, columns, part=chosen)
+        np.testing.assert_allclose(record.motor_position.values, np.sin(stamps[first : last + 1]), atol=1e-6)
+    assert ("resample = { sample_time = 0.001" in said) == (name == "a lost sample")
+    if name == "a lost sample":
+        record = read(path, columns, resample=Resampling(T, "cubic"))
+        np.testing.assert_allclose(record.motor_position.values, np.sin(TIME), atol=1e-5)
+    if "or sample_time = 0.001 without time" in said:
+        assert read(path, columns, sample_time=T).motor_position.values.size == stamps.size
+    with pytest.raises(RecordError, match=r'part is 7, but the time column "t" has [23] parts .* 0 for the longest'):
+        read(path, columns, part=7)
+
+
+def test_a_record_is_cut_by_its_own_clock(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    write_table(path, Table({"t [ms]": 5e3 + 1e3 * TIME, "q": MOTION}))
+    record = read(path, {"motor_position": "q"}, start=5.1, stop=5.3)
+    np.testing.assert_allclose(record.motor_position.values, MOTION[100:301], rtol=1e-6)
+    record = read(path, {"motor_position": "q"}, sample_time=T, start=0.1)
+    np.testing.assert_allclose(record.motor_position.values, MOTION[100:], rtol=1e-6)
+    with pytest.raises(RecordError, match=r"start and stop leave 0 samples of t \[ms\], which goes from 5 to 5.999 s"):
+        read(path, {"motor_position": "q"}, start=0.1, stop=0.3)
+
+
+def test_a_clock_that_is_too_coarse_names_its_sample_time(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    write_table(path, Table({"t": np.floor(TIME / 0.004) * 0.004, "q": MOTION}))
+    with pytest.raises(RecordError, match=r"repeats 750 of its 1000 stamps.* give sample_time = 0.00(1|0999)") as error:
+        read(path, {"motor_position": "q"})
+    (number,) = re.findall(r"sample_time = ([\d.e-]+)", str(error.value))
+    assert read(path, {"motor_position": "q"}, sample_time=float(number)).motor_position.values.size == 1000
 
 
 def test_what_cannot_be_unwrapped_is_refused(tmp_path: Path) -> None:

@@ -146,10 +146,27 @@ def test_resampling_uniform_samples_at_their_own_instants_changes_nothing(saved:
 # What is asked for, and what is refused
 
 
-def test_without_being_asked_a_jittering_clock_is_refused_with_both_remedies(saved: Saved) -> None:
-    said = refused(saved(t=STAMPS, q=STAMPS), None)
-    assert 'The time column "t" jitters by up to' in said
-    assert "give resample = { sample_time, method }, or sample_time without time if only the stamps jitter" in said
+@pytest.mark.parametrize("noise", [0.0, 1e-5])
+@pytest.mark.parametrize("channel", ["motor_position", "reference"])
+def test_a_position_tells_whether_its_samples_follow_their_stamps(saved: Saved, channel: str, noise: float) -> None:
+    """x(t) = sin 9 t, at stamps that jitter by 15 % of a period: at these instants, or at uniform ones."""
+    random = np.random.default_rng(4)
+    uniform = np.arange(3000) * T
+    stamps = uniform + random.uniform(-0.15, 0.15, uniform.size) * T
+    added = noise * random.standard_normal(uniform.size)
+    for taken, method in ((stamps, "resampled by them (cubic)"), (uniform, "samples are taken as uniform")):
+        path = saved(t=stamps, q=np.sin(9 * taken) + added, i=np.cos(9 * taken))
+        record = read(path, None, torque="i", **{channel: "q"})
+        (said,) = record.remarks
+        assert 'the time column "t" jitters by up to 2' in said and method in said
+        found = values(record, channel)
+        begin, every = (record.begin + stamps[0], record.resampled.sample_time) if record.resampled else (0.0, T)
+        np.testing.assert_allclose(found, np.sin(9 * (begin + np.arange(found.size) * every)), atol=6 * noise + 1e-6)
+
+
+def test_a_tolerance_leaves_jitter_unsaid(saved: Saved) -> None:
+    record = ji.read(saved(t=STAMPS, q=STAMPS), {"motor_position": "q"}, clock_tolerance=0.9)
+    assert (record.remarks, record.resampled) == ((), None)
 
 
 REFUSED: dict[str, tuple[np.ndarray, dict[str, Any], str]] = {

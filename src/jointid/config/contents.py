@@ -44,6 +44,7 @@ from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.limits import AxisLimits
 from jointid.records.checks import check_record
 from jointid.records.chunks import Log
+from jointid.records.clock import Cut
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive
 from jointid.records.formats import Table
@@ -611,7 +612,9 @@ class JointFile(File[Record]):
     @property
     def _clock(self) -> dict[str, Any]:
         """Further arguments of reading one."""
-        return {"clock_tolerance": self.source.clock_tolerance, "resample": self.source.resample}
+        source = self.source
+        cut = Cut(source.start, source.stop, source.part)
+        return {"clock_tolerance": source.clock_tolerance, "resample": source.resample, "cut": cut}
 
     @property
     def added_inertias(self) -> tuple[float, ...]:

@@ -46,7 +46,14 @@ class Source:
         None, "time between samples, where there is no time column; beside one the two must agree", unit="s", above=0
     )
     clock_tolerance: float = setting(
-        CLOCK_TOLERANCE, "largest jitter of the time stamps, as a share of the sample time", at_least=0
+        CLOCK_TOLERANCE,
+        "largest jitter of the time stamps that is not remarked on, as a share of the sample time",
+        at_least=0,
+    )
+    start: float | None = setting(None, "first instant to read, of the log's own clock", unit="s")
+    stop: float | None = setting(None, "last instant to read, of the log's own clock", unit="s")
+    part: int | None = setting(
+        None, "which part between jumps of the clock to read, counted from 1; 0 takes the longest", at_least=0
     )
     options: Mapping[str, Any] = field(default_factory=dict)  # of the format's reader
     resample: Resampling | None = setting(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from jointid.common.errors import RecordError
-from jointid.records.clock import is_same_rate
+from jointid.records.clock import Cut, is_same_rate
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_blocks
@@ -88,6 +88,8 @@ class Log:
                 "A record that is read in chunks is not resampled, because its chunks would not fit together; log it "
                 "at uniform instants, or leave resample out."
             )
+        if self.settings.get("cut", Cut()) != Cut():
+            raise RecordError("A record that is read in chunks is read whole; leave start, stop and part out.")
         for name, column in self.columns.items():
             if isinstance(column, Column) and (column.sample_time or column.update_time or column.time):
                 raise RecordError(
@@ -114,6 +116,10 @@ class Log:
         for number, table, last in self._tables(length, overlap, every):
             try:
                 record = reader.build_record(table, self.name)
+                if record.resampled is not None:
+                    raise RecordError(
+                        f"{record.remarks[0]}; chunks would not fit together: log it at uniform instants."
+                    )
                 own = _require_one_rate(record)
                 if not is_same_rate(own, sample_time):
                     raise RecordError(

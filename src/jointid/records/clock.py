@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.records.columns import Column, finite_faults, format_instant, unit_fault, unit_in_name
 from jointid.records.formats import Table
@@ -27,16 +31,18 @@ _RATE_TOLERANCE = 1e-3
 _NEAR = 0.05  # of a mean period over stamps with jumps or gaps
 _LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has no end
 _JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
+_BRIDGED = 3  # samples missing in a row, that resampling bridges unless it is told otherwise
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Sample time [s], time stamps [s] and their column, if known."""
+    """Sample time [s], time stamps [s] and their column, if known; jitter above the tolerance, in sample times."""
 
     sample_time: float | None = None
     stamps: FloatArray | None = None
     column: str = ""
+    jitter: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +71,8 @@ def find_clock(
         time: name of the time column; None takes the only one called t or time.
         time_unit: None takes the unit in the name, or else s.
         sample_time: seconds; without `time` it alone counts.
-        tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled.
+        tolerance: largest jitter that is not remarked on, as a share of the sample time; None for stamps that are
+            resampled.
     """
     if sample_time is not None and not 0 < sample_time < np.inf:
         return Clock(), [f"The sample time is a positive number of seconds; got {sample_time:g}."]
@@ -98,7 +105,8 @@ def _stamped_clock(
     if wrong:
         return Clock(), wrong
     first, count = float(stamps[1] - stamps[0]), stamps.size - 1
-    if tolerance is None:
+    jitter = float(np.max(np.abs(np.diff(stamps) * count / (stamps[-1] - stamps[0]) - 1))) if tolerance else 0.0
+    if tolerance is None or jitter > tolerance:
         period = measure_irregularity(stamps).sample_time
     elif np.array_equal(stamps[0] + np.arange(stamps.size) * first, stamps):
         period = first  # stamps that were computed give their sample time back to the last bit
@@ -109,7 +117,96 @@ def _stamped_clock(
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
             "mend one, or leave sample_time or time out."
         ]
-    return Clock(sample_time or period, stamps, column), wrong
+    return Clock(sample_time or period, stamps, column, jitter if jitter > (tolerance or 0.0) else 0.0), wrong
+
+
+def cut_table(
+    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, cut: Cut, *, repaired: bool
+) -> tuple[Table, list[str]]:
+    """Leave out whole rows that are repeated, and what is outside of a cut; return remarks on the former.
+
+    Each column is cut by its clock. Rows are left out only if `repaired`, and where every repeated stamp is of one.
+    """
+    common = time or next((name for name in table.columns if TIME_NAME.fullmatch(name)), None)
+    if sample_time is not None and time is None:
+        common = None
+    columns, remarks = dict(table.columns), list[str]()
+    for clock in dict.fromkeys([common, *table.clocks.values()]):
+        stamps = table.columns.get(clock) if clock else np.asarray(np.arange(table.rows) * (sample_time or math.nan))
+        if stamps is None or stamps.size < 2 or not np.isfinite(stamps).all():
+            continue
+        names = [
+            name
+            for name, values in columns.items()
+            if (table.clocks.get(name) or common) == clock and values.size == stamps.size
+        ]
+        if clock in columns and clock not in names:
+            names.append(clock)
+        kept = np.ones(stamps.size, dtype=bool)
+        again = np.flatnonzero(np.diff(stamps) == 0) + 1
+        if (
+            repaired
+            and again.size
+            and all(np.array_equal(columns[name][again], columns[name][again - 1], equal_nan=True) for name in names)
+        ):
+            kept[again] = False
+            remarks.append(
+                f"{table.source} repeats {pluralise(again.size, 'whole row')}, the first after sample {again[0] - 1}"
+                f"{format_instant(stamps, int(again[0]))}: left out"
+            )
+        kept &= cut.find_rows(stamps, _seconds(table, clock, time_unit), clock or "the clock")
+        columns |= {name: columns[name][kept] for name in names}
+    return (table if not remarks and cut == Cut() else replace(table, columns=columns)), remarks
+
+
+def _seconds(table: Table, clock: str | None, time_unit: str | None) -> float:
+    known = units.units_of("time")
+    named = [time_unit, unit_in_name(clock or "", known), units.normalise_unit(table.units.get(clock or "", ""))]
+    return 1.0 if clock is None else units.unit(next((name for name in named if name in known), "s")).factor
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """The rows of a table to read: from `start` to `stop` of the log's own clock [s], in a part between its jumps."""
+
+    start: float | None = None
+    stop: float | None = None
+    part: int | None = None
+
+    def find_rows(self, stamps: FloatArray, seconds: float, clock: str) -> NDArray[np.bool_]:
+        """Return which of the rows of a clock are read, (samples,).
+
+        Raises:
+            RecordError: fewer than two are.
+        """
+        kept = np.ones(stamps.size, dtype=bool)
+        if self.part is not None:
+            parts = find_parts(stamps)
+            if self.part > len(parts):
+                raise RecordError(
+                    f'part is {self.part}, but the time column "{clock}" has {pluralise(len(parts), "part")} between '
+                    f"its jumps; give one of 1 to {len(parts)}, or 0 for the longest."
+                )
+            lengths = [end - first for first, end in parts]
+            first, end = parts[self.part - 1 if self.part else int(np.argmax(lengths))]
+            kept[:first] = kept[end:] = False
+        times = stamps * seconds
+        for bound, outside in ((self.start, times < (self.start or 0.0)), (self.stop, times > (self.stop or 0.0))):
+            kept &= ~outside if bound is not None else True
+        if (self.start, self.stop) != (None, None) and np.count_nonzero(kept) < 2:
+            raise RecordError(
+                f"start and stop leave {np.count_nonzero(kept)} samples of {clock}, which goes from "
+                f"{times.min():.10g} to {times.max():.10g} s; give two instants between these."
+            )
+        return kept
+
+
+def find_parts(stamps: FloatArray) -> list[tuple[int, int]]:
+    """First sample and end of each part between the jumps of stamps (samples,)."""
+    steps = np.diff(stamps)
+    typical = float(np.median(steps[steps > 0])) if np.any(steps > 0) else math.inf
+    jumps = np.flatnonzero(np.abs(steps / typical - 1) > _JUMP) + 1
+    return list(pairwise([0, *jumps.tolist(), stamps.size]))
 
 
 def _contradiction_faults(table: Table, time_unit: str | None, sample_time: float) -> list[str]:
@@ -127,7 +224,8 @@ def _contradiction_faults(table: Table, time_unit: str | None, sample_time: floa
         return []
     step = float(values[-1] - values[0]) / (values.size - 1)
     periods = [step * units.unit(unit).factor for unit in ([said] if said else known)]
-    tolerance = _NEAR if clock_faults(values, CLOCK_TOLERANCE, column) else _RATE_TOLERANCE
+    uniform = np.ptp(np.diff(values)) <= 2 * CLOCK_TOLERANCE * step
+    tolerance = _RATE_TOLERANCE if uniform else _NEAR
     if any(abs(sample_time / period - 1) <= tolerance for period in periods) or (not said and step == 1.0):
         return []
     return [
@@ -200,13 +298,14 @@ def measure_irregularity(stamps: FloatArray) -> Irregularity:
 
 @np.errstate(over="ignore", invalid="ignore")
 def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, name: str = "The time") -> list[str]:
-    """Faults of a clock: backward stamps, jumps and jitter.
+    """Faults of a clock: backward stamps and jumps.
 
     The sample time is the median step. A step off by more than half a sample time is a jump, otherwise jitter.
 
     Args:
         stamps: time stamps [s], (samples,).
-        tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled, which may jump.
+        tolerance: largest jitter, as a share of the sample time, if above a half; None for stamps that are resampled,
+            which may jump.
         name: of the clock, in sentences.
     """
     if stamps.size < 2:
@@ -222,10 +321,17 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
             "column, or give its unit."
         ]
     if sample_time <= 0:
-        return [
+        index = np.arange(stamps.size) - (stamps.size - 1) / 2
+        mean = float(index @ (stamps - stamps[0]) / (index @ index))
+        coarse = (
+            f"{name} repeats {np.count_nonzero(steps == 0)} of its {stamps.size} stamps, as one that is too coarse; "
+            f"give sample_time = {mean:.6g} without time if the samples are uniform."
+        )
+        back = (
             f"{name} does not run forward (its median step is {sample_time:g} s); name another time "
             "column, or give sample_time without time."
-        ]
+        )
+        return [coarse if mean > 0 and np.all(steps >= 0) else back]
     if tolerance is None:
         return []
     error = np.abs(steps / sample_time - 1)
@@ -235,18 +341,16 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
         step, lost = float(steps[first]), round(float(steps[first]) / sample_time) - 1
         late = f"leaves out {pluralise(lost, 'sample')}" if lost > 0 else "steps early"
         found = f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"
+        parts = find_parts(stamps)
+        begin, end = max(parts, key=lambda part: part[1] - part[0])
+        remedies = [f"part = {parts.index((begin, end)) + 1} (samples {begin} to {end - 1}, the longest)"]
+        if np.all(steps[jumped] > 0) and round(float(steps.max()) / sample_time) <= 1 + _BRIDGED:
+            remedies.append(f'resample = {{ sample_time = {sample_time:.6g}, method = "cubic" }}')
+        if stamps[-1] <= stamps[0] or abs((stamps[-1] - stamps[0]) / (steps.size * sample_time) - 1) <= _NEAR:
+            remedies.append(f"sample_time = {sample_time:.6g} without time if only the stamps are wrong")
         faults.append(
             f"{name} jumps {pluralise(int(jumped.sum()), 'time')}: after sample {first}"
-            f"{format_instant(stamps, first)} it {found if step else 'repeats its stamp'}; cut the record there, or "
-            "give sample_time without time if only the stamps are wrong."
-        )
-    jitter = np.where(jumped, 0.0, error)
-    if jitter.max() > tolerance:
-        first = int(np.argmax(jitter > tolerance))
-        faults.append(
-            f"{name} jitters by up to {jitter.max():.1%} of the sample time of {sample_time:g} s "
-            f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first above {tolerance:.1%} after sample {first}"
-            f"{format_instant(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time "
-            "if only the stamps jitter."
+            f"{format_instant(stamps, first)} it {found if step else 'repeats its stamp'}; give "
+            f"{', or '.join(remedies)}."
         )
     return faults

@@ -202,7 +202,7 @@ class Wrap:
         count: of the jumps.
         first: sample before the first one.
         known: whether the size is a turn, turns of a gear, or a power of two.
-        clear: whether all jumps have one size.
+        clear: whether all jumps have one size, as far as the motion is even.
     """
 
     size: float
@@ -251,16 +251,16 @@ def find_wrap(values: FloatArray, turn: float = 2 * np.pi) -> Wrap | None:
     if np.any(np.abs(steps[others]) > _SAFE_STEP * size):
         return None
     spread = float(np.ptp(sizes))
-    error = max(spread, float(np.median(np.abs(behind - before))))
+    uneven = 2 * float(np.max(np.abs(np.diff(steps[others]))))  # as of samples that jitter
     parts = [turn * whole for whole in (*range(2, 11), *(1 / part for part in range(2, 201)))]
     known = [
         near
         for wraps, most in (((turn, *(2.0**bits for bits in range(8, 33))), _KNOWN_WRAP), (parts, _PART_OF_TURN))
         if abs((near := min(wraps, key=lambda one: abs(one - size))) - size)
-        <= min(error + _PART_OF_TURN * size, most * size)
+        <= min(max(spread, uneven) + _PART_OF_TURN * size, most * size)
     ]
     size = known[0] if known else float(round(size)) if np.all(values == np.round(values)) else size
-    return Wrap(size, int(at.size), int(moved[at[0]]), bool(known), spread <= _ALIKE * size)
+    return Wrap(size, int(at.size), int(moved[at[0]]), bool(known), spread <= _ALIKE * size + uneven)
 
 
 def unwrap(values: FloatArray, wrap: float) -> FloatArray:

@@ -26,6 +26,7 @@ _TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamps?|stamps?|zeit)\s*(?:[\[(]
 _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
 _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
+_MOSTLY = 0.05  # of the steps of a clock, that may repeat a stamp or run backward
 _STEPS, _PARTS = re.compile(r"[/.]"), 32  # what parts a path, and how often at most
 _LONGEST = 60  # characters of a name in the table
 _LISTED = 1000  # channels; who has more of them reads them by a program
@@ -136,7 +137,12 @@ class Inspection(Charted, Documented):
                 count = timed[clock.name] - 1
                 said.append(
                     f"{show(clock.name)} is the time of {pluralise(count, 'channel')}: a sample every "
-                    f"{clock.sample_time:.6g} s, the steps within {max(100 * clock.jitter, _ROUNDING):.2g} % of that."
+                    f"{clock.sample_time:.6g} s, the steps within {max(100 * clock.jitter, _ROUNDING):.2g} % of that"
+                    + (
+                        f"; {pluralise(stalls, 'stamp')} repeated or earlier."
+                        if (stalls := clock.outline.stalls)
+                        else "."
+                    )
                 )
         return said or ["No channel is recognised as time; give the joint file a sample_time, or the column's name."]
 
@@ -173,8 +179,8 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         for name, outline in outlines.items()
         if (_TIME.fullmatch(name) or name in declared.values())
         and (name not in stated or units.normalise_unit(stated[name]) in of_time)
-        and outline.rises
-        and outline.rows > 1
+        and outline.step > 0
+        and outline.stalls <= _MOSTLY * (outline.rows - 1)
     }
     nearest, channels = _Clocks(clocks), []
     for name, outline in outlines.items():
@@ -260,7 +266,7 @@ class Outline:
         missing: how many of them are NaN.
         minimum, maximum: of the others; None where all are missing.
         first, last: its ends.
-        rises: True if every number is larger than the one before.
+        stalls: numbers that are not larger than the one before.
         step: mean difference between neighbours.
         jitter: largest deviation of such a difference from the mean, as a share of it; NaN where the mean is 0.
         low, high: smallest and largest of every stretch, shape (stretches,); NaN where all of it is missing.
@@ -273,7 +279,7 @@ class Outline:
     maximum: float | None
     first: float
     last: float
-    rises: bool
+    stalls: int
     step: float
     jitter: float
     low: FloatArray
@@ -294,7 +300,7 @@ class OutlineBuilder:
 
     rows: int = 0
     missing: int = 0
-    rises: bool = True
+    stalls: int = 0
     first: float = math.nan
     last: float = math.nan
     steps: tuple[float, float] = (math.inf, -math.inf)
@@ -311,7 +317,7 @@ class OutlineBuilder:
             steps = joined[1:] - joined[:-1]
         if steps.size:
             least, most = float(steps.min()), float(steps.max())
-            self.rises = self.rises and least > 0
+            self.stalls += int(np.count_nonzero(~(steps > 0)))
             self.steps = (min(self.steps[0], least), max(self.steps[1], most))
         self.missing += int(np.count_nonzero(np.isnan(values)))
         if self.rows == 0 and values.size <= _STRETCHES:
@@ -344,7 +350,7 @@ class OutlineBuilder:
             (float(np.fmin.reduce(self.low)), float(np.fmax.reduce(self.high))) if there else (None, None)
         )
         return Outline(
-            self.rows, self.missing, minimum, maximum, self.first, self.last, self.rises, step, jitter, self.low,
+            self.rows, self.missing, minimum, maximum, self.first, self.last, self.stalls, step, jitter, self.low,
             self.high, self.length,
         )  # fmt: skip
 

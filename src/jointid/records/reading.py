@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
-from jointid.records.clock import CLOCK_TOLERANCE, Clock, Clocks, beginning_faults, find_clock
+from jointid.records.clock import CLOCK_TOLERANCE, Clock, Clocks, Cut, beginning_faults, cut_table, find_clock
 from jointid.records.columns import (
     Column,
     Wrap,
@@ -30,7 +30,7 @@ from jointid.records.columns import (
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
-from jointid.records.resampling import Resampling, Stamped, align_updates, resample_together
+from jointid.records.resampling import Resampling, Stamped, align_updates, judge_jitter, resample_together
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 _POSITIONS = ("motor_position", "load_position", "reference")
@@ -51,13 +51,17 @@ def read(
     name: str | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
     resample: Resampling | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    part: int | None = None,
     **options: object,
 ) -> Record:
     """Read a record from a file, and report all faults at once.
 
     The clock is `sample_time`, or the time column: named by `time`, or the only one called t or time (as "Time [ms]").
-    Channels of different rates end at their last number; otherwise an early end is a fault. Jitter is a fault unless
-    `resample` is given. The file's own unit applies where neither `columns` nor the column's name states one.
+    Channels of different rates end at their last number; otherwise an early end is a fault. A jump of the
+    clock is a fault unless `resample` or `part` is given. Where stamps jitter, a position tells whether samples follow
+    them. The file's own unit applies where neither `columns` nor the column's name states one.
 
     Args:
         path: the file; its suffix selects the format.
@@ -69,7 +73,10 @@ def read(
         kind: "revolute" (rad, rad/s, N m unless a column says otherwise) or "prismatic" (m, m/s, N).
         transmission: between motor and load; it sets both kinds and refers every channel to its `side`.
         name: of the record in reports; None takes the file's name without suffix.
-        clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
+        clock_tolerance: largest jitter of the time stamps that is not remarked on, as a share of the sample time.
+        start: first instant to read, in seconds of the log's own clock.
+        stop: last one.
+        part: which part between jumps of the clock to read, counted from 1; 0 takes the longest.
         resample: rules for a uniform clock; every channel then needs stamps.
         options: of the format's reader; see `jointid.records.formats.Csv`.
 
@@ -87,6 +94,7 @@ def read(
         name,
         clock_tolerance,
         resample,
+        Cut(start, stop, part),
     )
     return reader.build_record(read_table(path, **options), Path(path).stem)
 
@@ -105,6 +113,7 @@ class RecordReader:
     name: str | None = None
     clock_tolerance: float = CLOCK_TOLERANCE
     resample: Resampling | None = None
+    cut: Cut = field(default_factory=Cut)
 
     def __post_init__(self) -> None:
         unknown = [channel for channel in self.columns if channel not in CHANNELS]
@@ -119,6 +128,7 @@ class RecordReader:
         wanted = {n: Column(c) if isinstance(c := columns[n], str) else c for n in CHANNELS if n in columns}
         if any(column.sample_time or column.time for column in wanted.values()):
             table = _cut_tails(table)
+        table, repeated = self._cut(table)
         source = _Columns(table, self.kind, self.transmission, self.drive, [])
         found = source.apply_file_units(wanted, source.find_columns(source.apply_profile(wanted)))
         found, remarks = source.find_wraps(found)
@@ -132,24 +142,32 @@ class RecordReader:
             raise RecordError(source.faults)
         logged = source.align_turns({n: c for n, c in read_in.items() if c is not None}, found)
         others = source.find_other_positions(found, clocks)
-        done = None
-        if self.resample is None:
+        done, resample = None, self.resample
+        used = {n: clock for n, c in found.items() if (clock := clocks.clock_of(c)).jitter}
+        if resample is None and used:
+            resample, said = judge_jitter(logged, used)
+            remarks.append(said)
+        if resample is None:
             updates = {n: column.update_time for n, column in found.items()}
             channels, begin = align_updates({**logged, **others}, updates)
         else:
-            channels, begin, done = resample_together(_add_stamps(logged, others, found, clocks), self.resample)
+            channels, begin, done = resample_together(_add_stamps(logged, others, found, clocks), resample)
         apart = {n: channels.pop(n) for n in others}
         record = replace(
             _build_record(channels, found, self.name or name),
             other_axes=apart,
             begin=begin,
             resampled=done,
-            remarks=tuple(remarks),
+            remarks=(*repeated, *remarks),
         )
         faults = scale_faults(record)
         if faults:
             raise RecordError(faults)
         return record
+
+    def _cut(self, table: Table) -> tuple[Table, list[str]]:
+        stamped = self.resample is None and (self.time is not None or self.sample_time is None)
+        return cut_table(table, self.time, self.time_unit, self.sample_time, self.cut, repaired=stamped)
 
     def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
         time = self.time
@@ -306,9 +324,9 @@ class _Columns:
         """
         jumps, made, remarks = dict[str, Wrap](), dict(found), list[str]()
         for name in _POSITIONS:
-            if name in found and found[name].wrap is None and self.factor_of(name, found):
+            if name in found and found[name].wrap is None and (factor := self.factor_of(name, found, own=True)):
                 values = self.table.columns[found[name].column]
-                wrap = find_wrap(values, abs(2 * np.pi / self.factor_of(name, found))) if values.size else None
+                wrap = find_wrap(values, abs(2 * np.pi / factor)) if values.size else None
                 jumps |= {} if wrap is None else {name: wrap}
         motor = self.table.columns[found["motor_position"].column] if "motor_position" in found else None
         for name, wrap in jumps.items():
@@ -328,13 +346,13 @@ class _Columns:
                 remarks.append(f"{jump}: if it wraps, give its channel wrap = {wrap.size:.10g}")
         return made, remarks
 
-    def factor_of(self, name: str, found: Mapping[str, Column]) -> float:
-        """SI units, on the joint's side, to one of a position's column; 0 if its unit is at fault."""
+    def factor_of(self, name: str, found: Mapping[str, Column], *, own: bool = False) -> float:
+        """SI units, on the joint's side or the column's own, to one of a position's; 0 if its unit is at fault."""
         column, kind = found[name], self.kind_of(name, found[name])
         known, load = known_units(name, kind), name == "load_position"
         unit = replace(self, faults=[]).resolve_unit(name, unit_of_column(name, found, kind), known, kind, of_load=load)
         gear = self.transmission
-        side = 1.0 if gear is None else gear.position(self.drive.side(name, column))
+        side = 1.0 if gear is None or own else gear.position(self.drive.side(name, column))
         return 0.0 if unit is None else column.sign * column.gain * unit.factor * side
 
     def align_turns(self, logged: Mapping[str, Channel], found: Mapping[str, Column]) -> dict[str, Channel]:

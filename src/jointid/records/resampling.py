@@ -16,7 +16,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
-from jointid.records.clock import measure_irregularity
+from jointid.records.clock import Clock, measure_irregularity
 from jointid.records.record import Channel, Irregularity, Resampled, Timing
 
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
@@ -31,6 +31,7 @@ _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST = 10_000  # refreshes within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
+_SHOWN = 25.0  # F of the jitter in a position, from which on that follows it: five standard deviations
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
 
 
@@ -126,6 +127,36 @@ def resample_together(logged: Mapping[str, Stamped], how: Resampling) -> tuple[d
         channels[name] = replace(one.channel, values=values, sample_time=T, timing=timing)
     done = Resampled(T, methods, how.longest_gap, clocks, {name: one.clock for name, one in logged.items()})
     return channels, begin, done
+
+
+def judge_jitter(logged: Mapping[str, Channel], clocks: Mapping[str, Clock]) -> tuple[Resampling | None, str]:
+    """Return how channels whose stamps jitter are resampled, None for uniform samples, and a remark.
+
+    A position x that was sampled at instants off by d from a uniform clock is x(t + d), so the third differences of x
+    follow those of d v, with v its velocity. Where only the stamps jitter they do not.
+    """
+    clock = max(clocks.values(), key=lambda one: one.jitter)
+    period, stamps = clock.sample_time, clock.stamps
+    assert period is not None and stamps is not None
+    steps = np.abs(np.diff(stamps) / period - 1)
+    said = (
+        f'the time column "{clock.column}" jitters by up to {clock.jitter:.1%} of the sample time of {period:g} s '
+        f"({np.sqrt(np.mean(steps**2)):.1%} rms), most after sample {int(np.argmax(steps))}: "
+    )
+    off = stamps - stamps[0] - period * np.arange(stamps.size)
+    for name in ("motor_position", "load_position", "reference"):
+        if name not in logged or len(logged[name]) != stamps.size or stamps.size < _CHANGES:
+            continue
+        values = logged[name].values
+        x, moved = np.diff(np.column_stack([values, off * np.gradient(values, period)]), 3, axis=0).T
+        size = float(moved @ moved)
+        share = float(moved @ x) / size if size else 0.0
+        if size and share**2 * size > _SHOWN * float(np.mean((x - share * moved) ** 2)):
+            if share > 0.5:
+                how = Resampling(min(c.sample_time or period for c in clocks.values()), "cubic")
+                return how, f"{said}{name} follows its stamps, so that all channels are resampled by them (cubic)"
+            break
+    return None, f"{said}the samples are taken as uniform, since no position follows that jitter"
 
 
 def _clock_faults(name: str, clock: Irregularity, how: Resampling) -> list[str]:
