@@ -29,6 +29,7 @@ from jointid.simulation.prescribed import LOAD_STATE, PARTS, prescribed_motion
 from jointid.solvers.regression import InstrumentalSolution, InstrumentalVariables, projection
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Covariance, bandwidth, bartlett_sum, sandwich, with_bands
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _MEMORY = 40  # rows of the filtered torque that a response goes back
 _ACCEPTED = 0.01  # a contrast that noise alone would reach less often is none of noise
@@ -74,17 +75,19 @@ def judge_endogeneity(
     """
     channels = tuple(name for name in ("reference", "injected") if getattr(record, name) is not None)
     if instruments == "never":
-        return Judgement()
+        return Judgement(warnings=(MOTION_MEASURED,))
     if not channels:
         if instruments == "always":
             raise MethodError(
                 "Instruments are a reference or an injected signal; this record has "
                 f'{", ".join(record.channels)}: log one of them, or use instruments = "never".'
             )
-        return Judgement(warnings=(_UNTESTED,))
+        return Judgement(warnings=(MOTION_MEASURED,))
     found = solve_with_instruments(InstrumentedProblem.of(record, problem), solution.x)
     if not found.converged or not np.isin([p.name for p in problem.free], _PHYSICAL)[found.moving].any():
-        return Judgement(warnings=(_NOT_CONVERGED,), channels=channels, simulations=3 * len(found.trace))
+        return Judgement(
+            warnings=(MOTION_MEASURED, _NOT_CONVERGED), channels=channels, simulations=3 * len(found.trace)
+        )
     probability, blind = contrast(problem, solution, found)
     progress(f"instruments from {' and '.join(channels)}: probability of the contrast {probability:.2g}")
     biased = probability < _ACCEPTED
@@ -102,10 +105,6 @@ def judge_endogeneity(
 _NOT_CONVERGED = (
     "the instruments are too weak to converge within the bounds; least squares is kept, and whether the motion is "
     "correlated with the error was not tested"
-)
-_UNTESTED = (
-    "the motion is taken as measured: if the motor was under control, what disturbed it biases the inertias, and this "
-    "record has no reference or injected signal that could show it"
 )
 
 

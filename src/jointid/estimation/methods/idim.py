@@ -61,6 +61,7 @@ from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.uncertainty.covariance import band_words, words
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 Estimator: TypeAlias = Literal["ols", "weighted", "robust", "iv"]
 
@@ -296,6 +297,7 @@ def _answer(
         ),
         checks=Checks(
             warnings=(
+                *(() if settings.estimator == "iv" else (MOTION_MEASURED,)),
                 *noise,
                 *_of_rest(regression.model),
                 *_warnings(record, filtering, solution.fit.relative_error),
