@@ -8,6 +8,7 @@ from typing import Any, Literal
 from jointid.paper.published import SYMBOLS
 from jointid.paper.twin import TABLE_2
 from jointid.tuning.margins import NAMES
+from studies.forces import ASKED, ForceRun
 from studies.foretold import SUMS
 from studies.jitter import REMEDIES
 from studies.loop_faults import NOTHING
@@ -114,6 +115,10 @@ def _margins(loop: str) -> Callable[[Any], bool | None]:
 
 def _stiffness(of: Callable[[StiffnessRun], bool | None]) -> Callable[[Any], bool | None]:
     return lambda outcome: of(StiffnessRun(**outcome))
+
+
+def _within_force(name: str) -> Callable[[Any], bool | None]:
+    return lambda outcome: ForceRun(**outcome).within(name)
 
 
 def _bounds(of: Callable[[BoundRun], bool | None]) -> Callable[[Any], bool | None]:
@@ -228,6 +233,14 @@ STUDIES: tuple[Study, ...] = (
         "studies.servo:judge",
         range(1, 81),
         _intervals(0.9, 0.995),
+    ),
+    Study(
+        "forces",
+        "Drives measured under a force in the loop of 0.5 to 5 % of the torque: the drive side and IDIM.",
+        "studies.forces:judge",
+        range(50),
+        tuple(Share(f"{_symbol(name)} in the reported 2 sigma", _within_force(name), 0.91, 0.985) for name in ASKED),
+        ({"method": "drive_side"}, {"method": "idim"}),
     ),
     Study(
         "foretold",

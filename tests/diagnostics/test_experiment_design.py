@@ -122,6 +122,13 @@ def test_a_motor_encoder_beside_a_noisy_log_helps_enormously(logged: tuple[Twin,
     assert ratio(measured, "both", "load_viscous") < ratio(measured, "motor encoder", "load_viscous")
 
 
+def test_a_measured_torque_does_not_tell_that_its_residual_is_noise(logged: tuple[Twin, Estimate]) -> None:
+    axis, estimate = logged
+    advice = advise(estimate, replace(axis.record, tap=Tap.MEASURED), encoder_step=STEP)
+    assert ratio(advice, "motor encoder", "motor_viscous") == pytest.approx(1.0)
+    assert "noise of the log alone would give narrower intervals" in " ".join(str(advice).split())
+
+
 def test_and_does_what_is_predicted_of_it(logged: tuple[Twin, Estimate]) -> None:
     """Least squares of torque and motor position, each by its own noise, one step from the truth."""
     axis, estimate = logged

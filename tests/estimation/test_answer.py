@@ -19,7 +19,15 @@ from jointid.estimation.result.summary import bounds_table, parameters_table
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import EncoderLag
 from jointid.uncertainty.identifiability import Identifiability, Known, physical
-from jointid.uncertainty.verdict import AGAINST_EVERY_VALUE, Reason, Status, StiffnessBound, Subject, Verdict
+from jointid.uncertainty.verdict import (
+    AGAINST_EVERY_VALUE,
+    MOTION_MEASURED,
+    Reason,
+    Status,
+    StiffnessBound,
+    Subject,
+    Verdict,
+)
 from tests.estimates import amended
 from tests.estimation.test_estimate import CONTROLLER, ESTIMATE, parameter
 from tests.text import unwrapped
@@ -141,6 +149,13 @@ def test_a_value_at_its_bound_and_one_that_is_wide_are_not_relied_on() -> None:
 def test_what_was_not_checked_says_so() -> None:
     assert RIGID.answer.trust.code is Trust.NOT_CHECKED
     assert "not checked" in str(amended(judged(RIGID), checks={"verdicts": (_white(),)}).answer.trust)
+
+
+def test_a_motion_measured_under_control_is_in_the_answer() -> None:
+    answer = amended(RIGID, checks={"warnings": (MOTION_MEASURED,)}).answer
+    assert "what disturbs it biases these values; identify by DIDIM" in str(answer.trust)
+    assert answer.trust.values["reasons"] == ["motion_measured"]
+    assert "another record" not in str(answer.trust)
 
 
 def coloured(estimate: Estimate, asked: str) -> None:

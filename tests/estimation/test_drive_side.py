@@ -24,7 +24,7 @@ from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.covariance import band_deviations, sandwich
+from jointid.uncertainty.covariance import band_deviations, sandwich, with_measured_motion
 
 JOINT = ji.FlexibleJoint("prismatic")
 PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
@@ -160,6 +160,33 @@ def test_bands_see_a_gain_that_falls_with_frequency() -> None:
     assert band_deviations(J, J, error)[0] > 5 * by_rows
 
 
+def test_deviations_along_a_measured_motion_hold_the_bias_of_a_force_that_moves_it() -> None:
+    """An inertia of 2 that a reference moves slowly, and a force, as d / 2, at all frequencies."""
+    rng, before, after = np.random.default_rng(0), [], []
+    slow = np.fft.irfft(np.fft.rfft(rng.standard_normal(4000)) * (np.arange(2001) < 100), 4000)
+    for _ in range(50):
+        d = 0.03 * rng.standard_normal(4000)
+        J = (slow + d / 2)[:, np.newaxis]
+        x = float(J[:, 0] @ (2 * slow)) / float(J[:, 0] @ J[:, 0])
+        error = 2 * slow - J[:, 0] * x
+        plain = sandwich(J, J, error)
+        wide = with_measured_motion(plain, J, J, error)
+        before.append(abs(x - 2) / plain.std[0])
+        after.append(abs(x - 2) / wide.std[0])
+    assert np.mean(np.array(before) < 2) < 0.3
+    assert np.mean(np.array(after) < 2) > 0.9
+
+
+def test_noise_on_the_log_widens_deviations_along_a_measured_motion_by_a_third() -> None:
+    rng, factors = np.random.default_rng(0), []
+    for _ in range(50):
+        J, error = rng.standard_normal((2000, 2)), rng.standard_normal(2000)
+        error -= J @ np.linalg.lstsq(J, error, rcond=None)[0]
+        plain = sandwich(J, J, error)
+        factors.append(with_measured_motion(plain, J, J, error).std / plain.std)
+    assert np.mean(factors) == pytest.approx(1.35, abs=0.05)
+
+
 @pytest.mark.slow
 def test_white_noise_on_the_log_is_no_endogeneity() -> None:
     probabilities = []
@@ -276,10 +303,12 @@ def test_a_known_motion_is_blind_to_the_half_it_is_used_in() -> None:
     assert not np.allclose(before[1], after[1], rtol=0, atol=1e-6)
 
 
-def test_a_record_without_instruments_says_that_it_was_not_tested() -> None:
+def test_a_record_without_instruments_names_the_way_in_its_first_line() -> None:
     record = twin("L19", noise="none").record.without("reference", "injected")
     estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
-    assert any("no reference or injected signal" in warning for warning in estimate.checks.warnings)
+    assert "the motion was measured under control" in str(estimate.answer)
+    assert "identify by DIDIM, or with the reference as instrument" in str(estimate.answer)
+    assert "a force in the loop" in estimate.params.basis
     with pytest.raises(ji.MethodError, match='instruments = "never"'):
         ji.identify(
             record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0, instruments="always"), filtering=FILTERING

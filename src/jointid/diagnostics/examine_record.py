@@ -235,7 +235,8 @@ def examine(
         return Examination(record.name, logged, tuple(checked), transmission=gear)
     changes: tuple[str, ...] = ()
     with contextlib.suppress(JointidError):  # without a prediction
-        changes = advise(estimate, record, progress=progress).sentences
+        said = "predicted for a force in the loop; noise of the log alone would give narrower intervals"
+        changes = (*advise(estimate, record, progress=progress).sentences, said)
     return Examination(record.name, logged, tuple(checked), tuple(_list_precision(estimate)), changes, gear)
 
 

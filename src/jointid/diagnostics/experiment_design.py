@@ -43,7 +43,6 @@ from jointid.diagnostics.other_experiments import (
     choose_pulse,
     compute_encoder_information,
     double_acceleration,
-    find_noise_source,
 )
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -128,8 +127,8 @@ class Advice(Documented):
         """Return a table for sensors, one for tests, and a sentence each; there are no further details."""
         del details
         where = {
-            "loop": "caused by a force inside the loop, the log being the controller's output",
-            "log": "measurement noise of the log",
+            "loop": "caused by a force inside the loop; noise of the log alone would give narrower intervals",
+            "log": "measurement noise of the log; a force inside the loop would give wider intervals",
         }[self.noise]
         said = Paragraph(f"the torque residual is taken to be {where}")
         blocks: list[Block] = [said, Facts(common_facts(None, self.transmission))]
@@ -149,7 +148,7 @@ def advise(
     record: Record,
     *,
     encoder_step: float | None = None,
-    noise: Noise | None = None,
+    noise: Noise = "loop",
     pulse: tuple[float, float] | None = None,
     progress: Progress = ignore_progress,
 ) -> Advice | StiffnessTestDesign:
@@ -163,8 +162,8 @@ def advise(
         record: that it was identified from.
         encoder_step: of encoders on motor and load, m or rad, on the joint's side of a transmission; None: as fine as
             those of the record, or a millionth of the commanded travel where it has none.
-        noise: where the torque's residual comes from, "loop" or "log"; None: by the record's tap, "log" for a measured
-            torque.
+        noise: where the torque's residual comes from, "loop" or "log"; a record does not tell, and a force in the loop
+            gives the wider intervals.
         pulse: height (N or N m) and width (s) of the pulses that are tried; None: see `choose_pulse`.
         progress: called with each step.
 
@@ -181,7 +180,7 @@ def predict_intervals(
     record: Record,
     *,
     encoder_step: float | None,
-    noise: Noise | None,
+    noise: Noise,
     pulse: tuple[float, float] | None,
     progress: Progress,
 ) -> Advice:
@@ -192,7 +191,6 @@ def predict_intervals(
             f"A prediction begins at the correlations of all {x.size} free parameters, and this estimate has those of "
             f'{len(estimate.params.correlation)}; identify with statistics = "sensitivities".'
         )
-    noise = noise or find_noise_source(record)
     own = problem.free_joint
     names = [p.name for p in own]
     known = estimate.params.covariance
@@ -331,7 +329,7 @@ def design_stiffness_test(
     record: Record,
     *,
     encoder_step: float | None = None,
-    noise: Noise | None = None,
+    noise: Noise = "loop",
     pulse: tuple[float, float] | None = None,
     progress: Progress = ignore_progress,
 ) -> StiffnessTestDesign:
@@ -361,7 +359,7 @@ def design_stiffness_test(
         J = by.filter(columns)
         known = doubt**2 * stationary(J, J, error).matrix
         if encoder:
-            _, load = compute_encoder_information(by, x, noise or find_noise_source(record), step, step)
+            _, load = compute_encoder_information(by, x, noise, step, step)
             assert load is not None
             known = add_information(known, load)
         at = [p.name for p in by.free].index("stiffness")

@@ -7,7 +7,7 @@ covariance P::
     P1 = (P^-1 + sum_f g(f)* g(f)' / S(f))^-1
 
 The mean of every column of g is left out, because an encoder's zero is not known. g and S depend on the source of the
-torque residual:
+torque residual, which a record does not tell: in the loop is assumed, the wider interval, where nobody says it.
 
 - **on the log**: a measured current has noise of its own, independent of the positions; g is the sensitivity f of the
   position, S the variance of rounding to the encoder's steps, ``step^2 / 12``.
@@ -41,7 +41,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.records.checks import find_encoder_step
-from jointid.records.record import Channel, Injection, Record, Tap
+from jointid.records.record import Channel, Injection, Record
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.excitation import pulses
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
@@ -54,11 +54,6 @@ _COULOMB = 5.0  # times the Coulomb friction of the whole joint: the height of a
 _WIDTH = 1.2  # over the cut-off: 20 ms at 60 Hz, half a period of a mode in the middle of the band
 _EVERY = 20.0  # widths from one pulse to the next
 _FASTER = math.sqrt(2.0)  # times the speed: twice the acceleration
-
-
-def find_noise_source(record: Record) -> Noise:
-    """Return the source of the torque residual implied by the tap of the record."""
-    return "log" if record.tap is Tap.MEASURED else "loop"
 
 
 def choose_encoder_steps(record: Record, given: float | None) -> tuple[float, float]:

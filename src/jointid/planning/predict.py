@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, Parameter
 from jointid.diagnostics.experiment_design import rebuild_declared_problem
-from jointid.diagnostics.other_experiments import add_information, compute_encoder_information, find_noise_source
+from jointid.diagnostics.other_experiments import add_information, compute_encoder_information
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import REFERENCE
@@ -216,7 +217,8 @@ def predict_test(
             size = float(np.sqrt(np.mean(noise.left**2)))
             added = size * np.random.default_rng(seed).standard_normal(problem.measured.size)
         disturbed = replace(problem, measured=problem.measured + added)
-        source = find_noise_source(test) if noise.left is not None else "log" if noise.log > noise.force else "loop"
+        # A residual does not tell its source: a force in the loop gives the wider intervals.
+        source: Literal["loop", "log"] = "log" if noise.left is None and noise.log > noise.force else "loop"
         motor, load = compute_encoder_information(disturbed, x, source, steps[0], steps[-1])
         read = (motor if motor_encoder is not None else None, load if load_encoder is not None else None)
         for information in read:

@@ -90,10 +90,18 @@ class Reason(StrEnum):
     RECORD_TOO_SHORT = "record_too_short"
     HARDLY_MOVES = "hardly_moves"
     NOT_TESTED = "not_tested"
+    MOTION_MEASURED = "motion_measured"
 
 
 CAUSES = (Reason.CAUSE_FOUND, Reason.NO_CAUSE_FOUND, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES)
 """Reasons that stand in the place of what the tests of small deviations find."""
+
+
+MOTION_MEASURED = (
+    "the motion was measured under control: what disturbs it biases these values; identify by DIDIM, or with the "
+    "reference as instrument"
+)
+"""The warning of a method that takes a measured motion as free of the error, where no instrument tests that."""
 
 
 AGAINST_EVERY_VALUE: Mapping[Reason, str] = {

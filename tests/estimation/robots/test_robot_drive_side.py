@@ -134,7 +134,7 @@ def test_friction_that_rises_towards_standstill() -> None:
     assert_springs(found, twin, 0.02)
     for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
         value, deviation = found.fit.value(f"{joint}.stribeck_force")
-        assert abs(value - rise) < 3 * deviation < 0.5 * rise
+        assert abs(value - rise) < 3 * deviation < 0.7 * rise  # a third wider for a force in the loop
 
 
 @pytest.mark.slow

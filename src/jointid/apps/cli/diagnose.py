@@ -131,7 +131,7 @@ def advise(
     *,
     options: Options = DEFAULTS,
     encoder_step: float | None = None,
-    noise: Literal["loop", "log"] | None = None,
+    noise: Literal["loop", "log"] = "loop",
 ) -> None:
     """Identify a joint from torque and reference, and predict what an encoder or another motion would add.
 
@@ -140,8 +140,8 @@ def advise(
         options: those that most commands have.
         encoder_step: of the encoders, in m or rad, on the side of a transmission that is reported; without it that of
             the record's own, or a millionth of the travel.
-        noise: where the torque's residual comes from, a force in the loop or the log itself; without it as the tap of
-            the torque says.
+        noise: where the torque's residual comes from, a force in the loop or the log itself; a record does not tell,
+            and a force in the loop gives the wider intervals.
     """
     from jointid import advise
 

@@ -28,7 +28,15 @@ from jointid.records.record import Record
 from jointid.simulation.prescribed import LOAD_STATE, PARTS, prescribed_motion
 from jointid.solvers.regression import InstrumentalSolution, InstrumentalVariables, projection
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.covariance import Covariance, bandwidth, bartlett_sum, sandwich, with_bands
+from jointid.uncertainty.covariance import (
+    Covariance,
+    bandwidth,
+    bartlett_sum,
+    sandwich,
+    with_bands,
+    with_measured_motion,
+)
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _MEMORY = 40  # rows of the filtered torque that a response goes back
 _ACCEPTED = 0.01  # a contrast that noise alone would reach less often is none of noise
@@ -42,15 +50,17 @@ class Judgement:
     """Verdict of the instruments.
 
     Attributes:
-        x, covariance: of the instrumental estimate, where it is preferred; None keeps least squares.
+        covariance: of the estimate; of least squares it is widened by the difference of both estimates, or where the
+            instruments do not tell that, for a force in the loop (`with_measured_motion`).
+        x: of the instrumental estimate, where it is preferred; None keeps least squares.
         warnings: for the answer.
         channels: of the record that served.
         simulations: that it took.
         probability: of so large a contrast if the motion is not correlated with the error; None without a test.
     """
 
+    covariance: Covariance
     x: FloatArray | None = None
-    covariance: Covariance | None = None
     warnings: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
     simulations: int = 0
@@ -73,39 +83,43 @@ def judge_endogeneity(
         MethodError: instruments are demanded, but the record has none.
     """
     channels = tuple(name for name in ("reference", "injected") if getattr(record, name) is not None)
+    J, error = solution.jacobian, solution.residual
+    least = with_bands(sandwich(J, J, error), J, J, error)
+    untested = Judgement(with_measured_motion(least, J, J, error), warnings=(MOTION_MEASURED,))
     if instruments == "never":
-        return Judgement()
+        return untested
     if not channels:
         if instruments == "always":
             raise MethodError(
                 "Instruments are a reference or an injected signal; this record has "
                 f'{", ".join(record.channels)}: log one of them, or use instruments = "never".'
             )
-        return Judgement(warnings=(_UNTESTED,))
+        return untested
     found = solve_with_instruments(InstrumentedProblem.of(record, problem), solution.x)
+    tested = replace(untested, channels=channels, simulations=3 * len(found.trace))
     if not found.converged or not np.isin([p.name for p in problem.free], _PHYSICAL)[found.moving].any():
-        return Judgement(warnings=(_NOT_CONVERGED,), channels=channels, simulations=3 * len(found.trace))
+        return replace(tested, warnings=(MOTION_MEASURED, _NOT_CONVERGED))
     probability, blind = contrast(problem, solution, found)
     progress(f"instruments from {' and '.join(channels)}: probability of the contrast {probability:.2g}")
     biased = probability < _ACCEPTED
     warnings = [_words(problem, solution, found, probability)] if biased else []
     if blind > _BLIND:
         size = f"by {100 * blind:.0f} %" if blind < _ANY else "of any size"
-        tested = "" if biased else f", and a bias of least squares {size} would not have been noticed"
-        warnings.append(f"the instruments are weak: they know less than least squares{tested}")
-    verdict = Judgement(None, None, tuple(warnings), channels, 3 * len(found.trace), probability)
-    if not (biased or instruments == "always"):
-        return verdict
-    return replace(verdict, x=found.x, covariance=_covariance(found))
+        untold = "" if biased else f", and a bias of least squares {size} would not have been noticed"
+        warnings.append(f"the instruments are weak: they know less than least squares{untold}")
+    tested = replace(tested, warnings=tuple(warnings), probability=probability)
+    if biased or instruments == "always":
+        return replace(tested, x=found.x, covariance=_covariance(found))
+    if blind > _BLIND:
+        return replace(tested, warnings=(MOTION_MEASURED, *warnings))
+    # What is not significant may be there: it is widened for.
+    bias = np.where(found.moving, solution.x - found.x, 0.0)
+    return replace(tested, covariance=replace(least, std=np.hypot(least.std, bias)))
 
 
 _NOT_CONVERGED = (
     "the instruments are too weak to converge within the bounds; least squares is kept, and whether the motion is "
     "correlated with the error was not tested"
-)
-_UNTESTED = (
-    "the motion is taken as measured: if the motor was under control, what disturbed it biases the inertias, and this "
-    "record has no reference or injected signal that could show it"
 )
 
 

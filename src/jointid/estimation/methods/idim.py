@@ -60,7 +60,8 @@ from jointid.models.position_forces import Motion, PositionHarmonics
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
-from jointid.uncertainty.covariance import band_words, words
+from jointid.uncertainty.covariance import FOR_MEASURED_MOTION, band_words, words
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 Estimator: TypeAlias = Literal["ols", "weighted", "robust", "iv"]
 
@@ -281,7 +282,8 @@ def _answer(
             regression.rows.names,
             solution.covariance.correlation,
             f"of the regression, {words(solution.covariance)}"
-            + (f", {band_words()} in the load's equation" if joint.model == "flexible" else ""),
+            + (f", {band_words()} in the load's equation" if joint.model == "flexible" else "")
+            + ("" if settings.estimator == "iv" else FOR_MEASURED_MOTION),
         ),
         fit=Fit(
             measured=measured,
@@ -299,6 +301,7 @@ def _answer(
         ),
         checks=Checks(
             warnings=(
+                *(() if settings.estimator == "iv" else (MOTION_MEASURED,)),
                 *noise,
                 *_of_rest(regression.model),
                 *_warnings(record, filtering, solution.fit.relative_error),

@@ -38,7 +38,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.regression import Fit, least_squares
-from jointid.uncertainty.covariance import Covariance, sandwich, with_bands
+from jointid.uncertainty.covariance import Covariance, sandwich, with_bands, with_measured_motion
 from jointid.uncertainty.covariance import robust as robust_covariance
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
@@ -136,6 +136,7 @@ def ordinary(rows: Rows) -> Solution:
     """Return ordinary least squares."""
     fit = least_squares(rows.W, rows.Y, rows.names)
     covariance = _covariance(rows, rows.W, rows.W, fit.residual)
+    covariance = with_measured_motion(covariance, rows.W, rows.W, fit.residual, rows.equations)
     return Solution(fit, covariance, np.ones(rows.Y.size), 1)
 
 
@@ -308,7 +309,8 @@ def _reweight(
             break
     error = (rows.Y - rows.W @ values) / scale
     Z = rows.W / scale[:, np.newaxis]
-    covariance = _covariance(rows, Z, Z * slope(error)[:, np.newaxis], error * share(error))
+    J, left = Z * slope(error)[:, np.newaxis], error * share(error)
+    covariance = with_measured_motion(_covariance(rows, Z, J, left), Z, J, left, rows.equations)
     return Solution(_plain_fit(rows, values, Z), covariance, share(error), steps)
 
 

@@ -138,7 +138,7 @@ class DriveSideFit(Method):
             problem,
             solution.x if verdict.x is None else verdict.x,
             solution,
-            verdict.covariance or _covariance_of(solution),
+            verdict.covariance,
             ("torque", "motor_position", *verdict.channels),
             ("drive_side", f"drive-side by {how}"),
             earlier=simulations + verdict.simulations,

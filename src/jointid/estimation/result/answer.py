@@ -20,6 +20,7 @@ from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import (
     AGAINST_EVERY_VALUE,
+    MOTION_MEASURED,
     POOR_FIT,
     Reason,
     Status,
@@ -219,8 +220,10 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
 
 def _fit_only(estimate: EstimateParts) -> Message:
     left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.fit.compared} is not explained"
-    words = f"Checked by its fit only ({left}): validate it on another record"
-    return Message(Trust.NOT_CHECKED, words, {"reasons": [], "parameters": []})
+    reasons, words = list[str](), f"Checked by its fit only ({left}): validate it on another record"
+    if MOTION_MEASURED in estimate.checks.warnings:  # another record has the same bias
+        reasons, words = [str(Reason.MOTION_MEASURED)], f"Checked by its fit only ({left}): {MOTION_MEASURED}"
+    return Message(Trust.NOT_CHECKED, words, {"reasons": reasons, "parameters": []})
 
 
 def _not_yet(against: list[Message]) -> Message:
@@ -256,7 +259,7 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
     if any(v.status is Status.FAILED for v in of_springs):
         words = "You can rely on it, but not on joints whose spring the record does not show"
         return Message(Trust.PARTLY, words, {"reasons": [str(Reason.STIFFNESS_NOT_SHOWN)], "parameters": refused})
-    if not estimate.require_robot().has_controllers:
+    if not estimate.require_robot().has_controllers or MOTION_MEASURED in estimate.checks.warnings:
         return _fit_only(estimate)
     loop = loop_verdict(estimate)
     if loop is None or loop.status is Status.UNKNOWN:

@@ -26,11 +26,12 @@ from jointid.records.record import Record
 from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.prescribed import LOAD_STATE
 from jointid.solvers.solve import Solution
-from jointid.uncertainty.covariance import Covariance, band_words, words
+from jointid.uncertainty.covariance import FOR_MEASURED_MOTION, Covariance, band_words, words
 from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known, identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
 from jointid.uncertainty.residual_tests import ResidualReport, residual_report
 from jointid.uncertainty.verdict import (
+    MOTION_MEASURED,
     POOR_FIT,
     Status,
     StiffnessBound,
@@ -380,6 +381,7 @@ def build_prescribed_result(
     )
     std = {name: one for name, one in name_deviations(problem, covariance).items() if name not in idle}
     basis = f"from the sensitivities of the {fit.compared}: {words(covariance)}; {band_words()}"
+    basis += FOR_MEASURED_MOTION if MOTION_MEASURED in after else ""
     delay = -problem.values(x)[LOG_DELAY.name]
     return FitResult(
         params=build_params(problem, x, std, covariance.correlation, basis, (*lost, *idle), held),

@@ -14,8 +14,9 @@ from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fi
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import words
+from jointid.uncertainty.covariance import FOR_MEASURED_MOTION, words
 from jointid.uncertainty.verdict import (
+    MOTION_MEASURED,
     Verdict,
     axes_verdict,
     bounds_verdict,
@@ -72,7 +73,8 @@ def build_robot_result(
             rows,
             tuple(rows[i].name for i in free),
             part.covariance.correlation[np.ix_(free, free)],
-            f"of the robot's parameters, {words(part.covariance)}",
+            f"of the robot's parameters, {words(part.covariance)}"
+            + (FOR_MEASURED_MOTION if MOTION_MEASURED in warnings else ""),
         ),
         fit=Fit(
             measured=measured,

@@ -87,6 +87,11 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         return self.prescribed.tree
 
     @property
+    def motion_measured(self) -> bool:
+        """Whether the motors move as measured: they do."""
+        return True
+
+    @property
     def sample_time(self) -> float:
         """Of the log, s."""
         return self.motion.sample_time

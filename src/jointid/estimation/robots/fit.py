@@ -15,7 +15,7 @@ from jointid.models.robots.robot import Robot
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import robot_with
 from jointid.simulation.robots import RobotOutcome, RobotRun
-from jointid.uncertainty.covariance import Covariance, robust
+from jointid.uncertainty.covariance import Covariance, robust, with_measured_motion
 
 SETTLED = 0.02
 """Standard deviations: the largest change of a parameter that ends the search."""
@@ -117,9 +117,10 @@ def conclude(
     error = problem.error(run)
     problem = problem.reweight(error, x.size)
     weights = problem.weights(error.size)
-    covariance = robust(
-        Z * weights[:, np.newaxis], J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size
-    )
+    weighted = Z * weights[:, np.newaxis], J * weights[:, np.newaxis], error * weights
+    covariance = robust(*weighted, equations=problem.sigma.size)
+    if problem.motion_measured:
+        covariance = with_measured_motion(covariance, *weighted, problem.sigma.size)
     of_values = np.where(problem.parameters.logarithmic, problem.parameters.values(x), 1.0)
     return RobotFit(
         problem.parameters,

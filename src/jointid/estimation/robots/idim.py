@@ -58,6 +58,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.robot_numbers import RobotNumbers, robot_with
 from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulation_of
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _WORDS = {
     "ols": "ordinary least squares",
@@ -248,6 +249,7 @@ def identify_robot(
         negative=wrong,
         at_bounds=held,
         warnings=(
+            *(() if estimator == "iv" else (MOTION_MEASURED,)),
             *describe_noise_limit(
                 motions[0].filtering, min(motion.limit for motion in motions), motions[0].sample_time, "rigid"
             ),

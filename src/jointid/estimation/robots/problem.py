@@ -101,6 +101,11 @@ class RobotProblem(ABC, Generic[Run]):
     def poses(self) -> FloatArray:
         """Approximate positions of the shafts, (samples, n)."""
 
+    @property
+    def motion_measured(self) -> bool:
+        """Whether the motors move as measured, so that a force in the loop biases least squares."""
+        return False
+
     @abstractmethod
     def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Run:
         """Simulate a robot, and keep what its derivatives need."""
@@ -348,6 +353,11 @@ class SumOfRobotProblems(RobotProblem[RobotRuns]):
     def tree(self) -> Tree:
         """Of the links."""
         return self.parts[0].tree
+
+    @property
+    def motion_measured(self) -> bool:
+        """Whether the motors move as measured."""
+        return self.parts[0].motion_measured
 
     @property
     def sample_time(self) -> float:

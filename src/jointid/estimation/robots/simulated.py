@@ -38,6 +38,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, robot_with, with_values
 from jointid.simulation.robots import RobotLoop
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
@@ -203,7 +204,10 @@ def identify_simulated_robot(
         (stop, fit.converged),
         fit.iterations,
         at_bounds=_held_by_bounds(fit),
-        warnings=(_WITHOUT,) if springs and not any(one.shown for one in springs) else (),
+        warnings=(
+            *((MOTION_MEASURED,) if method[0] == "drive_side" else ()),
+            *((_WITHOUT,) if springs and not any(one.shown for one in springs) else ()),
+        ),
     )
 
 
