@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -241,11 +241,13 @@ def examine(
 
 def _check_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Answer]:
     """Yield the answers on clock, torque, torque limit and motion."""
+    if record.remarks:
+        yield Answer(Question.RECORD, None, record.remarks)
     yield _check_clock(record)
     torque = record.torque
     if torque is not None:
         still = [_clause(one) for one in still_faults(record)]
-        coarse = find_record_warnings(record, ("torque",))
+        coarse = find_record_warnings(replace(record, remarks=()), ("torque",))
         size = float(np.std(torque.values))
         said = f"{number(float(torque.values.min()), 3)} to {number(float(torque.values.max()), 3)} {torque.unit}"
         if size and len(torque) > _FEWEST:
