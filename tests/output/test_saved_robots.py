@@ -53,7 +53,7 @@ def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> 
     )
     unseen = logged(1)[1]
     one, other = (ji.validate(each, unseen) for each in (back, estimate))
-    np.testing.assert_allclose(one.joint_errors, other.joint_errors, rtol=1e-9)
+    np.testing.assert_allclose(*([a.filtered_error for a in check.axes] for check in (one, other)), rtol=1e-9)
     np.testing.assert_allclose(one.nominal_errors, other.nominal_errors, rtol=1e-9)
     with pytest.raises(MethodError, match="the one that the estimate is from"):
         ji.validate(back, logged(0)[1])
