@@ -46,6 +46,7 @@ WHOLE = (EstimatedParameter, Known, Combination, StiffnessBound)
 
 OF_ESTIMATES: dict[str, tuple[Shape, type]] = {
     "one record": (of_estimates._OF_A_JOINT, Estimate),
+    "a log": (of_estimates._LOG, Estimate),
     "a record of several": (of_estimates._RECORD, RecordFit),
 }
 
