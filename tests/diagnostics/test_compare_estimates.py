@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.output.json import dumps, read_report, to_dict, write
+from jointid.output.json import dumps, read_identified, read_report, to_dict, write
 from tests.apps.cli.test_commands import run
 from tests.output.report import reports
 
@@ -51,6 +51,32 @@ def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
     assert found.same_record
     assert all(row.p_value is None and row.difference == 0 for row in found.rows)
     assert "Both are of the same record" in str(found)
+
+
+def test_several_records_are_read_as_one_is(tmp_path: Path) -> None:
+    (first, loop), (second, _), (third, _) = (reports.rigid_record(seed) for seed in (1, 2, 3))
+    both = ji.identify([first, second], [loop, loop])
+    path, single = told(both, tmp_path, "both"), of_rigid(1, tmp_path)
+    found = ji.compare(read_report(path), read_report(single))
+    assert found.same_record and all(row.p_value is None for row in found.rows)
+    assert "A record of one is also of the other" in found.notes[0]
+    other = ji.compare(read_report(path), read_report(of_rigid(3, tmp_path)))
+    assert not other.same_record and any(row.name == "inertia" and row.p_value for row in other.rows)
+    back = read_identified(path, loop.joint, loop)
+    assert back == both.identified
+    assert ji.validate(back, second).test == "direct" and ji.validate(back, third).test == "cross"
+
+    now = json.loads(path.read_text(encoding="utf-8"))
+    kept = ("model", "kind", "friction", "spring", "transmission", "gravity", "ripple", "parameters", "records")
+    old = {key: now[key] for key in (*kept, "free", "correlation")} | {"torque_unit": now["record"]["torque_unit"]}
+    before = tmp_path / "before.json"
+    before.write_text(json.dumps(old | {"schema": "jointid.together/1"}), encoding="utf-8")
+    assert read_report(before).quantities == read_report(path).quantities
+    assert read_identified(before, loop.joint, loop).values == back.values
+    assert ji.compare(read_report(before), read_report(single)).same_record
+    before.write_text(json.dumps(old | {"schema": "jointid.together/1", "records": 3}), encoding="utf-8")
+    with pytest.raises(ji.RecordError, match="holds no estimate of schema"):
+        read_report(before)
 
 
 def test_a_difference_has_the_variance_of_both_and_holms_p_value(tmp_path: Path) -> None:

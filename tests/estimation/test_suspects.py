@@ -21,6 +21,7 @@ from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.faults.registry import FAULTS as KNOWN
+from jointid.diagnostics.model_free import LawOnPosition
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -32,6 +33,7 @@ from jointid.paper.twin import twin
 from jointid.records.record import Record, Tap
 from jointid.solvers.solve import Solution
 from jointid.uncertainty.position_dependent_error import cells
+from jointid.uncertainty.residual_tests import Whiteness
 from jointid.uncertainty.verdict import Reason
 from studies.healthy import drive
 from tests.estimates import identify
@@ -212,8 +214,33 @@ def _diagnosis(faults: AxisFaults) -> Diagnosis:
     """Return the diagnosis of a joint with these faults, without a residual."""
     axis = AxisDiagnosis("", 0.0, None, None, 1.0, 1.0, 1.0, "m", "N", (), None, faults)
     none = np.zeros((1, 0))
-    torques = AxisTorques(none[0], 1e-3, 60.0, none, none, None, none.astype(bool), none, none, ({},))
+    own = np.zeros((1, 0, 0))
+    torques = AxisTorques(
+        ("",), none[0], 1e-3, 60.0, none, none, None, none.astype(bool), none, none, own, False, ((),)
+    )  # fmt: skip
     return Diagnosis("run", "didim", (axis,), torques)
+
+
+@pytest.mark.parametrize(("repeats", "explained"), [(False, True), (True, False), (None, False)])
+def test_a_coloured_residual_that_does_not_repeat_with_the_motion_is_noise(
+    repeats: bool | None, explained: bool
+) -> None:
+    whole = _diagnosis(AxisFaults((), (), 0.05, {}, {}, of_loop=True))
+    coloured = replace(whole.axes[0], left=0.08, whiteness=Whiteness(600.0, 20, 1e-9), repeats=repeats)
+    found = replace(whole, axes=(coloured,))
+    assert found.explained is explained
+    assert ("does not explain" in found.answer) is not explained
+    assert ("does not repeat with the motion" in found.answer) is explained
+    assert ("like coloured noise" in found.sentences[0]) is explained
+
+
+def test_a_loop_whose_controller_does_not_make_the_torque_is_not_as_declared() -> None:
+    faults = AxisFaults((), (_check("delay", 4e-4, 2.5e-5).tests[0],), 0.05, {}, {}, of_loop=True)
+    whole = _diagnosis(faults)
+    assert "Loop and log are as declared" in whole.answer
+    wrong = replace(whole, axes=(replace(whole.axes[0], law=LawOnPosition(0.2, 1.0, 0.0, 0.2, 0.01)),))
+    assert wrong.as_declared is False
+    assert "Loop and log are as declared" not in wrong.answer and "does not make the logged torque" in wrong.answer
 
 
 _TAKEN = " (p < 1e-6); correcting it changes Fv1 by -59.0 N s/m (3.1 sigma)"

@@ -51,26 +51,26 @@ class ReportedEstimate:
 
     Attributes:
         label: name of its file.
-        record: name of its record. fingerprint: of the record's torque.
+        record: name of its record or records. fingerprints: of the torque of each; none of a long log.
         model, kind, friction: of the joint; the kind of a robot is its name with its joints.
         side: of the transmission with its ratio, in words; empty without one.
         torque_unit: of the record.
         settings: by name; differences between two estimates become notes.
-        error: of the raw torque, a ratio.
+        error: of the raw torque, a ratio; None of a long log.
         quantities: parameters, those of the initial state left out.
         sums: of both sides of a flexible joint.
     """
 
     label: str
     record: str
-    fingerprint: str
+    fingerprints: tuple[str, ...]
     model: str
     kind: str
     friction: str
     side: str
     torque_unit: str
     settings: Mapping[str, str]
-    error: float
+    error: float | None
     quantities: tuple[ReportedQuantity, ...]
     sums: tuple[ReportedQuantity, ...]
 
@@ -118,8 +118,8 @@ class EstimateComparison(Documented):
 
     @property
     def same_record(self) -> bool:
-        """True if both are of the same record."""
-        return bool(self.before.fingerprint) and self.before.fingerprint == self.after.fingerprint
+        """True if a record of one is also of the other."""
+        return not set(self.before.fingerprints).isdisjoint(self.after.fingerprints)
 
     @property
     def changed(self) -> tuple[QuantityChange, ...]:
@@ -164,7 +164,9 @@ class EstimateComparison(Documented):
         """Return the table and the sentences; there are no further details."""
         del details
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")
-        errors = " and ".join(f"{100 * one.error:.2f} %" for one in (self.before, self.after))
+        errors = " and ".join(
+            "-" if one.error is None else f"{100 * one.error:.2f} %" for one in (self.before, self.after)
+        )
         sources = tuple(
             (name, f"{stated.label}, of {stated.record}") for name, stated in (("A", self.before), ("B", self.after))
         )
@@ -191,13 +193,18 @@ def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: 
         raise MethodError(f"The level of a test is between 0 and 1; received {level}.")
     _require_comparable(before, after)
     found = EstimateComparison(before, after, (), level, ())
-    pairs = [*_pair(before.quantities, after.quantities), *_pair(before.sums, after.sums)]
+    sums = _pair(before.sums, after.sums) if before.sums and after.sums else []  # several records look for none
+    pairs = [*_pair(before.quantities, after.quantities), *sums]
     rows = _adjust_p_values([_compare(one, other, found.same_record) for one, other in pairs])
     notes = []
     if found.same_record:
         notes.append(
             "Both are of the same record and share its errors: differences come from the settings and are not tested."
+            if set(before.fingerprints) == set(after.fingerprints)
+            else "A record of one is also of the other, and they share its errors: differences are not tested."
         )
+    if not (before.fingerprints and after.fingerprints):
+        notes.append("A log states no SHA-256 of its torque: the tests hold where both estimates are of other records.")
     for name, value in before.settings.items():
         other = after.settings.get(name, "none")
         if value != other:

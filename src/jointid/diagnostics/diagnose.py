@@ -132,10 +132,12 @@ def diagnose_joint(
     problem, x = solved
     std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
     faults, state = search_faults(problem, x, tests, std, record, shown)
-    torques, joint = torques_of_loop(problem, x), problem.joint
+    torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
     axis = _diagnose_axis(
         "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit), parameters_by_axis(estimate),
         compare_law(record, problem.loop), faults, find_follower(torques),
+        None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
+        else found.significant,
     )  # fmt: skip
     return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
 
@@ -182,6 +184,7 @@ def _diagnose_axis(
     law: LawOnPosition | None,
     faults: AxisFaults,
     follows: tuple[str, Coupling] | None,
+    repeats: bool | None = None,
 ) -> AxisDiagnosis:
     """Return the diagnosis of one axis; `units` are of its position and its torque."""
     inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
@@ -197,6 +200,7 @@ def _diagnose_axis(
         tuple(one for one in parameters if one.axis == axis),
         law,
         faults,
+        repeats,
     )
 
 

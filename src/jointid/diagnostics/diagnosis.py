@@ -50,6 +50,7 @@ class AxisDiagnosis:
         law: what the declared controller leaves of the logged torque; None without a controller, a reference or a
             logged motor position.
         faults: that were tested, and those found.
+        repeats: whether what is left repeats with the motion of a joint alone; None where that was not tested.
     """
 
     name: str
@@ -64,6 +65,7 @@ class AxisDiagnosis:
     parameters: tuple[AxisParameter, ...]
     law: LawOnPosition | None
     faults: AxisFaults
+    repeats: bool | None = None
 
     @property
     def asked(self) -> tuple[AxisParameter, ...]:
@@ -79,11 +81,15 @@ class AxisDiagnosis:
         """True if what is left is small, or nothing but noise as far as is seen."""
         if self.left < _LEFT or self.whiteness is None or self.whiteness.white:
             return True
-        return self.whiteness.p_value > _SURE and not self._one_thing
+        return (self.whiteness.p_value > _SURE or self._is_coloured_noise) and not self._one_thing
+
+    @property
+    def _is_coloured_noise(self) -> bool:
+        return self.repeats is False and not self.faults.findings
 
     @property
     def coloured(self) -> bool:
-        """True if what is left is little, but surely no white noise."""
+        """True if what is left is little, or does not repeat with the motion, but surely no white noise."""
         return self.explained and self.whiteness is not None and self.whiteness.p_value <= _SURE
 
     @property
@@ -127,9 +133,12 @@ class AxisDiagnosis:
             found.append(self._describe_unexplained_part())
         elif self.coloured:
             follows = f"; it follows {self.follows[0]}" if self.follows is not None and self._one_thing else ""
+            left = f"{self.subject}the model leaves {100 * self.left:.3g} % of the torque, which is"
             found.append(
-                f"{self.subject}the model leaves {100 * self.left:.3g} % of the torque, which is little, but no white "
-                f"noise{follows}. Where it matters try another friction: viscous_backwards, stribeck_speed."
+                f"{left} little, but no white noise{follows}. Where it matters try another friction: "
+                "viscous_backwards, stribeck_speed."
+                if self.left < _LEFT
+                else f"{left} no white noise, but does not repeat with the motion, like coloured noise of the log."
             )
         found += [
             f"{self.subject}the spring is refused, at least {number(one.at_least, 3)} {one.unit}; declare the joint "
@@ -312,6 +321,8 @@ class Diagnosis(Documented):
             every = "the" if alone else "every joint's"
             first = (
                 f"The model leaves little of {every} torque, but what it leaves{self._of(coloured)} is no white noise."
+                if all(one.left < _LEFT for one in self.axes if one.coloured)
+                else "What the model leaves of the torque is no white noise, but does not repeat with the motion."
             )
         count = sum(len(one.asked) for one in self.axes)
         stated = sum(len(one.names(Told.TOLD)) for one in self.axes)
@@ -325,7 +336,7 @@ class Diagnosis(Documented):
         faulty = [one.name for one in tested if one.faults.findings]
         if faulty:
             yield f"A fault{self._of(faulty)} was found, see below."
-        elif tested and all(one.faults.of_loop for one in tested):
+        elif tested and all(one.faults.of_loop and one.law_holds is not False for one in tested):
             yield "Loop and log are as declared, as far as this record shows."
         wrong = [one.name for one in self.axes if one.law_holds is False]
         held = [one.name for one in self.axes if one.law_holds]

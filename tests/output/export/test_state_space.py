@@ -155,7 +155,6 @@ def test_what_cannot_be_sampled_is_refused() -> None:
     with pytest.raises(ji.MethodError, match="A period is a positive number"):
         ji.export(model(JOINT, VISCOUS), "state-space", period=-1.0)
     several: dict[str, Any] = answer(JOINT, TABLE_2) | {
-        "schema": "jointid.together/1",
         "records": [{"name": n, "sample_time": t, "torque_sha256": ""} for n, t in (("a", 1e-3), ("b", 2e-3))],
     }
     told = joint_model(several, JOINT)

@@ -1,9 +1,9 @@
 """The joint model that every export writes, read from an estimate on either side of a transmission; and its remarks.
 
-An estimate, what several records say together, and what a long record says have the same keys in their JSON; all three
-are read from it here, whether they come from a file or have just been found. The remarks, the header of every export,
-say the source of the numbers, their standard errors, and what is left out. Nothing in them depends on the day or on the
-machine: the same answer gives the same bytes. Whoever named a record must not write another tool's program.
+An estimate is read from the keys of its JSON, whether it comes from a file or has just been found. The remarks, the
+header of every export, say the source of the numbers, their standard errors, and what is left out. Nothing in them
+depends on the day or on the machine: the same answer gives the same bytes. Whoever named a record must not write
+another tool's program.
 """
 
 from __future__ import annotations
@@ -27,11 +27,8 @@ from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
 from jointid.models.springs import LinearSpring, Piece, Spring
 from jointid.output.json import plain
-from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA, Json
+from jointid.output.json.estimates import ESTIMATE_SCHEMA, Json
 from jointid.output.json.reading import optional_number
-
-SCHEMAS = (ESTIMATE_SCHEMA, TOGETHER_SCHEMA, LONG_SCHEMA)
-"""Of the answers that say what a joint is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +293,7 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
         return _read(answer, joint, name or "joint")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError):
         raise RecordError(
-            f"{source} is no estimate ({', '.join(SCHEMAS)}) for a {joint.kind} {joint.model} joint with the "
+            f"{source} is no estimate ({ESTIMATE_SCHEMA}) for a {joint.kind} {joint.model} joint with the "
             "parameters, the transmission, the gravity and the ripple of this joint file; give what identify "
             "--json wrote with it."
         ) from None
@@ -315,10 +312,10 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
     )
     stated = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
     stated = (*stated, answer.get("ripple"), answer.get("spring", usual))
-    if answer["schema"] not in SCHEMAS or stated != declared:
+    if answer["schema"] != ESTIMATE_SCHEMA or stated != declared:
         raise ValueError
     found = answer["parameters"]
-    records = answer["records"] if answer["schema"] == TOGETHER_SCHEMA else [answer["record"]]
+    records = answer.get("records") or [answer["record"]]
     rates = {optional_number(record["sample_time"]) for record in records}
     return JointModel(
         name,
@@ -329,12 +326,12 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         joint.gravity,
         None if joint.ripple is None or joint.ripple.period is None else 2 * math.pi / joint.ripple.period,
         rates.pop() if len(rates) == 1 else None,
-        optional_number(answer.get("delay", 0.0)) or 0.0,
+        optional_number(answer["delay"]) or 0.0,
         Origin(
             answer["schema"],
             str(answer.get("method", "")),
             tuple(str(record["name"]) for record in records),
-            tuple(str(record.get("torque_sha256", "")) for record in records),
+            tuple(str(record.get("torque_sha256") or "") for record in records),
             tuple(str(effect["kind"]) for effect in answer.get("effects", []) if effect["kind"] != "encoder_offset"),
         ),
     )

@@ -186,7 +186,10 @@ SHAPES: Mapping[str, Shape] = {
             for row in comparison.rows
         },
     ),
-    "ReportedEstimate": keys("file=label record torque_sha256=fingerprint"),
+    "ReportedEstimate": {
+        **keys("file=label record records_sha256=fingerprints"),
+        "torque_sha256": lambda one: one.fingerprints[0] if len(one.fingerprints) == 1 else None,
+    },
     # Controller and tuning
     "LearnedController": document_shape(
         "jointid.learned_loop/1",

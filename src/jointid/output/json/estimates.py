@@ -1,4 +1,4 @@
-"""The shapes of an estimate in JSON: of one record, of several, and of a long log; and how a shape is said.
+"""The shapes of an estimate in JSON, of a joint and of a robot; and how a shape is said.
 
 A shape has the keys of a document, and where the value of each is found in an object: by the path of an attribute, by a
 function of the object, or in a part with keys of its own. Where something on a path is None the value is null.
@@ -76,8 +76,6 @@ PARAMETER: dict[str, Shape] = keys("symbol value std=stderr unit free identifiab
 """The shape of a parameter."""
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
-TOGETHER_SCHEMA = "jointid.together/1"
-LONG_SCHEMA = "jointid.long/1"
 
 EFFECTS: dict[str, type[PositionHarmonics] | type[Drift] | type[EncoderOffset]] = {
     "harmonics": PositionHarmonics,
@@ -88,21 +86,15 @@ EFFECTS: dict[str, type[PositionHarmonics] | type[Drift] | type[EncoderOffset]] 
 
 
 def _other_side(estimate: Estimate) -> Json | None:
-    """Return the parameters on the other side of a transmission."""
-    side = estimate.other
+    """Return all that an estimate says of the other side of its transmission."""
+    side, known = estimate.other, estimate.checks.known
     if side is None:
         return None
-    return {"side": side.side, "parameters": {p.name: p for p in on_other_side(estimate.params.rows, side)}}
-
-
-def _all_of_other_side(estimate: Estimate) -> Json | None:
-    """Return all that an estimate says of the other side of its transmission."""
-    found, known = _other_side(estimate), estimate.checks.known
-    if found is None:
-        return None
-    return found | {
-        "combinations": () if known is None else known_on_other_side(known.physical, estimate.other),
-        "stiffness_bounds": bounds_on_other_side(estimate.checks.bounds, estimate.other),
+    return {
+        "side": side.side,
+        "parameters": {p.name: p for p in on_other_side(estimate.params.rows, side)},
+        "combinations": () if known is None else known_on_other_side(known.physical, side),
+        "stiffness_bounds": bounds_on_other_side(estimate.checks.bounds, side),
     }
 
 
@@ -129,14 +121,19 @@ def _correlation(estimate: Estimate) -> FloatArray | None:
 
 def estimate_shape(estimate: Estimate) -> Json:
     """Return the document of an estimate of one record, several records, a long log or a robot."""
-    if estimate.robot is not None:
-        shape = _OF_A_ROBOT
-    elif estimate.data.records:
-        shape = _OF_SEVERAL_RECORDS
-    else:
-        shape = _OF_ONE_RECORD if estimate.data.windows is None else _OF_A_LOG
-    found: Json = take(estimate, shape)
+    found: Json = take(estimate, _OF_A_JOINT if estimate.robot is None else _OF_A_ROBOT)
     return found
+
+
+def _records(estimate: Estimate) -> list[Json] | None:
+    """Return each of several records, with the parameters that it has by itself."""
+    each = zip(estimate.data.records, estimate.params.own, strict=True)
+    return [take(record, _RECORD) | {"parameters": {p.name: p for p in own}} for record, own in each] or None
+
+
+def _log(estimate: Estimate) -> Json | None:
+    """Return the windows of a long log, and its drift."""
+    return None if estimate.data.windows is None else take(estimate, _LOG) | {"drift": _drift(estimate)}
 
 
 def _drift(estimate: Estimate) -> Json:
@@ -163,55 +160,29 @@ def _drift(estimate: Estimate) -> Json:
     }
 
 
-_ALWAYS: dict[str, Shape] = {
-    **keys(
-        "answer settings.joint.model settings.joint.kind friction=settings.joint.friction.name settings.joint.gravity "
-        "settings.joint.ripple settings.joint.transmission fit.simulations fit.converged fit.stop "
-        "intervals=params.basis"
-    ),
-    "spring": lambda estimate: estimate.settings.joint.spring_name,
-    "parameters": by_name("params.rows"),
-    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
-}
-
-_OF_ONE_RECORD: Shape = document_shape(
+_OF_A_JOINT: Shape = document_shape(
     ESTIMATE_SCHEMA,
-    "settings.method settings.variant data.channels free=params.names relative_error_percent=100*fit.relative_error "
-    "filtered_error_percent=100*fit.filtered_error fit.compared samples_left_out=fit.borders fit.rows "
-    "condition_numbers=fit.conditioning settings.filtering settings.delay fit.iterations fit.trace checks.tests "
-    "checks.verdicts combinations=checks.known fit.residuals stiffness_bounds=checks.bounds",
-    **_ALWAYS,
-    record=keys(
-        "name=data.record samples=fit.measured.size data.sample_time data.torque_unit torque_sha256=data.fingerprint "
-        "data.resampled"
-    ),
+    "answer settings.method settings.variant settings.joint.model settings.joint.kind "
+    "friction=settings.joint.friction.name spring=settings.joint.spring_name settings.joint.gravity "
+    "settings.joint.ripple settings.joint.transmission data.channels free=params.names "
+    "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error fit.compared "
+    "samples_left_out=fit.borders fit.rows condition_numbers=fit.conditioning settings.filtering settings.delay "
+    "fit.iterations fit.simulations fit.converged fit.stop intervals=params.basis fit.trace checks.tests "
+    "checks.verdicts combinations=checks.known fit.residuals stiffness_bounds=checks.bounds settings.weighting "
+    "checks.agreement",
+    parameters=by_name("params.rows"),
+    warnings=lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
+    record={
+        **keys("name=data.record data.sample_time data.torque_unit data.resampled"),
+        "samples": lambda estimate: estimate.fit.measured.size or None,
+        "torque_sha256": lambda estimate: estimate.data.fingerprint or None,
+    },
     correlation=_correlation,
-    other_side=_all_of_other_side,
+    other_side=_other_side,
     controller_sha256=_controller_sha256,
     effects=_effects,
-)
-
-_OF_SEVERAL_RECORDS: Shape = document_shape(
-    TOGETHER_SCHEMA,
-    "data.torque_unit checks.agreement free=params.names params.correlation settings.weighting",
-    **_ALWAYS,
-    other_side=_other_side,
-    records=lambda estimate: [
-        take(record, _RECORD) | {"parameters": {p.name: p for p in own}}
-        for record, own in zip(estimate.data.records, estimate.params.own, strict=True)
-    ],
-)
-
-_OF_A_LOG: Shape = document_shape(
-    LONG_SCHEMA,
-    "data.channels combinations=checks.known params.correlation checks.repeatable window=data.windows.length "
-    "data.windows.settling windows=data.windows.count windows_without_motion=data.windows.still data.windows.duration "
-    "fit.rows filtered_error_percent=100*fit.filtered_error settings.filtering fit.at_limit fit.passes fit.interrupted",
-    **_ALWAYS,
-    record=keys("name=data.record data.sample_time data.torque_unit"),
-    other_side=_other_side,
-    drift=_drift,
-    controller_sha256=_controller_sha256,
+    records=_records,
+    log=_log,
 )
 
 
@@ -249,7 +220,12 @@ _RECORD: Shape = {
         "initial residual_level=level filtering rows relative_error_percent=100*relative_error "
         "filtered_error_percent=100*filtered_error filtered_error_alone_percent=100*alone_error"
     ),
-    "parameters": always(None),  # which the shape of several records replaces
     "alone": by_name("alone"),
     "repeatable": keys("repeatable.rms repeatable.share repeatable.p_value"),
 }
+
+_LOG: dict[str, Shape] = keys(
+    "window=data.windows.length data.windows.settling windows=data.windows.count "
+    "windows_without_motion=data.windows.still data.windows.duration fit.at_limit fit.passes fit.interrupted "
+    "checks.repeatable"
+)

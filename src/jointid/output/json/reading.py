@@ -68,6 +68,11 @@ def read_identified(
             f"{path} was identified with {_gear_text(stated)}, and this joint has {_gear_text(declared)}; correct "
             "[transmission], or identify with this joint file first."
         )
+    if own := _parameters_of_records(answer, joint):
+        raise RecordError(
+            f"{path} has {', '.join(own)} of each of its records, so it predicts no torque of another; identify these "
+            "records without own."
+        )
     if refused := _refused_parameters(answer, joint):
         raise RecordError(
             f"{path} refuses {', '.join(refused)}, which its record did not tell, so it predicts no torque; identify "
@@ -118,6 +123,13 @@ def read_covariance(path: str | Path, names: Sequence[str]) -> FloatArray:
     return np.asarray(together * np.outer(std, std))
 
 
+def _parameters_of_records(answer: Json, joint: Joint) -> list[str]:
+    """Return the parameters of the joint that each of several records has by itself."""
+    found, records = answer.get("parameters"), answer.get("records")
+    lacking = isinstance(records, list) and isinstance(found, dict)
+    return [p.name for p in joint.parameters if p.name not in found] if lacking else []  # type: ignore[operator]
+
+
 def _refused_parameters(answer: Json, joint: Joint) -> list[str]:
     """Return the parameters of the joint that an answer has without a value."""
     found = answer.get("parameters")
@@ -159,6 +171,8 @@ def _friction_of(answer: Json, path: str | Path) -> str:
 def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     """Return the answer in a file, whatever it is of: in JSON, or carried along by the page of a report.
 
+    Of a report it is its estimate. An estimate of several records or of a log before 0.3 has the keys of today.
+
     Raises:
         RecordError: the file cannot be read, or holds no JSON object; the sentence ends with the remedy.
     """
@@ -179,9 +193,38 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
         raise RecordError(f"{path} holds {error}, which no answer does; {remedy}.") from None
     except (ValueError, RecursionError):
         raise RecordError(f"{path} is no JSON file; {remedy}.") from None
+    if isinstance(answer, dict) and answer.get("schema") in (REPORT_SCHEMA, ROBOT_REPORT_SCHEMA):
+        answer = answer.get("estimate")
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
-    return answer
+    return _update(answer)
+
+
+def _update(answer: Json) -> Json:
+    """Return an estimate of several records or of a log, which had schemas of their own before 0.3, as one of today."""
+    schema = answer.get("schema")
+    if schema not in ("jointid.together/1", "jointid.long/1"):
+        return answer
+    several = schema == "jointid.together/1"
+    try:
+        records = answer["records"] if several else [answer["record"]]
+        record = {"torque_unit": answer.get("torque_unit")} | records[0] | {"torque_sha256": None}
+        record["name"] = ", ".join(str(one["name"]) for one in records)
+        filtering = records[0]["filtering"] if several else answer["filtering"]
+    except (KeyError, TypeError, IndexError):
+        return answer
+    return {"controller_sha256": None} | answer | {
+        "schema": ESTIMATE_SCHEMA, "method": "didim",
+        "variant": "DIDIM by least squares" if several else "DIDIM in windows", "record": record,
+        "filtering": filtering, "delay": 0.0, "relative_error_percent": None,
+    }  # fmt: skip
+
+
+def _fingerprints(answer: Json) -> tuple[str, ...]:
+    """Return the fingerprints of the torque of each record of an estimate, or of each log of a robot."""
+    record = answer["record"]
+    each = [one["torque_sha256"] for one in answer.get("records") or (record,)]
+    return tuple(str(one) for one in record.get("logs_sha256") or each if one)
 
 
 def read_joint_answer(path: str | os.PathLike[str]) -> Json:
@@ -235,7 +278,7 @@ def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identif
         filtering,
         float(answer["delay"]),
         str(record["name"]),
-        (str(record["torque_sha256"]),),
+        _fingerprints(answer),
         str(answer["controller_sha256"] or ""),
         effects,
     )
@@ -248,10 +291,8 @@ def read_report(path: str | Path) -> ReportedEstimate:
         RecordError: the file cannot be read, or holds no estimate.
     """
     path = Path(path)
-    answer: object = read_answer(path, _REMEDY_OF_REPORT)
-    if isinstance(answer, dict) and answer.get("schema") in (REPORT_SCHEMA, ROBOT_REPORT_SCHEMA):
-        answer = answer.get("estimate")
-    if not isinstance(answer, dict) or answer.get("schema") != ESTIMATE_SCHEMA:
+    answer = read_answer(path, _REMEDY_OF_REPORT)
+    if answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
     try:
         return (_build_robot_report if answer["model"] == "robot" else _build_report)(answer, path.name)
@@ -274,21 +315,33 @@ def _build_report(answer: Json, label: str) -> ReportedEstimate:
     return ReportedEstimate(
         label,
         str(record["name"]),
-        str(record["torque_sha256"]),
+        _fingerprints(answer),
         str(answer["model"]),
         str(answer["kind"]),
         str(answer["friction"]),
         side,
         str(record["torque_unit"]),
         settings,
-        float(answer["relative_error_percent"]) / 100,
+        _share(answer["relative_error_percent"]),
         tuple(
             _quantity(_RENAMED.get(name, name), "symbol", p, free=bool(p["free"]))
-            for name, p in answer["parameters"].items()
+            for name, p in _every_parameter(answer).items()
             if not name.startswith("initial_")
         ),
         tuple(_quantity(str(one["name"]), "formula", one) for one in sums),
     )
+
+
+def _every_parameter(answer: Json) -> Json:
+    """Return the parameters of an estimate, those of a record by itself with its number."""
+    own = [(k, one["parameters"]) for k, one in enumerate(answer.get("records") or (), 1)]
+    more = {f"{name}@{k}": {**p, "symbol": f"{p['symbol']}@{k}"} for k, each in own for name, p in each.items()}
+    return {**answer["parameters"], **more}
+
+
+def _share(percent: object) -> float | None:
+    number = optional_number(percent)
+    return None if number is None else number / 100
 
 
 def _build_robot_report(answer: Json, label: str) -> ReportedEstimate:
@@ -301,14 +354,14 @@ def _build_robot_report(answer: Json, label: str) -> ReportedEstimate:
     return ReportedEstimate(
         label,
         str(record["name"]),
-        str(record["torque_sha256"]),
+        _fingerprints(answer),
         "robot",
         f"{robot['name']} of {', '.join(map(str, robot['joints']))}",
         "",
         "",
         str(record["torque_unit"]),
         settings,
-        float(answer["relative_error_percent"]) / 100,
+        _share(answer["relative_error_percent"]),
         tuple(
             _quantity(_name_of_sum(name, p), "symbol", p, free=bool(p["free"]))
             for name, p in answer["parameters"].items()
