@@ -265,8 +265,8 @@ class RobotFile(File[tuple[Record, ...]]):
         if currents := {str(one.name): one.joint.torque_unit for one in files if one.joint.torque_unit}:
             units = join(list(dict.fromkeys(currents.values())))
             unmodelled.append(
-                f"The torque of {join(list(currents))} is in {units}; the joints of a robot share inertias, so expected "
-                f"N m or N: give each of these joints torque_constant (1.0 for parameters per {units})."
+                f"The torque of {join(list(currents))} is in {units}; the joints of a robot share inertias, so "
+                f"expected N m or N: give each of these joints torque_constant (1.0 for parameters per {units})."
             )
         try:
             robot = bare if unmodelled else replace(bare, joints=tuple(_joint(*one) for one in each))

@@ -159,10 +159,7 @@ def diagnose_robot(
     laws = _laws(robot, records, controllers)
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
     own = [
-        list_laws(
-            RigidJoint(link.kind, joint.law) if joint.spring is None else FlexibleJoint(link.kind, joint.law),
-            linear=True,
-        )
+        list_laws(FlexibleJoint(link.kind, joint.law), linear=True)
         for link, joint in zip(robot.links, robot.joints, strict=True)
     ]
     faults, follows = find_axis_faults(torques, units, LoopTests().level, own)
