@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.records.checks import find_quantum, find_record_warnings
-from jointid.records.columns import Column, unwrap, wrap_faults
+from jointid.records.columns import Column, find_wrap, unwrap, wrap_faults
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
@@ -46,6 +46,64 @@ def test_a_wrapping_column_is_unwrapped_when_it_is_read(tmp_path: Path) -> None:
     record = read(path, {"motor_position": Column("q", unit="deg", wrap=360.0)}, kind="revolute")
     assert record.motor_position is not None
     np.testing.assert_allclose(record.motor_position.values, np.radians(degrees), atol=1e-9)
+
+
+DEGREES = np.degrees(7.0 * np.sin(3 * TIME) + 4.0 * TIME + 0.2)
+
+
+@pytest.mark.parametrize(
+    ("unit", "turn"), [("rad", 2 * np.pi), ("deg", 360.0), ("counts", 4096.0), ("counts", 65536.0), ("deg", 360.0 / 50)]
+)
+@pytest.mark.parametrize("channel", ["reference", "motor_position", "load_position"])
+def test_a_wrap_that_is_not_declared_is_found(tmp_path: Path, channel: str, unit: str, turn: float) -> None:
+    gear = 50.0 if turn == 7.2 else 1.0
+    whole = DEGREES / 360 * turn * gear
+    wrapped = np.mod(np.round(whole) if unit == "counts" else whole, turn)
+    path = saved(tmp_path / "run.csv", q=wrapped)
+    drive = Drive(counts_per_turn=turn, load_counts_per_turn=turn) if unit == "counts" else Drive()
+    record = read(path, {channel: Column("q", unit=unit)}, drive=drive)
+    found = getattr(record, channel).values
+    np.testing.assert_allclose(found - found[0], np.radians(DEGREES - DEGREES[0]), atol=2 * np.pi / turn)
+    assert np.abs(np.diff(found)).max() < 0.03
+    (said,) = record.remarks
+    jumps = np.count_nonzero(np.abs(np.diff(wrapped)) > 0.5 * turn)
+    assert f'{channel} (column "q") jumps {jumps} times by {turn:.10g} against its motion' in said
+    assert f"unwrapped as with wrap = {turn:.10g}" in said
+    kept = read(path, {channel: Column("q", unit=unit, wrap=1e9)}, drive=drive)
+    assert kept.remarks == ()
+    assert np.abs(np.diff(getattr(kept, channel).values)).max() > 0.1
+
+
+def test_a_reference_is_unwrapped_where_its_motor_says_so(tmp_path: Path) -> None:
+    saw, motor = np.mod(7.0 * TIME, 0.8), 7.0 * TIME
+    columns = {"reference": "r", "motor_position": "q"}
+
+    def said(**logged: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        path = saved(tmp_path / f"{len(logged)}.csv", **logged)
+        record = read(path, {name: column for name, column in columns.items() if column in logged})
+        assert record.reference is not None
+        position = record.motor_position or record.reference
+        return record.reference.values, position.values, record.remarks
+
+    reference, position, (remark,) = said(r=saw, q=motor)
+    np.testing.assert_allclose(reference, motor, atol=1e-9)
+    reference, _, remarks = said(r=saw, q=np.convolve(saw, np.full(30, 1 / 30.0))[: saw.size])
+    assert (remarks, reference.max() < 0.8) == ((), True)  # a saw tooth, which the motor follows
+    reference, _, (remark,) = said(r=saw)
+    assert reference.max() < 0.8
+    assert "if it wraps, give its channel wrap = 0.8" in remark
+    reference, position, remarks = said(r=np.mod(motor, 0.8), q=np.mod(motor - 0.01, 0.8))
+    np.testing.assert_allclose(reference - position, 0.01, atol=1e-9)  # of one turn, though they begin in two
+    assert len(remarks) == 2
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3, 0.1])
+def test_steps_and_noise_are_no_wraps(noise: float) -> None:
+    random = np.random.default_rng(3)
+    for values in (np.sign(np.sin(20 * TIME)), np.abs(np.mod(TIME, 0.2) - 0.1), np.zeros(TIME.size)):
+        assert find_wrap(values + noise * random.standard_normal(TIME.size)) is None
+    assert find_wrap(np.array([1.0])) is None
+    assert find_wrap(np.array([-1e308, 1e308, np.nan, 0.0])) is None
 
 
 def test_what_cannot_be_unwrapped_is_refused(tmp_path: Path) -> None:

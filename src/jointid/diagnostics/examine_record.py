@@ -215,7 +215,8 @@ def examine(
     axes = _list_axes(record, model)
     first = axes[0].record
     loop, gear = (axes[0].loop, axes[0].joint.transmission) if len(axes) == 1 and not axes[0].name else (None, None)
-    checked = [_check_clock(first), *(replace(one, axis=axis.name) for axis in axes for one in _check_axis(axis))]
+    checked = [Answer(Question.RECORD, None, first.remarks)] if first.remarks else []
+    checked += [_check_clock(first), *(replace(one, axis=axis.name) for axis in axes for one in _check_axis(axis))]
     checked.sort(key=lambda one: one.question is not Question.RECORD)
 
     def conclude(known: Sequence[Determined] = (), changes: tuple[str, ...] = ()) -> Examination:
@@ -293,7 +294,7 @@ def _check_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Answer]:
     torque = record.torque
     if torque is not None:
         still = [_clause(one) for one in still_faults(record)]
-        coarse = find_record_warnings(record, ("torque",))
+        coarse = find_record_warnings(replace(record, remarks=()), ("torque",))
         size = float(np.std(torque.values))
         said = f"{number(float(torque.values.min()), 3)} to {number(float(torque.values.max()), 3)} {torque.unit}"
         if size and len(torque) > _FEWEST:

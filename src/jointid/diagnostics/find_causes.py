@@ -298,12 +298,14 @@ def explain_failure(
     """Return the error of a failed identification, with its cause before it or in its place.
 
     Args:
-        error: that was raised; it is returned if no cause is found.
+        error: that was raised; it is returned if no cause is found, with the remarks on the record.
         record: that cannot be identified.
         loop: as declared; without one there is no search.
         progress: called with each step.
         shown: see `find_causes`.
     """
+    if record.remarks and not isinstance(error, FaultsError):
+        error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
     if loop is None or any(getattr(record, name) is None for name in loop.channels):
         return error
     try:

@@ -236,7 +236,7 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
     samples late. An encoder lag looks like a spring with viscous friction; if it explains nearly all of the difference
     between the encoders, it hides the stiffness.
     """
-    notes: list[str] = []
+    notes = [*record.remarks]
     for name, channel in record.items():
         if name in channels:
             every = update_interval(channel.values) if name == "torque" else 1

@@ -16,8 +16,13 @@ from jointid.common.text import pluralise
 from jointid.common.transmission import Side
 from jointid.records.record import InjectionPoint, Tap, Timing
 
+_FEWEST_MOVES = 3  # steps beside the jumps of a wrap
 _SAFE_STEP = 0.4  # of a wrap in one sample: from a half on, forwards and backwards cannot be distinguished
 _BEYOND_WRAP = 1e-2  # of a wrap, by which values may span more
+_WHOLE_RANGE = 0.6  # of the range of a column: a larger step may be a wrap
+_ALIKE = 0.02  # of a wrap, that the jumps at it may differ by
+_AGAINST = 0.8  # of the jumps at a wrap, that go against a steady motion
+_KNOWN_WRAP, _PART_OF_TURN = 2e-3, 1e-4  # greatest relative distance of a jump from the wrap that it is taken for
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
@@ -73,7 +78,7 @@ class Column:
     wrap: float | None = setting(
         None,
         "of a position: where the column wraps round, in its own numbers, such as 65536 or 360; it is unwrapped, and "
-        "refused where it moves by more than 0.4 of it in a sample",
+        "refused where it moves by more than 0.4 of it in a sample; without it found where the jumps are clear",
         above=0,
     )
     update_time: float | None = setting(
@@ -186,6 +191,76 @@ def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None)
 def format_instant(time: FloatArray | None, index: int) -> str:
     """Format a sample's instant in brackets; empty if unknown."""
     return "" if time is None else f" (t = {time[index]:g} s)"
+
+
+@dataclass(frozen=True, slots=True)
+class Wrap:
+    """Jumps of a position that look like a wrap.
+
+    Attributes:
+        size: of the jumps, in the column's own numbers.
+        count: of the jumps.
+        first: sample before the first one.
+        known: whether the size is a turn, turns of a gear, or a power of two.
+        clear: whether all jumps have one size.
+    """
+
+    size: float
+    count: int
+    first: int
+    known: bool
+    clear: bool
+
+
+def find_wrap(values: FloatArray, turn: float = 2 * np.pi) -> Wrap | None:
+    """Find the wrap of a position (samples,); None without one.
+
+    At a wrap a step goes by nearly the whole range, against the motion before and after it. With that motion v it is
+    as large as the wrap: W = |d - v|. A square wave rests where it jumps.
+
+    Args:
+        values: the column, finite.
+        turn: one turn, in the column's numbers.
+
+    Example:
+        >>> import numpy as np
+        >>> find_wrap(np.mod(np.arange(1000.0), 360.0), 360.0)
+        Wrap(size=360.0, count=2, first=359, known=True, clear=True)
+    """
+    with np.errstate(over="ignore"):
+        steps, span = np.diff(values), float(np.ptp(values))
+    (moved,) = np.nonzero(steps)  # a column that is refreshed slowly rests between
+    steps = steps[moved]
+    jumps = np.abs(steps) > _WHOLE_RANGE * span
+    if not (np.isfinite(span) and jumps.any() and np.count_nonzero(~jumps) > _FEWEST_MOVES):
+        return None
+    at, others = np.flatnonzero(jumps), np.flatnonzero(~jumps)
+    after = np.searchsorted(others, at).clip(1, others.size - 1)
+    before, behind = steps[others[after - 1]], steps[others[after]]
+    way = -np.sign(steps[at])
+    against = (way * before > 0) & (way * behind > 0)
+    # Noise at the edge jumps there and back, which says nothing of the motion.
+    lone = np.diff(at, prepend=-2, append=steps.size + 2).clip(max=2)
+    lone = (lone[:-1] > 1) & (lone[1:] > 1)
+    if np.count_nonzero(against & lone) <= _AGAINST * np.count_nonzero(lone):
+        return None
+    sizes = np.abs(steps[at] - (before + behind) / 2)[lone]
+    size = float(np.median(sizes))
+    if size < span * (1 - _BEYOND_WRAP):
+        return None
+    if np.any(np.abs(steps[others]) > _SAFE_STEP * size):
+        return None
+    spread = float(np.ptp(sizes))
+    error = max(spread, float(np.median(np.abs(behind - before))))
+    parts = [turn * whole for whole in (*range(2, 11), *(1 / part for part in range(2, 201)))]
+    known = [
+        near
+        for wraps, most in (((turn, *(2.0**bits for bits in range(8, 33))), _KNOWN_WRAP), (parts, _PART_OF_TURN))
+        if abs((near := min(wraps, key=lambda one: abs(one - size))) - size)
+        <= min(error + _PART_OF_TURN * size, most * size)
+    ]
+    size = known[0] if known else float(round(size)) if np.all(values == np.round(values)) else size
+    return Wrap(size, int(at.size), int(moved[at[0]]), bool(known), spread <= _ALIKE * size)
 
 
 def unwrap(values: FloatArray, wrap: float) -> FloatArray:

@@ -12,16 +12,29 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.errors import RecordError
+from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
 from jointid.records.clock import CLOCK_TOLERANCE, Clock, Clocks, beginning_faults, find_clock
-from jointid.records.columns import Column, finite_faults, known_units, unit_fault, unit_of_column, unwrap, wrap_faults
+from jointid.records.columns import (
+    Column,
+    Wrap,
+    find_wrap,
+    finite_faults,
+    known_units,
+    unit_fault,
+    unit_of_column,
+    unwrap,
+    wrap_faults,
+)
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
 from jointid.records.resampling import Resampling, Stamped, align_updates, resample_together
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
+_POSITIONS = ("motor_position", "load_position", "reference")
+_TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
 _NUMBER = re.compile(r"\d+")
 
 
@@ -108,6 +121,7 @@ class RecordReader:
             table = _cut_tails(table)
         source = _Columns(table, self.kind, self.transmission, self.drive, [])
         found = source.apply_file_units(wanted, source.find_columns(source.apply_profile(wanted)))
+        found, remarks = source.find_wraps(found)
         clocks = self._clocks(table, found, source.faults)
         read_in = {channel: source.build_channel(channel, found, clocks) for channel in found}
         if self.resample is None:
@@ -116,7 +130,7 @@ class RecordReader:
             )
         if source.faults:
             raise RecordError(source.faults)
-        logged = {n: c for n, c in read_in.items() if c is not None}
+        logged = source.align_turns({n: c for n, c in read_in.items() if c is not None}, found)
         others = source.find_other_positions(found, clocks)
         done = None
         if self.resample is None:
@@ -126,7 +140,11 @@ class RecordReader:
             channels, begin, done = resample_together(_add_stamps(logged, others, found, clocks), self.resample)
         apart = {n: channels.pop(n) for n in others}
         record = replace(
-            _build_record(channels, found, self.name or name), other_axes=apart, begin=begin, resampled=done
+            _build_record(channels, found, self.name or name),
+            other_axes=apart,
+            begin=begin,
+            resampled=done,
+            remarks=tuple(remarks),
         )
         faults = scale_faults(record)
         if faults:
@@ -279,6 +297,56 @@ class _Columns:
         if gear is None:
             return channel
         return refer_channel(gear, name, channel, self.drive.side(name, column))
+
+    def find_wraps(self, found: Mapping[str, Column]) -> tuple[dict[str, Column], list[str]]:
+        """Set the wrap of positions that jump as at one; return the columns, and what is to be said of them.
+
+        A measured position cannot go by its range in one sample. A reference can, as a saw tooth: it wraps where a
+        measured one does, or turns on, or where none is logged and the jump is a known wrap.
+        """
+        jumps, made, remarks = dict[str, Wrap](), dict(found), list[str]()
+        for name in _POSITIONS:
+            if name in found and found[name].wrap is None and self.factor_of(name, found):
+                values = self.table.columns[found[name].column]
+                wrap = find_wrap(values, abs(2 * np.pi / self.factor_of(name, found))) if values.size else None
+                jumps |= {} if wrap is None else {name: wrap}
+        motor = self.table.columns[found["motor_position"].column] if "motor_position" in found else None
+        for name, wrap in jumps.items():
+            jump = f'{name} (column "{found[name].column}") jumps {pluralise(wrap.count, "time")} by '
+            jump += f"{wrap.size:.10g} against its motion, first after sample {wrap.first}"
+            certain = wrap.clear
+            if name == "reference" and motor is not None:
+                scale = abs(self.factor_of("motor_position", found) / self.factor_of(name, found))
+                if "motor_position" not in jumps and np.ptp(motor) * scale < _TURNS_ON * wrap.size:
+                    continue  # a saw tooth, which the motor follows
+            elif name == "reference":
+                certain = certain and wrap.known
+            if certain:
+                made[name] = replace(found[name], wrap=wrap.size)
+                remarks.append(f"{jump}: it wraps, and is unwrapped as with wrap = {wrap.size:.10g}")
+            else:
+                remarks.append(f"{jump}: if it wraps, give its channel wrap = {wrap.size:.10g}")
+        return made, remarks
+
+    def factor_of(self, name: str, found: Mapping[str, Column]) -> float:
+        """SI units, on the joint's side, to one of a position's column; 0 if its unit is at fault."""
+        column, kind = found[name], self.kind_of(name, found[name])
+        known, load = known_units(name, kind), name == "load_position"
+        unit = replace(self, faults=[]).resolve_unit(name, unit_of_column(name, found, kind), known, kind, of_load=load)
+        gear = self.transmission
+        side = 1.0 if gear is None else gear.position(self.drive.side(name, column))
+        return 0.0 if unit is None else column.sign * column.gain * unit.factor * side
+
+    def align_turns(self, logged: Mapping[str, Channel], found: Mapping[str, Column]) -> dict[str, Channel]:
+        """Bring a motor position that was unwrapped to the turn of its reference."""
+        made = dict(logged)
+        motor, reference = made.get("motor_position"), made.get("reference")
+        if motor is not None and reference is not None and (wrap := found["motor_position"].wrap) is not None:
+            turn = abs(wrap * self.factor_of("motor_position", found))
+            apart = float(np.median(np.interp(motor.time, reference.time, reference.values) - motor.values))
+            if apart := turn * round(apart / turn):
+                made["motor_position"] = replace(motor, values=motor.values + apart)
+        return made
 
     def find_other_positions(self, found: Mapping[str, Column], clocks: Clocks) -> dict[str, Channel]:
         """Positions of other moving axes, by column, if readable."""

@@ -204,6 +204,7 @@ class Record(Charted, Documented):
             them, and the coupling that they bring is not in it.
         begin: seconds from the first sample of the file to that of this record, which begins at its first refresh.
         resampled: how its samples were brought to a uniform clock, None where they were logged so.
+        remarks: on what was put right in the file when it was read, or may be wrong there, a clause each.
 
     Raises:
         RecordError: channels at one rate have unequal lengths, or durations differ by more than a sample.
@@ -220,6 +221,7 @@ class Record(Charted, Documented):
     other_axes: Mapping[str, Channel] = field(default_factory=dict)
     begin: float = 0.0
     resampled: Resampled | None = None
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))
@@ -273,7 +275,7 @@ class Record(Charted, Documented):
             for name, channel in self.items()
         )  # fmt: skip
         header = ("channel", "unit", "samples", "every [ms]", "min", "max", "timing", "source")
-        facts = common_facts(self.resampled, None)
+        facts = (*common_facts(self.resampled, None), *(("remark", remark) for remark in self.remarks))
         return Document(f"Record {self.name}", (Table(header, rows, words=(0, 1, 6, 7)), Facts(facts)))
 
     def chart(self) -> Chart:

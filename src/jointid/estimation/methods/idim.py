@@ -73,6 +73,7 @@ _VARIANTS = {
 _LINEARISATIONS = 10  # of the force by a period, at most
 _SETTLED = 1e-3  # deviations of the period
 _SHOWN = 4.0  # deviations: a smaller difference of two encoders' zeros is none
+_SLIGHT = 1e-3  # of the torque: a smaller force of that difference is none, as filters leave as much
 _ALIKE = 0.99  # a correlation that says two forces are known only together
 
 # Of a period that is searched for
@@ -233,8 +234,10 @@ def _zeros_differ(solve_with: Callable[[tuple[Effect, ...]], _Found]) -> bool:
         found = solve_with((offset,))
     except MethodError:  # nothing tells it from the other forces
         return False
-    at = found.regression.rows.names.index(offset.parameters[0].name)
-    return abs(float(found.solution.fit.values[at])) > _SHOWN * float(found.solution.covariance.std[at])
+    rows, solution = found.regression.rows, found.solution
+    at = rows.names.index(offset.parameters[0].name)
+    least = max(_SHOWN * solution.covariance.std[at], _SLIGHT * float(np.sqrt(np.mean(rows.Y**2))))
+    return bool(abs(solution.fit.values[at]) > least)
 
 
 def _with_periods(

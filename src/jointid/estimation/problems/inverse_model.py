@@ -10,7 +10,6 @@ is compared with the motion it made. The published pipeline reads it as sampled 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +17,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.estimation.problems.rest import moving_weights
+from jointid.estimation.problems.rest import steady_weights
 from jointid.models.disturbances import Effect, effect_columns
 from jointid.models.joints import Joint
 from jointid.models.position_forces import Motion
@@ -36,8 +35,6 @@ from jointid.records.signals.filtering import (
 )
 from jointid.records.signals.position_noise import find_noise_limit
 
-_LONG = 20  # samples in a row that are a rest: reversals stay, where the friction shows
-_SMEAR = 0.4  # of the position filter's period: how far it smears a rest
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
 
 
@@ -55,7 +52,8 @@ class InverseModel:
         columns: (equations, samples, parameters) all of the joint's, then those of its effects.
         inside: the samples that the position filter's ends do not reach.
         motor, load: their motion, filtered; the load's is None for a rigid joint.
-        moving: (equations, samples) 0 where the equation's mass rests, else 1; None where all samples count.
+        moving: (equations, samples) 0 where the equation's mass rests or turns round; None where all samples count.
+        resting: share of the record in which the motor rests.
     """
 
     torque: FloatArray
@@ -64,11 +62,7 @@ class InverseModel:
     motor: Motion
     load: Motion | None = None
     moving: FloatArray | None = None
-
-    @property
-    def resting(self) -> float:
-        """Share of the record in which the motor rests."""
-        return 0.0 if self.moving is None else 1.0 - float(np.mean(self.moving[0]))
+    resting: float = 0.0
 
     def decimate(
         self, filtering: Filtering, sample_time: float, values: FloatArray, *, compiled: bool = False
@@ -217,10 +211,10 @@ def motion_of(
     if filtering.timing != "respected":  # the published pipeline takes all rows
         return model
     assert filtering.position_cutoff is not None
-    smear = math.ceil(_SMEAR / (filtering.position_cutoff * torque.sample_time))
     sides = [model.motor, *([] if model.load is None else [model.load])]
-    moving = np.array([moving_weights(side.velocity, max(_LONG, 4 * smear), smear) for side in sides])
-    return model if np.all(moving) else replace(model, moving=moving)
+    weights = [steady_weights(side.velocity, filtering.position_cutoff, torque.sample_time) for side in sides]
+    steady = np.array([each for _, each in weights])
+    return model if np.all(steady) else replace(model, moving=steady, resting=1.0 - float(np.mean(weights[0][0])))
 
 
 def _late(record: Record, delay: float, period: float) -> float:

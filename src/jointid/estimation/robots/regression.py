@@ -20,7 +20,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.problems.inverse_model import through_window, torque_and_positions
-from jointid.estimation.problems.rest import moving_weights, turning_weights
+from jointid.estimation.problems.rest import SMEAR, steady_weights
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.base_parameters import BaseParameters, inverse_columns
 from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_columns, friction_terms
@@ -37,8 +37,6 @@ from jointid.records.signals.filtering import (
 )
 from jointid.records.signals.position_noise import find_noise_limit
 
-_LONG = 20  # samples in a row that are a rest, as for one joint
-_SMEAR = 0.4  # of the position filter's period
 _WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 _REACHED = 1e-2  # of the Coulomb friction's column: that of a rise of which a record has samples
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
@@ -170,7 +168,7 @@ def motion_of_robot(
     filtering: Filtering,
     said: str = "IDIM of a robot",
     model: str = "rigid",
-    smear: float = _SMEAR,
+    smear: float = SMEAR,
 ) -> RobotMotion:
     """Return the motion of a robot and its motors' torques.
 
@@ -226,8 +224,7 @@ def motion_of_robot(
         acceleration = differentiate(velocity, sample_time)
         torques = [channel.values[:size] for channel in channels]
     velocity = settle(velocity)
-    reach = math.ceil(smear / (filtering.position_cutoff * sample_time))
-    moving = [moving_weights(each, max(_LONG, 4 * reach), reach) * turning_weights(each, reach) for each in velocity.T]
+    moving = [steady_weights(each, filtering.position_cutoff, sample_time, smear)[1] for each in velocity.T]
     joints = np.linalg.inv(robot.coupling).T
     return RobotMotion(
         smooth @ joints,
