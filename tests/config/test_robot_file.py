@@ -333,6 +333,10 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
         ),
         ('model = "flexible"', r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
         ('friction = "stribeck"', r"joints\.1\.stribeck_speed is missing"),
+        (
+            "rotor_inertia = 0.1",
+            r"^The torque of joint0 is in A; .*: give each of these joints torque_constant \(1\.0 for",
+        ),
         ('gravity = { load = "link" }', r"joints\.1\.gravity is that of the masses"),
         ("ripple = { period = 0.1 }", r"joints\.1\.ripple is not simulated with a robot"),
         (
@@ -342,13 +346,14 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
     ],
 )
 def test_what_a_robot_has_not_loads_and_is_said_by_every_verb(folder: Path, said: str, lack: str) -> None:
-    (folder / "robot.toml").write_text(TEXT.replace("viscous = 3.0", said), encoding="utf-8")
+    text = TEXT.replace("torque_constant = 2.0\n", "", 1) if "torque_constant" in lack else TEXT
+    (folder / "robot.toml").write_text(text.replace("viscous = 3.0", said), encoding="utf-8")
     file = load(folder / "robot.toml")
     assert len(file.record()) == len(file.joints) == 3
     for verb in (lambda: file.identify(file.record()), lambda: file.robot):
         with pytest.raises(MethodError, match=lack):
             verb()
-    assert loads(dumps(file), folder).tables() == file.tables() == parse_toml(TEXT.replace("viscous = 3.0", said))
+    assert loads(dumps(file), folder).tables() == file.tables() == parse_toml(text.replace("viscous = 3.0", said))
 
 
 LAWS = """friction = "presliding"

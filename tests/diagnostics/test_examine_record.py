@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 
 from jointid.apps.cli import main
+from jointid.common.errors import MethodError
 from jointid.config import load
 from jointid.diagnostics.examine_record import Examination, Question, examine
 from jointid.diagnostics.model_free import compare_law
+from jointid.estimation.methods.idim import IDIM
 from jointid.models.joints import ClosedLoop
 from jointid.output.json.documents import to_dict
 from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.records.writing import write
+from tests.estimation.robots.twin import arm, records_of
 from tests.mistakes import MISTAKES, Told, axis, run, varied, without_mistake
 
 
@@ -234,3 +237,23 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     short = {name: replace(one, values=one.values[:12]) for name, one in record.items()}
     found = examine(Record(**short, name="short"), loop)  # type: ignore[arg-type]
     assert not found.healthy
+
+
+def test_each_joint_of_a_robot_is_looked_over_under_its_name_and_the_clock_once() -> None:
+    records = list(records_of(arm(), 2, noise=0.05))
+    found = examine(records, arm(), IDIM())
+    assert found.healthy and found.parameters
+    assert [one.axis for one in found.answers if one.question is Question.CLOCK] == [""]
+    names = [f"joint{k}" for k in range(1, 7)]
+    assert [one.axis for one in found.answers if one.question is Question.TORQUE] == names
+    assert [one.axis for one in found.answers if one.question is Question.FIT] == names
+    torque = records[2].torque
+    assert torque is not None
+    coarse = replace(torque, values=np.repeat(torque.values[::10], 10)[: torque.values.size])
+    records[2] = replace(records[2], torque=coarse)
+    spoiled = examine(records, arm(), IDIM())
+    assert {one.axis for one in spoiled.faults if one.question is Question.TORQUE} == {"joint3"}
+    assert ": joint3: the torque changes only every 10 samples" in spoiled.sentence
+    assert to_dict(spoiled)["questions"][0]["axis"] == ""
+    with pytest.raises(MethodError, match="A robot of 6 joints is examined with as many records"):
+        examine(records[:2], arm())

@@ -23,6 +23,7 @@ from jointid.common.errors import Fault, JointFileError, JointidError, MethodErr
 from jointid.common.messages import Says
 from jointid.common.parameters import Parameter
 from jointid.common.settings import settings_of
+from jointid.common.text import join
 from jointid.common.units import Kind
 from jointid.config.consistency import foreign_settings
 from jointid.config.contents import FeedForward, File, JointFile, name_axes
@@ -261,6 +262,12 @@ class RobotFile(File[tuple[Record, ...]]):
         unmodelled = [
             f"joints.{n + 1}{rest}" for n, (own, _, file) in enumerate(each) for rest in _model_faults(own, file)
         ]
+        if currents := {str(one.name): one.joint.torque_unit for one in files if one.joint.torque_unit}:
+            units = join(list(dict.fromkeys(currents.values())))
+            unmodelled.append(
+                f"The torque of {join(list(currents))} is in {units}; the joints of a robot share inertias, so "
+                f"expected N m or N: give each of these joints torque_constant (1.0 for parameters per {units})."
+            )
         try:
             robot = bare if unmodelled else replace(bare, joints=tuple(_joint(*one) for one in each))
         except JointidError as error:

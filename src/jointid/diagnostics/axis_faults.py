@@ -58,7 +58,7 @@ class _Shape:
 
 
 def find_axis_faults(
-    torques: AxisTorques, units: Sequence[tuple[str, str]], level: float
+    torques: AxisTorques, units: Sequence[tuple[str, str]], level: float, laws: Sequence[tuple[str, ...]]
 ) -> tuple[tuple[AxisFaults, ...], tuple[Follows, ...]]:
     """Return the faults of each axis, and what its residual correlates with most.
 
@@ -66,6 +66,7 @@ def find_axis_faults(
         torques: of all axes, with the columns of their free parameters.
         units: of position and torque, of each axis.
         level: largest share of records without a fault in which one is found.
+        laws: of each axis, the names of those that can replace its own.
     """
     n = len(units)
     seen = torques.seen
@@ -141,7 +142,8 @@ def find_axis_faults(
     faults = tuple(
         AxisFaults(
             tuple(found[k]), tuple(one for at, one in first if at == k), level, {},
-            {"position": units[k][0], "velocity": f"{units[k][0]}/s", "torque": units[k][1]}, of_loop=False,
+            {"position": units[k][0], "velocity": f"{units[k][0]}/s", "torque": units[k][1]}, laws=laws[k],
+            of_loop=False,
         )
         for k in range(n)
     )  # fmt: skip

@@ -200,15 +200,15 @@ def search_faults(
         undecided=undecided,
         law=numbers_of(problem.loop.controller),
         shown={one.number: one for one in shown},
-        laws=_list_laws(joint),
+        laws=list_laws(joint),
     )
     return check, state
 
 
-def _list_laws(joint: Joint) -> tuple[str, ...]:
-    """Return the names of springs and nonlinear frictions that can replace those of a joint."""
+def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
+    """Return the names of springs and frictions that can replace those of a joint; linear frictions where asked for."""
     even = joint.friction.offset_identifiable
-    laws = [law for law in frictions_beside(joint) if not law.linear and law != joint.friction]
+    laws = [law for law in frictions_beside(joint) if (linear or not law.linear) and law != joint.friction]
     springs = springs_beside(joint) if isinstance(joint, FlexibleJoint) else ()
     return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
 

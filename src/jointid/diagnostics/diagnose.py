@@ -14,7 +14,7 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.axis_faults import find_axis_faults, find_follower
 from jointid.diagnostics.axis_parameters import AxisParameter, parameters_by_axis
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
-from jointid.diagnostics.check_loop import LoopTests, SearchState, search_faults
+from jointid.diagnostics.check_loop import LoopTests, SearchState, list_laws, search_faults
 from jointid.diagnostics.diagnosis import OF_LAW, AxisDiagnosis, Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
@@ -25,7 +25,7 @@ from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.robots.zeros import EncoderZero, find_zeros
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
@@ -160,7 +160,11 @@ def diagnose_robot(
         )
     laws = _laws(robot, records, controllers)
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
-    faults, follows = find_axis_faults(torques, units, LoopTests().level)
+    own = [
+        list_laws(FlexibleJoint(link.kind, joint.law), linear=True)
+        for link, joint in zip(robot.links, robot.joints, strict=True)
+    ]
+    faults, follows = find_axis_faults(torques, units, LoopTests().level, own)
     axes = tuple(
         _diagnose_axis(
             name, k, torques, units[k], parameters, laws[k], faults[k], follows[k],

@@ -78,7 +78,7 @@ class AxisDiagnosis:
 
     @property
     def explained(self) -> bool:
-        """True if what is left is small, or nothing but noise as far as is seen."""
+        """True if what is left is small, or nothing but noise as far as is seen; see `judged`."""
         if self.left < _LEFT or self.whiteness is None or self.whiteness.white:
             return True
         return (self.whiteness.p_value > _SURE or self._is_coloured_noise) and not self._one_thing
@@ -86,6 +86,11 @@ class AxisDiagnosis:
     @property
     def _is_coloured_noise(self) -> bool:
         return self.repeats is False and not self.faults.findings
+
+    @property
+    def judged(self) -> bool:
+        """False if much is left of a record that is too short to tell noise from a fault of the model."""
+        return self.left < _LEFT or self.whiteness is not None
 
     @property
     def coloured(self) -> bool:
@@ -135,8 +140,7 @@ class AxisDiagnosis:
             follows = f"; it follows {self.follows[0]}" if self.follows is not None and self._one_thing else ""
             left = f"{self.subject}the model leaves {100 * self.left:.3g} % of the torque, which is"
             found.append(
-                f"{left} little, but no white noise{follows}. Where it matters try another friction: "
-                "viscous_backwards, stribeck_speed."
+                f"{left} little, but no white noise{follows}."
                 if self.left < _LEFT
                 else f"{left} no white noise, but does not repeat with the motion, like coloured noise of the log."
             )
@@ -317,6 +321,11 @@ class Diagnosis(Documented):
         first = f"The model explains the {whole} but for noise, as far as this record shows."
         if bad:
             first = f"The model does not explain the torque{self._of(bad)}."
+        elif unjudged := [one.name for one in self.axes if not one.judged]:
+            first = (
+                f"The record is too short to tell whether what the model leaves of the torque{self._of(unjudged)} is "
+                "noise: record longer."
+            )
         elif coloured:
             every = "the" if alone else "every joint's"
             first = (
@@ -379,7 +388,7 @@ class Diagnosis(Documented):
             )
             for one in self.axes
         )
-        good = self.explained and self.as_declared is not False
+        good = self.explained and all(one.judged for one in self.axes) and self.as_declared is not False
         blocks: list[Block] = [
             Paragraph(self.answer, lead=True, tone="good" if good else "bad"),
             Table(header, rows, caption, (0, 2)),

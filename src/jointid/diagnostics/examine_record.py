@@ -14,8 +14,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, Verdicts
-from jointid.common.errors import FaultsError, JointidError, require_type
+from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table, Verdicts
+from jointid.common.errors import FaultsError, JointidError, MethodError, require_type
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.common.text import number, pluralise
@@ -29,11 +29,14 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import ClosedLoop, Joint, RigidJoint
+from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_hunting, find_record_warnings, hunting_warnings, limit_faults, still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass
 from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import POOR_FIT, Reason, Status
 
@@ -93,12 +96,14 @@ class Answer:
         good: True or False; None where it cannot be said.
         said: observations with their numbers; the remedy of a fault.
         fault: None where there is none.
+        axis: name of the joint of a robot; "" of a joint alone, and of all joints.
     """
 
     question: Question
     good: bool | None
     said: tuple[str, ...]
     fault: str | None = None
+    axis: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +152,7 @@ class Examination(Documented):
         """The first fault in a sentence."""
         if not self.healthy:
             named = [one for one in self.faults if one.fault not in _VAGUE] or [*self.faults]
-            return f"{self.record}: {named[0].said[0]}."
+            return f"{self.record}: {named[0].axis and f'{named[0].axis}: '}{named[0].said[0]}."
         if any(one.good is None for one in self.answers):
             return f"Nothing that is wrong with {self.record} spoils its answer; see what is marked."
         return f"Nothing is wrong with {self.record}."
@@ -158,7 +163,9 @@ class Examination(Documented):
         blocks: list[Block] = []
         if self.logged:
             blocks.append(Paragraph(self.logged))
-        blocks.append(Verdicts(tuple((str(one.question), one.good, one.said) for one in self.answers)))
+        for axis in dict.fromkeys(one.axis for one in self.answers):
+            own = tuple((str(one.question), one.good, one.said) for one in self.answers if one.axis == axis)
+            blocks += [*([Heading(axis)] if axis else []), Verdicts(own)]
         if self.transmission is not None:
             blocks.append(Facts((("transmission", str(self.transmission)),)))
         if self.parameters:
@@ -177,8 +184,8 @@ def unreadable(error: FaultsError, record: str) -> Examination:
 
 
 def examine(
-    record: Record,
-    model: ClosedLoop | DriveSide | OpenLoop | Joint,
+    record: Record | Sequence[Record],
+    model: ClosedLoop | DriveSide | OpenLoop | Joint | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -186,11 +193,11 @@ def examine(
     shown: Sequence[DriveNumber] = (),
     progress: Progress = ignore_progress,
 ) -> Examination:
-    """Examine clock, torque, motion and controller of a record, and the precision of the joint's parameters.
+    """Examine clock, torque, motion and controller of a record, and the precision of the parameters.
 
     Args:
-        record: to examine.
-        model: the loop (joint and controller), or the joint alone; see `jointid.identify`.
+        record: to examine; of a robot those of its joints.
+        model: the loop (joint and controller), or the joint alone, or a robot; see `jointid.identify`.
         method: of the identification; see `jointid.identify`, as for the next two.
         filtering: of the identification.
         parameters: changes to the joint's parameters.
@@ -205,46 +212,86 @@ def examine(
         >>> print(found.sentence)
         Nothing is wrong with twin L19.
     """
-    require_type(record, Record, "One record is examined", "give that of one joint")
-    said = "A record is examined with the ClosedLoop, DriveSide or OpenLoop of a joint, or with the joint"
-    require_type(model, ClosedLoop | DriveSide | OpenLoop | Joint, said, "of a robot identify and diagnose its records")
-    loop = model if isinstance(model, ClosedLoop) else None
-    checked = [*_check_samples(record, loop)]
-    law = None if loop is None else compare_law(record, loop)
-    if law is not None:
-        checked.append(_check_law(law, record))
-    joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
-    gear = joint.transmission
-    logged = record.sentence
-    missing = [name for name in ("torque", *(() if loop is None else loop.channels)) if getattr(record, name) is None]
-    if missing:
-        names = " and ".join(dict.fromkeys(missing))
-        said = f"the record has no {names}, without which this joint is not identified; log it"
-        checked.insert(0, Answer(Question.RECORD, False, (said,), Fault.UNREADABLE))
+    axes = _list_axes(record, model)
+    first = axes[0].record
+    loop, gear = (axes[0].loop, axes[0].joint.transmission) if len(axes) == 1 and not axes[0].name else (None, None)
+    checked = [Answer(Question.RECORD, None, first.remarks)] if first.remarks else []
+    checked += [_check_clock(first), *(replace(one, axis=axis.name) for axis in axes for one in _check_axis(axis))]
+    checked.sort(key=lambda one: one.question is not Question.RECORD)
+
+    def conclude(known: Sequence[Determined] = (), changes: tuple[str, ...] = ()) -> Examination:
+        return Examination(first.name, first.sentence, tuple(checked), tuple(known), changes, gear)
+
     if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in checked):  # no joint would be right
-        return Examination(record.name, logged, tuple(checked), transmission=gear)
+        return conclude()
     try:
         estimate = identify(
             record, model, method, filtering=filtering, parameters=parameters, shown=shown, progress=progress
         )
     except JointidError as error:
-        checked.append(_explain(error, record, loop, shown, progress))
-        return Examination(record.name, logged, tuple(checked), transmission=gear)
+        checked.append(_explain(error, first, loop, shown, progress))
+        return conclude()
     checked += _check_estimate(estimate)
     if any(one.good is False for one in checked):
-        return Examination(record.name, logged, tuple(checked), transmission=gear)
+        return conclude()
     changes: tuple[str, ...] = ()
-    with contextlib.suppress(JointidError):  # without a prediction
-        said = "predicted for a force in the loop; noise of the log alone would give narrower intervals"
-        changes = (*advise(estimate, record, progress=progress).sentences, said)
-    return Examination(record.name, logged, tuple(checked), tuple(_list_precision(estimate)), changes, gear)
+    if isinstance(record, Record):
+        with contextlib.suppress(JointidError):  # without a prediction
+            said = "predicted for a force in the loop; noise of the log alone would give narrower intervals"
+            changes = (*advise(estimate, record, progress=progress).sentences, said)
+    return conclude((*_list_precision(estimate),), changes)
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """A joint alone, or of a robot: its record, and its loop where the controller is known."""
+
+    name: str
+    record: Record
+    joint: Joint
+    loop: ClosedLoop | None
+
+
+def _list_axes(record: object, model: object) -> list[_Axis]:
+    """Return the joint, or those of a robot.
+
+    Raises:
+        MethodError: it is another model, or there are not as many records as joints.
+    """
+    if isinstance(model, Robot | RobotLoop | RobotDriveSide):
+        robot = model if isinstance(model, Robot) else model.robot
+        laws = model.controllers if isinstance(model, RobotLoop) else (None,) * len(robot)
+        if not isinstance(record, Sequence) or len(record) != len(robot):
+            raise MethodError(f"A robot of {len(robot)} joints is examined with as many records: give one a joint.")
+        joints = [RigidJoint(link.kind) for link in robot.links]
+        return [
+            _Axis(name, one, joint, None if law is None else ClosedLoop(joint, law))
+            for name, one, joint, law in zip(robot.names, record, joints, laws, strict=True)
+        ]
+    require_type(record, Record, "One record is examined", "give that of one joint")
+    said = "A record is examined with the ClosedLoop, DriveSide or OpenLoop of a joint, with the joint, or with a robot"
+    require_type(model, ClosedLoop | DriveSide | OpenLoop | Joint, said, "give one of these")
+    assert isinstance(record, Record) and isinstance(model, ClosedLoop | DriveSide | OpenLoop | Joint)
+    joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
+    return [_Axis("", record, joint, model if isinstance(model, ClosedLoop) else None)]
+
+
+def _check_axis(axis: _Axis) -> Iterator[Answer]:
+    """Yield the answers on missing channels, torque, torque limit, motion and controller of a joint."""
+    record, loop = axis.record, axis.loop
+    missing = [name for name in ("torque", *(() if loop is None else loop.channels)) if getattr(record, name) is None]
+    if missing:
+        names = " and ".join(dict.fromkeys(missing))
+        said = f"the record has no {names}, without which this joint is not identified; log it"
+        yield Answer(Question.RECORD, False, (said,), Fault.UNREADABLE)
+    yield from _check_samples(record, loop)
+    law = None if loop is None else compare_law(record, loop)
+    if law is not None:
+        yield _check_law(law, record)
 
 
 def _check_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Answer]:
-    """Yield the answers on clock, torque, torque limit and motion."""
-    if record.remarks:
-        yield Answer(Question.RECORD, None, record.remarks)
-    yield _check_clock(record)
+    """Yield the answers on torque, torque limit and motion."""
     torque = record.torque
     if torque is not None:
         still = [_clause(one) for one in still_faults(record)]
@@ -368,9 +415,11 @@ def _check_estimate(estimate: Estimate) -> Iterator[Answer]:
         spoils = loop.status is Status.FAILED and not estimate.answer.reliable
         said = tuple(one.words for one in loop.reasons[:2])
         yield Answer(Question.LOOP, False if spoils else None, said, fault if spoils else None)
-    left = f"{number(100 * fit.filtered_error, 2)} % of the {fit.compared} is not explained by the joint"
-    poor = not fit.filtered_error <= POOR_FIT
-    yield Answer(Question.FIT, not poor, (left,), Fault.JOINT_DIFFERS if poor else None)
+    model = "joint" if estimate.robot is None else "robot"
+    for axis, error in (fit.axis_errors or {"": fit.filtered_error}).items():
+        left = f"{number(100 * error, 2)} % of the {fit.compared} is not explained by the {model}"
+        poor = not error <= POOR_FIT
+        yield Answer(Question.FIT, not poor, (left,), Fault.JOINT_DIFFERS if poor else None, axis)
 
 
 def _list_precision(estimate: Estimate) -> Iterator[Determined]:

@@ -336,8 +336,8 @@ def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
             wrong.append(f"{name} in {channel.unit}, not {expected}")
     if wrong:
         raise RecordError(
-            f"This {kind} joint does not fit the record, which has {'; '.join(wrong)}: correct the joint's kind "
-            "or torque_unit, or the units of the channels."
+            f"This {kind} joint does not fit the record, which has {'; '.join(wrong)}: correct the joint's kind, "
+            "its torque's unit, or the units of the channels."
         )
 
 

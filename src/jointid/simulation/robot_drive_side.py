@@ -78,6 +78,11 @@ class MotorMotion:
         """Accelerations that are held in the parts, (parts, n)."""
         return np.diff(self.joined, axis=0) / self.step
 
+    def begin(self, parts: int) -> MotorMotion:
+        """Return the motion in the first parts."""
+        edges = {name: getattr(self, name)[: parts + 1] for name in ("position", "velocity", "joined")}
+        return replace(self, direction=self.direction[:parts], **edges)
+
 
 def prescribe_motion(
     robot: Robot, positions: FloatArray, sample_time: float, resting: Bools | None = None, parts: int = PARTS

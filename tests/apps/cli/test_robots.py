@@ -189,7 +189,6 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
             ("export", joint, "--out", tmp_path / "a.xml", "--fixed"),
             "bodies behind their gears.*--fixed is for a joint",
         ),
-        (("examine", joint), "The look over a record takes one joint"),
         (("tune", joint), "Tuning takes one joint"),
         (("diagnose", "methods", joint), "This command takes one joint"),
     ):

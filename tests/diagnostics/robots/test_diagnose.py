@@ -103,6 +103,7 @@ def test_a_friction_that_grows_with_the_load_is_named() -> None:
     found = diagnose_robot(identified(arm(), more), more)
     assert named(found) == [("joint2", "load_dependent_friction")]
     assert found.axes[1].faults.findings[0].test.size == pytest.approx(0.09, abs=0.02)
+    assert any('with a spring, and friction = "load-dependent" (by didim)' in one for one in found.sentences)
 
 
 def test_positions_in_degrees_are_named_by_the_limits_of_the_model() -> None:
@@ -151,7 +152,8 @@ def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     follows = found.axes[3].follows
     assert follows is not None and follows[0] == STRIBECK.phrase
     assert named(found) == [("joint4", "stribeck")]
-    assert any(one.startswith("joint4: towards standstill, below some 0.") for one in found.sentences)
+    (said,) = (one for one in found.sentences if one.startswith("joint4: towards standstill, below some 0."))
+    assert 'declare the joint with friction = "stribeck" or "asymmetric-stribeck" and stribeck_speed = 0.' in said
 
 
 def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() -> None:
@@ -174,6 +176,11 @@ def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
     assert not coloured.explained
     assert replace(coloured, whiteness=replace(joint.whiteness, p_value=0.01)).explained
     assert replace(coloured, left=0.02).explained
+    short = replace(joint, left=0.07, whiteness=None)
+    found = diagnose_robot(estimate, records)
+    said = replace(found, axes=(short, *found.axes[1:])).answer
+    assert said.startswith("The record is too short to tell whether what the model leaves of the torque of joint1 is n")
+    assert "but for noise" in replace(found, axes=(replace(short, left=0.01), *found.axes[1:])).answer
 
 
 def test_the_motion_of_another_joint_is_named() -> None:

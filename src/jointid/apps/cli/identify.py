@@ -44,7 +44,7 @@ def examine(joint: Path, /, *, options: Options = DEFAULTS) -> int:
     from jointid import RecordError, examine
     from jointid.diagnostics.examine_record import unreadable
 
-    file = options.load_joint(joint, options.outputs, what="The look over a record")
+    file = options.load(joint, options.outputs)
     path = Path(file.record_path(options.record))
     try:
         record = file.record(options.record)
@@ -56,7 +56,7 @@ def examine(joint: Path, /, *, options: Options = DEFAULTS) -> int:
         ready(options.progress)
         found = examine(
             record,
-            file.loop or file.joint,
+            file.setup,
             file.method,
             filtering=file.filtering,
             parameters=file.parameters,

@@ -11,6 +11,7 @@ from jointid.common.transmission import Side
 from jointid.diagnostics.faults.fault import Fault, FaultTest, Shown, call_number
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.friction import FRICTIONS, LoadDependentFriction, StribeckFriction
 from jointid.uncertainty.verdict import Reason, Status
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
@@ -200,10 +201,14 @@ class AxisFaults:
             return fault.remedy(finding.test)
         named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
         laws = dict.fromkeys(law for one in named if one.table == table for law in one.laws if law in self.laws)
-        tried = " or ".join(f'"{law}"' for law in laws)
-        verb = "springs" if table == "spring" else table
-        return (
-            f"; to identify it, declare the joint with {table} = {tried}, as jointid diagnose {verb} tells"
-            if laws
-            else ""
-        )
+        if not laws:
+            return ""
+        # IDIM takes what is linear in its parameters on the measured motion.
+        stepped = [] if self.of_loop else [law for law in laws if law in FRICTIONS and FRICTIONS[law]().stepped]
+        tried = " or ".join(f'"{law}"{" (by didim)" if law in stepped else ""}' for law in laws)
+        spring = not self.of_loop and LoadDependentFriction.name in laws
+        said = f"; to identify it, declare the joint with {'a spring, and ' if spring else ''}{table} = {tried}"
+        if self.of_loop:
+            return f"{said}, as jointid diagnose {'springs' if table == 'spring' else table} tells"
+        speed = finding.test.shape if StribeckFriction.name in laws else None
+        return said if speed is None else f"{said} and stribeck_speed = {number(speed, 2)}"

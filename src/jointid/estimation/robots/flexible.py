@@ -184,7 +184,8 @@ def search_springs(
     hertz = look(start)
     problem = bound_springs(problem, start)
     rough = problem.roughly()
-    without = float(np.linalg.norm(error * problem.weights(error.size)))
+    error = rough.error(rough.simulate(rigid.run.numbers))
+    without = float(np.linalg.norm(error * rough.weights(error.size)))
     descents = Descents(evaluations, progress)
     end = descents.begin(rough, start, hertz, without)
     if end.solution.status is Status.NOT_EVALUABLE:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -134,6 +134,11 @@ class RobotMotion:
         return np.concatenate([self.decimate_joint(j, each[:, np.newaxis]) for j, each in enumerate(self.torque.T)])[
             :, 0
         ]
+
+    def begin(self, size: int) -> RobotMotion:
+        """Return the motion of the first samples."""
+        named = ("q", "v", "a", "torque", "moving")
+        return replace(self, **{name: getattr(self, name)[:size] for name in named})
 
     @property
     def inside(self) -> slice:
