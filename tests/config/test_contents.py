@@ -257,8 +257,8 @@ def test_all_of_a_file() -> None:
             "ms",
             0.001,
             0.1,
-            {"delimiter": ";", "decimal": ",", "header": True},
-            Resampling(1e-3, "cubic", longest_gap=0),
+            options={"delimiter": ";", "decimal": ",", "header": True},
+            resample=Resampling(1e-3, "cubic", longest_gap=0),
         ),
         name="axis 3",
     )

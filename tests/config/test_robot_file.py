@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
-from jointid.config import contents, dumps, load, load_to_learn, loads, save
+from jointid.config import dumps, load, load_to_learn, loads, save, schema_record
 from jointid.config.loading import parse_toml
 from jointid.config.robot_file import RobotFile, RobotFileTable
 from jointid.config.schema import keys_of
@@ -462,8 +462,10 @@ def test_a_joint_is_checked_as_in_a_joint_file(folder: Path, said: str, fault: s
 
 
 def test_the_record_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read, paths = contents.read_table, list[Path]()
-    monkeypatch.setattr(contents, "read_table", lambda path, **options: paths.append(path) or read(path, **options))
+    read, paths = schema_record.read_table, list[Path]()
+    monkeypatch.setattr(
+        schema_record, "read_table", lambda path, **options: paths.append(path) or read(path, **options)
+    )
     file = load(folder / "robot.toml")
     assert len(file.record()) == 3 and paths == [folder / "log.csv"]
 

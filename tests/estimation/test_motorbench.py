@@ -52,7 +52,7 @@ def test_stiffness_and_inertias_are_those_of_both_encoders(hidden: ji.Estimate, 
         assert line.stderr is not None
         assert line.value == pytest.approx(reference[name], rel=0.03), name
         assert abs(line.value - reference[name]) < 2 * line.stderr, name
-        assert 2 * line.stderr < 0.05 * line.value, name
+        assert 2 * line.stderr < 0.06 * line.value, name  # widened for a force in the loop
 
 
 def both(bench: Bench, rows: slice = slice(None)) -> ji.Record:

@@ -138,7 +138,7 @@ SPRUNG = [FlexibleJoint("prismatic", spring=law()) for law in SPRINGS.values()]
     "joint", [*RIGID, *FLEXIBLE, *SPRUNG], ids=lambda one: f"{one.friction.name} {one.spring_name}"
 )
 def test_a_joint_file_names_the_laws_it_was_written_with(joint: Joint) -> None:
-    text = dumps(JointFile(joint, {name: Column(name) for name in CHANNELS}, IDIM()))
+    text = dumps(JointFile(joint=joint, columns={name: Column(name) for name in CHANNELS}, method=IDIM()))
     assert f'friction = "{joint.friction.name}"' in text
     if isinstance(joint, FlexibleJoint) and not joint.spring.linear:
         assert f'spring = "{joint.spring.name}"' in text

@@ -108,7 +108,7 @@ def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(
 
 def test_a_goal_and_limits_of_a_robot_are_kept(folder: Path, tmp_path: Path) -> None:
     answers = []
-    for k, goal in enumerate(("all", "Fc1")):
+    for k, goal in enumerate(("all", "s.coulomb")):
         answer = tmp_path / f"{k}.json"
         run(
             "design",
@@ -124,11 +124,11 @@ def test_a_goal_and_limits_of_a_robot_are_kept(folder: Path, tmp_path: Path) -> 
             answer,
         )
         answers.append(json.loads(answer.read_text(encoding="utf-8")))
-    stds = [one["tests"]["proposed"]["std"]["Fc1"] for one in answers]
+    stds = [one["tests"]["proposed"]["std"]["s.coulomb"] for one in answers]
     assert stds[1] < 0.95 * stds[0]
     assert all(axis["reached"]["jerk"] <= 40.0 for one in answers for axis in one["axes"])
     assert not any(one["passed"] for one in answers)
-    assert "tells Fc1 to +-" in answers[1]["sentence"]
+    assert "tells s.coulomb to +-" in answers[1]["sentence"]
 
 
 JOINT_FILE = """

@@ -9,9 +9,9 @@ to another reading by more than three deviations, the answer says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -35,6 +35,12 @@ def read_as(records: Logs, timing: Timing | None, stated: bool = False) -> Logs:
         else record
         for record in records
     ]
+
+
+def read_timing(answer: Mapping[str, Any]) -> Timing | None:
+    """Return the timing of an estimate's JSON as which a torque was read; None in files before version 0.3."""
+    found = answer.get("torque_timing")
+    return None if found is None else Timing(found)
 
 
 def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:
@@ -84,6 +90,10 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
         return float(np.hypot(stderr, 0.5 * away * abs(b - a)))
 
     rows = tuple(replace(row, stderr=widen(row.name, row.value, row.stderr)) for row in chosen.params.rows)
+    part = chosen.robot
+    if part is not None:  # what is made of all its parameters, as bodies and a payload, has the same errors
+        std = np.array([row.stderr or 0.0 for row in rows])
+        part = replace(part, covariance=replace(part.covariance, std=std))
     said = (
         f"nobody stated whether the torque is held or sampled: it is read as {_READINGS[at]}, and {where}; the "
         "intervals cover that; state timing of its channel"
@@ -92,5 +102,6 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
         chosen,
         settings=replace(chosen.settings, timing=_READINGS[at]),
         params=replace(chosen.params, rows=rows),
+        robot=part,
         checks=replace(chosen.checks, warnings=(said, *chosen.checks.warnings)),
     )

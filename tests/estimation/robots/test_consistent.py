@@ -77,11 +77,13 @@ def test_bodies_that_do_not_fit_are_not_exported() -> None:
     estimate = identified(ARM, records_of(ARM, 2, noise=0.1))
     part = estimate.require_robot()
     shift = np.zeros(len(part.values))
-    place = part.names.index("Ia6")
+    place = part.names.index("joint6.rotor_inertia")
     shift[place] = -2.0 * part.values[place]  # no rotor has a negative inertia
     spoilt = replace(estimate, robot=replace(part, values=part.values + shift))
-    assert consistent_robot(spoilt).worst[0] == "Ia6"
-    with pytest.raises(MethodError, match=r"nearest are 5\d\d standard deviations off, rms; expected at most 2.*Ia6"):
+    assert consistent_robot(spoilt).worst[0] == "joint6.rotor_inertia"
+    with pytest.raises(
+        MethodError, match=r"nearest are 5\d\d standard deviations off, rms; expected at most 2.*joint6"
+    ):
         export(spoilt, "urdf")
 
 

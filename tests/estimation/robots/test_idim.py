@@ -137,7 +137,7 @@ def test_intervals_hold_where_there_is_little_noise() -> None:
         found = by_idim(ARM, records_of(ARM, seed, noise=0.01))
         off.append((found.values - truth(found.base)) / found.covariance.std)
     inside = np.abs(off) < 2
-    assert 0.91 < np.mean(inside) < 0.99
+    assert 0.91 < np.mean(inside) < 0.998  # they are widened for a force in the loop, which is not in this record
     for first in (18, 17):  # Fv, Fc
         assert np.mean(inside[:, -first::3]) > 0.85
 

@@ -11,6 +11,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.validation import Prediction
+from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.uncertainty.verdict import Status, Subject
@@ -23,15 +24,15 @@ LOGS = tuple(recorded(LOOP, TWIN.records(4.0, seed), 0.01, seed)[0] for seed in 
 
 
 def test_didim_of_two_logs_knows_more_than_of_either() -> None:
-    found: list[Any] = [ji.identify(records, LOOP, checks=False) for records in (*LOGS, LOGS)]
-    one, other, both = (estimate.robot.fit for estimate in found)
+    one, other, both = (identify_rigid_robot(LOOP, records) for records in (*LOGS, LOGS))
     assert both.converged
     truth = both.parameters.group(RobotNumbers.of(TWIN.robot))
     assert np.all(np.abs(both.values - truth) < 5 * both.covariance.std)
     first, second, summed = (fit.information.T @ fit.information for fit in (one, other, both))
     assert np.diag(summed) == pytest.approx(np.diag(first + second), rel=0.15)
     assert both.relative_error == pytest.approx((one.relative_error + other.relative_error) / 2, rel=0.1)
-    assert np.all(found[2].robot.nominal_errors < 0.01)  # the twin's own masses, along both logs
+    part = ji.identify(LOGS, LOOP, checks=False).require_robot()
+    assert np.all(part.nominal_errors < 0.01)  # the twin's own masses, along both logs
 
 
 @pytest.mark.parametrize("estimator", ["weighted", "iv"])

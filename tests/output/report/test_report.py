@@ -140,12 +140,14 @@ def test_a_check_that_spares_a_doubted_value_does_not_say_that_it_may_be_used() 
 def test_the_section_on_the_loop_says_the_same_as_its_check() -> None:
     """Where a cause stands in the verdict, the tests of small deviations do not name another one beside it."""
     given = reports.rigid().data
-    assert given.loop is not None
-    first = replace(given.loop.tests[0], p_value=1e-9)
-    blamed = replace(given.loop, findings=(Finding(first, None, (), {}),), tests=(first, *given.loop.tests[1:]))
+    assert given.diagnosis is not None
+    (axis,) = given.diagnosis.axes
+    first = replace(axis.faults.tests[0], p_value=1e-9)
+    blamed = replace(axis.faults, findings=(Finding(first, None, (), {}),), tests=(first, *axis.faults.tests[1:]))
+    diagnosis = replace(given.diagnosis, axes=(replace(axis, faults=blamed),))
     cause = Message(Reason.CAUSE_FOUND, "the torque is about 2.0 times too large")
     verdict = Verdict(Subject.LOOP, Status.FAILED, (cause,))
-    told = replace(given, loop=blamed, estimate=amended(given.estimate, checks={"verdicts": (verdict,)}))
+    told = replace(given, diagnosis=diagnosis, estimate=amended(given.estimate, checks={"verdicts": (verdict,)}))
     section = Report(told).markdown().split("## Controller and log")[1].split("\n## ")[0]
     assert "The torque is about 2.0 times too large." in section
     assert "than declared" not in section.split("|")[0]

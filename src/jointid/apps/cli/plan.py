@@ -240,11 +240,12 @@ def _plan_robot(file: RobotFile, options: Options, asked: dict[str, Any], motion
         try:
             records = file.record(options.record)
             estimate = file.identify(records, options.progress, checks=False)
-            return design(estimate, records, **asked)
         except JointidError as error:
             if options.record is not None or not enough:
                 raise
             show(f"The record that the robot file names is not used, and the robot is as its model says: {error}")
+        else:
+            return design(estimate, records, **asked)
     sample_time = asked.pop("sample_time", None) or file.source.sample_time
     return design(asked.pop("loop") or file.robot, sample_time=None if motion is not None else sample_time, **asked)
 

@@ -193,7 +193,7 @@ def noise_limit_of(record: Record, joint: Joint, names: Sequence[str]) -> float:
         joint: whose units they have.
         names: of the positions.
     """
-    torque, positions = torque_and_positions(record, joint, names, "IDIM")
+    torque, positions = torque_and_positions(record, joint, names, _title(joint))
     return find_noise_limit(positions, torque.sample_time)
 
 
@@ -205,16 +205,20 @@ def motion_of(
     Raises:
         RecordError: a channel is missing, not sampled, or at another rate.
     """
-    method = "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM"
-    torque, positions = torque_and_positions(record, joint, idim_channels(joint.model)[1:], method)
+    torque, positions = torque_and_positions(record, joint, idim_channels(joint.model)[1:], _title(joint))
     model = inverse_model(joint, torque, positions, filtering, _late(record, delay, torque.sample_time), effects)
     if filtering.timing != "respected":  # the published pipeline takes all rows
         return model
     assert filtering.position_cutoff is not None
     sides = [model.motor, *([] if model.load is None else [model.load])]
     weights = [steady_weights(side.velocity, filtering.position_cutoff, torque.sample_time) for side in sides]
-    steady = np.array([each for _, each in weights])
+    # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
+    steady = np.array([moving if joint.model == "flexible" else without for moving, without in weights])
     return model if np.all(steady) else replace(model, moving=steady, resting=1.0 - float(np.mean(weights[0][0])))
+
+
+def _title(joint: Joint) -> str:
+    return "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM"
 
 
 def _late(record: Record, delay: float, period: float) -> float:

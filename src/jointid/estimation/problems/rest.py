@@ -53,7 +53,7 @@ def turning_weights(velocity: FloatArray, reach: int = _REACH) -> FloatArray:
 
 
 def steady_weights(
-    velocity: FloatArray, cutoff: float, sample_time: float, smear: float = SMEAR
+    velocity: FloatArray, cutoff: float, sample_time: float, smear: float = SMEAR, few: float = _FEW
 ) -> tuple[FloatArray, FloatArray]:
     """Return 0 for the samples at which a mass rests, else 1; and the same with those about reversals.
 
@@ -65,8 +65,9 @@ def steady_weights(
         cutoff: Hz.
         sample_time: s.
         smear: periods of the filter on each side that are left out.
+        few: share of the moving samples; if less were left without reversals, these stay.
     """
     reach = math.ceil(smear / (cutoff * sample_time))
     moving = moving_weights(velocity, max(_REST_LONG, 4 * reach), reach)
     steady = moving * turning_weights(velocity, reach)
-    return moving, moving if np.mean(steady) < _FEW * np.mean(moving) else steady
+    return moving, moving if np.mean(steady) < few * np.mean(moving) else steady

@@ -224,7 +224,7 @@ def motion_of_robot(
         acceleration = differentiate(velocity, sample_time)
         torques = [channel.values[:size] for channel in channels]
     velocity = settle(velocity)
-    moving = [steady_weights(each, filtering.position_cutoff, sample_time, smear)[1] for each in velocity.T]
+    moving = [steady_weights(each, filtering.position_cutoff, sample_time, smear, few=0.0)[1] for each in velocity.T]
     joints = np.linalg.inv(robot.coupling).T
     return RobotMotion(
         smooth @ joints,

@@ -24,6 +24,7 @@ from jointid.estimation.robots.drive_side import of_record
 from jointid.estimation.robots.idim import InverseModelRobot, friction_formulas
 from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import SimulatedRobot
+from jointid.estimation.unknown_timing import read_timing
 from jointid.models.robots.base_parameters import base_parameters
 from jointid.models.robots.friction_terms import friction_terms
 from jointid.models.robots.robot import Robot
@@ -93,7 +94,9 @@ def build_robot_estimate(answer: dict[str, Any], system: RobotSystem) -> Estimat
             fingerprint=str(record["torque_sha256"]),
             logs=tuple(map(str, record.get("logs_sha256", ()))),
         ),
-        settings=Settings(method, str(answer["variant"]), system=robot, loop=None, filtering=filtering),
+        settings=Settings(
+            method, str(answer["variant"]), system=robot, loop=None, filtering=filtering, timing=read_timing(answer)
+        ),
         robot=part,
     )
 

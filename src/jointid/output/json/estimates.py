@@ -166,8 +166,9 @@ _OF_A_JOINT: Shape = document_shape(
     "friction=settings.joint.friction.name spring=settings.joint.spring_name settings.joint.gravity "
     "settings.joint.ripple settings.joint.transmission data.channels free=params.names "
     "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error fit.compared "
-    "samples_left_out=fit.borders fit.rows condition_numbers=fit.conditioning settings.filtering settings.delay "
-    "fit.iterations fit.simulations fit.converged fit.stop intervals=params.basis fit.trace checks.tests "
+    "samples_left_out=fit.borders fit.rows condition_numbers=fit.conditioning settings.filtering "
+    "torque_timing=settings.timing settings.delay fit.iterations fit.simulations fit.converged fit.stop "
+    "intervals=params.basis fit.trace checks.tests "
     "checks.verdicts combinations=checks.known fit.residuals stiffness_bounds=checks.bounds settings.weighting "
     "checks.agreement",
     parameters=by_name("params.rows"),
@@ -198,7 +199,8 @@ _OF_A_ROBOT: Shape = document_shape(
     ESTIMATE_SCHEMA,
     "answer settings.method settings.variant data.channels free=params.names "
     "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error fit.compared "
-    "samples_left_out=fit.borders fit.rows settings.filtering fit.simulations fit.converged fit.stop "
+    "samples_left_out=fit.borders fit.rows settings.filtering "
+    "torque_timing=settings.timing fit.simulations fit.converged fit.stop "
     "intervals=params.basis checks.warnings checks.verdicts",
     model=always("robot"),
     parameters=_parameters_of_robot,

@@ -18,6 +18,7 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.result.estimate import Estimate, IdentifiedJoint
+from jointid.estimation.unknown_timing import read_timing
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
@@ -281,6 +282,7 @@ def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identif
         _fingerprints(answer),
         str(answer["controller_sha256"] or ""),
         effects,
+        read_timing(answer),
     )
 
 
