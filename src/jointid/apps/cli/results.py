@@ -97,10 +97,10 @@ def report(
             "The report of a robot has neither profiles nor tuning",
             {"--no-profiles": no_profiles, "--no-tuning": no_tuning},
         )
+    unseen = None if held_out is None else file.record(held_out)
     system: Literal["joint", "robot"] = "joint" if isinstance(file, JointFile) else "robot"
     again = repetition(joint, Path(file.record_path(options.record)), asked, options.changes, html_name, system)
     settings = file.design_settings if plan is not None else {}
-    unseen = None if held_out is None else file.record(held_out)
     if estimate is None or isinstance(file, JointFile):
         record, found = options.identify(file, judged=True)
     else:
