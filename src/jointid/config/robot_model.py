@@ -391,7 +391,7 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
 
 
 def _impossible(inertial: ET.Element) -> str | None:
-    """Return what of inertial parameters no body can have; None if one can, or if MuJoCo has to say what is wrong."""
+    """Return the impossible part of inertial parameters; None if there is none, or if MuJoCo reports it."""
     of_urdf, moments = inertial.find("mass"), inertial.find("inertia")
     said = inertial.get("mass") if of_urdf is None else of_urdf.get("value")
     if moments is not None:
@@ -416,7 +416,7 @@ def _impossible(inertial: ET.Element) -> str | None:
 
 
 def _where(root: ET.Element, element: ET.Element) -> str:
-    """Return an element's name, with that of the link, body or joint that it is in."""
+    """Return an element's name, with that of its link, body or joint."""
     if element.get("name"):
         return f"{element.tag} {element.get('name')}"
     for owner in root.iter():

@@ -636,7 +636,7 @@ class FileTable(Table):
                 return table, faults
 
     def as_axis(self, number: int, own: Collection[str]) -> Self:
-        """Return the table as that of one axis of a robot file, which faults then name.
+        """Return the table with its faults placed in a robot file.
 
         Args:
             number: of the axis, from 0.
@@ -646,7 +646,7 @@ class FileTable(Table):
         return self
 
     def place(self, *keys: int | str) -> Place:
-        """Return where a key of a joint file stands in the file that this table was made from."""
+        """Return the place of a key in the file of this table."""
         if self._axis is None:
             return keys
         below = ("joints", self._axis)

@@ -158,7 +158,7 @@ def _find_scale(
     where: FloatArray,
     speed: FloatArray,
 ) -> tuple[int, FaultTest, FloatArray] | None:
-    """Return the axis whose log is larger or smaller than its torque, its test, and the residual without that.
+    """Return the axis with a wrong scale, its test, and the residual without it.
 
     With the rows of an axis g times as large as its equations say, the rest is least at the log's gain. The gain is
     searched for, as it may be far from 1. It is the fault if no other fault of one axis leaves less.
@@ -212,7 +212,7 @@ def _of_axis(test: FaultTest, keys: dict[Fault, tuple[int, Fault]]) -> tuple[int
 
 
 def find_follower(torques: AxisTorques) -> Follows:
-    """Return what the residual of a joint alone correlates with most, or None."""
+    """Return the shape that a residual correlates with most, or None."""
     inside = torques.seen[0]
     shapes = [_Shape(0, one.fault, one.shape, one.column[inside]) for one in torques.shapes[0]]
     basis = _basis_of(_drop_idle(torques.own[0][inside]))

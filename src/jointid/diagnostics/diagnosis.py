@@ -340,7 +340,7 @@ class Diagnosis(Documented):
         )
 
     def _loops(self) -> Iterator[str]:
-        """Yield what is known of loops, logs and mechanics: by the faults tested, then by the logged positions."""
+        """Yield sentences on loops and logs: from the faults tested, then from the logged positions."""
         tested = [one for one in self.axes if one.faults.tests]
         faulty = [one.name for one in tested if one.faults.findings]
         if faulty:

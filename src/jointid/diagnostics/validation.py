@@ -529,7 +529,7 @@ def _predict_joint(identified: IdentifiedJoint, record: Record) -> _Predicted:
 
 
 def _fit_columns(columns: FloatArray, whole: FloatArray) -> FloatArray:
-    """Return what columns leave, (n, rows), each axis weighted by what a first fit leaves of it."""
+    """Residual of a weighted fit of columns, (n, rows); weights come from a first fit."""
     left = whole
     for _ in range(min(len(whole), 2)):
         weights = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), whole.shape[1])

@@ -28,7 +28,7 @@ Logs: TypeAlias = Sequence[Record]
 
 
 def read_as(records: Logs, timing: Timing | None, stated: bool = False) -> Logs:
-    """Return records whose torques, where their timing was not stated, or where it was, have this one; None: as is."""
+    """Return records with another timing of the torques that are stated, or are not; None keeps them."""
     return [
         replace(record, torque=replace(record.torque, timing=timing))
         if timing is not None and record.torque is not None and record.torque.stated == stated

@@ -76,7 +76,7 @@ class DesignedAxis:
         return f"{self.name} {quantity}".strip()
 
     def cell(self, quantity: str) -> str:
-        """Return what is reached of a quantity, of what is allowed."""
+        """Return the reached share of a limit."""
         if quantity == "positions":
             return f"{number(self.reached['lower'], 3)} to {number(self.reached['upper'], 3)} {self.position_unit}"
         if quantity not in self.reached:

@@ -122,7 +122,7 @@ class JointTests:
 
     @property
     def goal(self) -> Goal:
-        """What the test is to tell."""
+        """Purpose of the test."""
         return self.purpose.goal
 
     @property
@@ -221,7 +221,7 @@ class JointTests:
         return found
 
     def axes(self, test: Sequence[Record], tried: Tried, proposed: PredictedTest) -> tuple[DesignedAxis, ...]:
-        """Return what the test does to the axis."""
+        """Return the loads of the axis in the test."""
         (record,), joint = test, self.purpose.loop.joint
         units = units_of_limits(q := POSITION_UNIT[joint.kind], joint.force_unit)
         return (

@@ -206,7 +206,7 @@ class RobotTests:
         return found | {"proposed": self._predict(test)}
 
     def axes(self, test: Sequence[Record], tried: Tried, proposed: PredictedTest) -> tuple[DesignedAxis, ...]:
-        """Return what the test does to each joint."""
+        """Return the loads of each joint in the test."""
         q = self.played(test)[0]
         modes = _modes(self.robot, q)
         return tuple(

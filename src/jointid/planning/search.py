@@ -61,7 +61,7 @@ class Family(Protocol):
 
 
 class Objective(Protocol):
-    """What a test is planned for: its candidates, and their worth."""
+    """Objective of a test: its candidates and their worth."""
 
     @property
     def families(self) -> Sequence[Any]:

@@ -200,7 +200,7 @@ def values_of_joint(numbers: RobotNumbers, joint: int) -> dict[str, float]:
 
 
 def law_places(numbers: RobotNumbers) -> list[tuple[NumberPlace, Parameter]]:
-    """Return what the laws have beside lines, in the order of the joints: of the motors, the springs and the links.
+    """Return the nonlinear numbers of the laws by joint: of the motors, the springs and the links.
 
     Each with its parameter in the law. A side of a joint whose friction rises below no speed has no rise.
     """

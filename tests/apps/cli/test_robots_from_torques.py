@@ -308,7 +308,7 @@ def test_the_drive_side_is_diagnosed_and_reported(tmp_path: Path, capsys: pytest
     joint, one = tmp_path / "robot.toml", tmp_path / "one.csv"
     capsys.readouterr()
     run("diagnose", joint, "--record", one)
-    assert "is not asked: the robot file declares none" in " ".join(capsys.readouterr().out.split())
+    assert "is not asked: the file declares none" in " ".join(capsys.readouterr().out.split())
     page = tmp_path / "page.html"
     run("report", joint, "--record", one, "--html", page)
     assert "drive side of a robot" in page.read_text(encoding="utf-8")

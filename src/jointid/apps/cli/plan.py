@@ -95,7 +95,7 @@ class Rough:
         return False
 
     def of_robot(self, joints: int) -> dict[str, Any]:
-        """Return what is stated of a robot: the noise of each joint's log, and the sample time.
+        """Return the noise of each joint's log, and the sample time.
 
         Raises:
             MethodError: something is given that is of a joint alone.
@@ -229,7 +229,7 @@ def design(
 
 
 def _plan_robot(file: RobotFile, options: Options, asked: dict[str, Any], motion: tuple[Record, ...] | None) -> Design:
-    """Plan the test of a robot, from the record that is named or that its file names, or from its model alone."""
+    """Plan the test of a robot from a record, or from its model alone."""
     from jointid import design
 
     # Of a motion that was never played nothing is logged: such a robot is predicted without.

@@ -148,7 +148,7 @@ def _gear_text(transmission: object) -> str:
 
 
 def read_choices(path: str | Path) -> dict[str, str]:
-    """Return what an estimate chooses of its joint file, the friction law, or of its robot file, the method.
+    """Return the choices of an estimate: friction law of a joint, method of a robot.
 
     Raises:
         RecordError: the file is no estimate.

@@ -317,7 +317,7 @@ def refusal_reason(dataset: Member) -> str | None:
 
 
 def _name_kind(dtype: np.dtype[Any]) -> str:
-    """Say what a dataset holds that is no number; text of any length is an object of h5py."""
+    """Return the kind of a dataset without numbers; text of any length is an object of h5py."""
     h5py = extra("h5py", "logs", "HDF5")
     if h5py.check_string_dtype(dtype) is not None:
         return "it holds text"

@@ -188,7 +188,7 @@ def is_number(cell: str) -> bool:
 
 
 class Kind(Enum):
-    """What the cells of a column hold."""
+    """Kind of the cells of a column."""
 
     NUMBER = "numbers"
     STAMP = "instants"
@@ -223,7 +223,7 @@ class Dialect:
         return float(cell.replace(self.decimal, "."))
 
     def kind_of(self, cell: str) -> Kind:
-        """Return what a filled cell holds."""
+        """Return the kind of a filled cell."""
         if _NUMBERS[self.decimal].fullmatch(cell):
             return Kind.NUMBER
         return Kind.STAMP if is_stamp(cell) else Kind.DATE if is_date(cell) else Kind.WORD
@@ -326,7 +326,7 @@ def _fit_mixed(lines: Sequence[str], dialect: Dialect) -> Iterator[Fit]:
 
 
 def kinds_of(dialect: Dialect, rows: Sequence[Sequence[str]], width: int) -> tuple[Kind, ...]:
-    """Return what most filled cells of each column hold; of an empty one numbers."""
+    """Return the commonest kind of each column's filled cells; numbers for an empty column."""
     kinds = []
     for column in range(width):
         found = Counter(dialect.kind_of(cells[column]) for cells in rows if cells[column])
