@@ -257,9 +257,3 @@ def test_what_was_kept_fixed_is_no_reason_not_to_answer(stiff_axis: tuple[Record
     estimate = identify(record, loop, parameters={"stiffness": stiffness.fix(1e9)})
     assert estimate.checks.bounds
     assert "would" in str(design_stiffness_test(estimate, record))
-
-
-def test_the_tap_says_where_the_noise_is(stiff_axis: tuple[Record, Estimate]) -> None:
-    record, estimate = stiff_axis
-    measured = design_stiffness_test(estimate, replace(record, tap=Tap.MEASURED))
-    assert measured.encoder[-1].deviation != design_stiffness_test(estimate, record).encoder[-1].deviation

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -34,13 +35,17 @@ def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.M
 
     def watch(history: History, problem: ClosedLoopProblem, *given: Any) -> Solved:
         end = solve(history, problem, *given)
-        norms.extend([end.norm] if problem.joint == case.loop.joint else [])
+        if problem.joint != case.loop.joint:
+            return end
+        first = not norms  # all starts may reach one end: the first is made a worse one
+        end = end._replace(solution=replace(end.solution, residual=(2.0 if first else 1.0) * end.solution.residual))
+        norms.append(end.norm)
         return end
 
     def stop(history: History, rough: Solved, tolerance: float) -> Solved:
         if len(norms) < 2:
             return finish(history, rough, tolerance)
-        assert max(norms) > 1.1 * min(norms), "expected several ends"
+        assert norms[0] > min(norms)
         assert rough.norm == min(norms)
         raise MethodError("enough")
 
