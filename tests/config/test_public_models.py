@@ -120,7 +120,7 @@ MODELS = {
         {f"j{k}": 2.0 for k in range(1, 7)},
     ),
     "meshes by paths of Windows, and lines that end as there": Model(
-        urdf(arm(2, MESH.format("file:///C:\\Users\\me\\meshes\\base.STL")), head='name="arm"').replace("><", ">\r\n<"),
+        urdf(arm(2, MESH.format("file:///D:\\cad\\meshes\\base.STL")), head='name="arm"').replace("><", ">\r\n<"),
         {"j1": 2.0, "j2": 2.0},
     ),
     "kinematics alone": Model(urdf(arm(3, l1="", l2="", l3="")), {"j1": 0.0, "j2": 0.0, "j3": 0.0}),
