@@ -350,10 +350,27 @@ def test_another_rate_than_that_of_the_rows_is_refused(tmp_path: Path) -> None:
         ji.read(tmp_path / "run.csv", {**SPARSE, "reference": ji.Column("r", sample_time=2e-3)}, time="t")
 
 
+@pytest.mark.parametrize("phase", [0, 3])
+def test_a_joint_is_identified_from_a_reference_in_every_fourth_row(tmp_path: Path, phase: int) -> None:
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.controller.PD(position_gain=40.0, derivative_gain=1.0))
+    reference = ji.excitation.trapezoids([0.5, 1.0], 20.0, 1.0, 1e-3, rest=0.1, duration=5.0)
+    at = np.arange(reference.size)
+    reference = np.interp(at, at[phase::4], reference[phase::4])  # as a controller takes it between
+    values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.3, "offset": 0.0}
+    record = ji.simulated_record(loop, reference, values, sample_time=1e-3)
+    assert record.torque is not None
+    rows = (f"{k / 1e3},{record.torque.values[k]},{reference[k] if k % 4 == phase else ''}" for k in at)
+    (tmp_path / "run.csv").write_text("\n".join(["t,tau,r", *rows]))
+    found = ji.identify(ji.read(tmp_path / "run.csv", {"torque": "tau", "reference": "r"}), loop, checks=False)
+    assert found.params["inertia"].value == pytest.approx(0.04, rel=1e-3)
+    assert found.params["coulomb"].value == pytest.approx(0.3, rel=1e-3)
+
+
 def test_the_remedy_for_cells_that_are_empty_now_and_then_works(tmp_path: Path) -> None:
     _sparse(tmp_path / "run.csv", 4, drop=(400,))
-    with pytest.raises(RecordError, match="or give resample, which takes every channel at the rows"):
+    with pytest.raises(RecordError, match="or give resample, which takes every channel at the rows") as error:
         ji.read(tmp_path / "run.csv", SPARSE, time="t")
+    assert len(error.value.faults) == 1
     record = ji.read(tmp_path / "run.csv", SPARSE, time="t", resample=Resampling(1e-3, "cubic"))
     assert record.reference is not None and record.torque is not None
     assert len(record.reference) == len(record.torque) == 997  # to the last number of the reference

@@ -177,8 +177,9 @@ def finite_faults(
     if bad.size == values.size:
         return [f"{name} has no finite number in its {values.size} samples; name another column."]
     faults = []
-    end = int(np.flatnonzero(~np.isnan(values))[-1]) + 1
-    if end < values.size:
+    rows = np.flatnonzero(~np.isnan(values))
+    end = int(rows[-1]) + 1
+    if values.size - end >= np.diff(rows, prepend=rows[0] - 1).max():  # longer than any gap
         faults.append(
             f"{name} ends early: after {end} of {values.size} samples it is empty (NaN); cut all columns to "
             "one length, or give the channels of another rate their own sample_time."
