@@ -219,13 +219,11 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         )
     none = "no motor position and reference of a declared controller were logged"
     loop = skip_test(Subject.LOOP, found.untested_clause or none, found.untested)
-    wrong = [joint.name for joint in found.axes if joint.law_holds is False]
     if all(joint.law_holds for joint in found.axes):
-        said = "the declared controllers make the logged torques of the logged positions"
+        said = found.describe_laws(holds=True)
         loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
-    elif wrong:
-        said = f"the declared controller of {join(wrong)} does not make the logged torque of the logged positions"
-        said = "; ".join(filter(None, (said, found.untested_clause)))
+    elif wrong := found.describe_laws(holds=False):
+        said = "; ".join(filter(None, (wrong, found.untested_clause)))
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
