@@ -103,9 +103,9 @@ class DriveSideFit(Method):
         default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
     )
 
-    def surroundings(self, sample_time: float) -> tuple[Parameter, ...]:
-        """Return the parameters of the log, free where they are to be estimated."""
-        delay = log_delay(self.log_delay, sample_time)
+    def surroundings(self, sample_time: float, *, stated: bool = True) -> tuple[Parameter, ...]:
+        """Return the parameters of the log, free where they are to be estimated; see `log_delay`."""
+        delay = log_delay(self.log_delay, sample_time, stated=stated)
         lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
         return delay, lag if self.current_lag is None else CURRENT_LAG.fix(self.current_lag)
 
@@ -122,7 +122,7 @@ class DriveSideFit(Method):
         record, setup = task.record, DriveSide(task.joint)
         record.require(setup.channels, "Drive-side identification")
         assert record.torque is not None
-        around = self.surroundings(record.torque.sample_time)
+        around = self.surroundings(record.torque.sample_time, stated=record.torque.stated)
         problem = motion_problem(record, setup, task.filtering, task.parameters, around)
         starts, simulations = grid_starts(problem, self)
         solver = Multistart(LevenbergMarquardt(self.tolerance))
@@ -268,8 +268,11 @@ class OpenLoopFit(Method):
             RecordError: a channel is missing, or at another rate.
             MethodError: no start gives a joint with positive inertias.
         """
-        setup = OpenLoop(task.joint)
-        problem = position_problem(task.record, setup, task.filtering, task.parameters, self.log_delay, self.highpass)
+        setup, torque = OpenLoop(task.joint), task.record.torque
+        task.record.require(setup.channels, "Open-loop identification")
+        assert torque is not None
+        delay = log_delay(self.log_delay, torque.sample_time, stated=torque.stated)
+        problem = position_problem(task.record, setup, task.filtering, task.parameters, delay, self.highpass)
         task.progress("identifying the drive side for a start")
         first = DriveSideFit(log_delay=self.log_delay, frequency=self.frequency, instruments="never").identify(task)
         found = {p.name: p.value for p in first.params.rows if p.value is not None}

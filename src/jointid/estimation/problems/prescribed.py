@@ -19,7 +19,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.base import FAILED, INITIAL_STATE, LOG_DELAY, RecordProblem, log_delay
+from jointid.estimation.problems.base import FAILED, INITIAL_STATE, LOG_DELAY, RecordProblem
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import torque_and_positions
 from jointid.estimation.problems.rest import moving_weights
@@ -276,7 +276,7 @@ def position_problem(
     setup: OpenLoop,
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
-    delay: float | None = None,
+    delay: Parameter,
     highpass: float | None = None,
 ) -> OpenLoopProblem:
     """Return the problem of reproducing a record's motor position from its torque.
@@ -286,7 +286,7 @@ def position_problem(
         setup: the joint.
         filtering: of the positions.
         parameters: of the joint.
-        delay: seconds by which the log shows the torque later than it acts; free when None.
+        delay: by which the log shows the torque later than it acts; see `log_delay`.
         highpass: Hz, below which the position is drift; 3 % of the cut-off when None.
 
     Raises:
@@ -306,7 +306,7 @@ def position_problem(
         for p in parameters
     )
     return OpenLoopProblem(
-        (*parameters, *_first_state(position, filtering, period), log_delay(delay, period)),
+        (*parameters, *_first_state(position, filtering, period), delay),
         _fast(position, highpass, period),
         filtering,
         setup.joint,
