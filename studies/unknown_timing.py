@@ -2,7 +2,7 @@
 
 An arm of two joints under PD laws is simulated by small steps, apart from the package's simulation. A joint alone is
 its first one, with nothing on it. The laws run at the log's rate, whose torque is held, or at each step, whose torque
-is sampled. IDIM is not told which.
+is sampled. IDIM and the drive side are not told which.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record, Timing
+from jointid.simulation.prescribed import DriveSide
 
 TRUE = {"inertia": 0.05, "viscous": 0.4, "coulomb": 0.5}
 """The joint: kg m2, N m s/rad and N m."""
@@ -35,11 +37,11 @@ ARM = Robot(
 )  # fmt: skip
 """Two links that turn about parallel axes."""
 
-ARM_NAMES = (
-    "Izz1", "Izz2", "mx2", "my2", "joint2.rotor_inertia", "joint1.viscous", "joint1.coulomb", "joint2.viscous",
-    "joint2.coulomb",
+COUNTED = (
+    *TRUE, *(f"drive side {name}" for name in TRUE), "arm Izz1", "arm Izz2", "arm mx2", "arm my2",
+    "arm joint2.rotor_inertia", "arm joint1.viscous", "arm joint1.coulomb", "arm joint2.viscous", "arm joint2.coulomb",
 )  # fmt: skip
-"""What is counted of it."""
+"""The parameters whose intervals are counted, each by the way in which it is found."""
 
 _RATES = 30.0, 1000.0  # Hz
 _DURATION = 12.0  # s
@@ -48,13 +50,21 @@ _NOISE = 0.02  # of the torque
 _SWEEPS = 4  # of the impulses of friction on both joints
 
 
-def judge(seed: int, held: bool, arm: bool = False) -> dict[str, float]:
-    """Return the error of each parameter in its deviations, of a joint or an arm, at a rate that is drawn."""
+def judge(seed: int, held: bool, way: str = "") -> dict[str, float]:
+    """Return the error of each parameter in its deviations, at a rate that is drawn.
+
+    Args:
+        seed: of rate, motion and noise.
+        held: whether the torque was.
+        way: "" for a joint by IDIM, "arm" for an arm, "drive side" for a joint by that, whose delay is said to be 0.
+    """
     low, high = np.log(_RATES)
     rate = float(np.exp(np.random.default_rng([seed, 1]).uniform(low, high)))
-    records = logged(rate, held, seed, arm=arm)
-    if not arm:
-        found, true = identify(records[0], RigidJoint("revolute"), IDIM(), checks=False), TRUE
+    records, joint, true = logged(rate, held, seed, arm=way == "arm"), RigidJoint("revolute"), TRUE
+    if way == "drive side":
+        found = identify(records[0], DriveSide(joint), DriveSideFit(log_delay=0.0), checks=False)
+    elif not way:
+        found = identify(records[0], joint, IDIM(), checks=False)
     else:
         found = identify(records, ARM, IDIM(), checks=False)
         part = found.require_robot()
@@ -62,7 +72,9 @@ def judge(seed: int, held: bool, arm: bool = False) -> dict[str, float]:
         assert values is not None
         true = dict(zip(part.names, map(float, values), strict=True))
     rows = ((found[name], value) for name, value in true.items())
-    return {row.name: float(((row.value or 0.0) - value) / (row.stderr or 0.0)) for row, value in rows}
+    return {
+        f"{way} {row.name}".strip(): float(((row.value or 0.0) - value) / (row.stderr or 0.0)) for row, value in rows
+    }
 
 
 def logged(rate: float, held: bool, seed: int, noise: float = _NOISE, *, arm: bool = False) -> list[Record]:
@@ -136,7 +148,7 @@ def _follow(
         inverse = np.array([[m22, -m12], [-m12, m11]]) / (m11 * m22 - m12 * m12)
         push = u - friction[:, 0] * v
         push += np.array([turn * v[1] * (2 * v[0] + v[1]), -turn * v[0] * v[0]])
-        v = v + step * inverse @ push
+        v = v + step * (inverse[:, 0] * push[0] + inverse[:, 1] * push[1])
         impulse = np.zeros(2)
         for _ in range(_SWEEPS):
             for i in range(2):

@@ -34,7 +34,13 @@ from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS
 from jointid.estimation.problems.base import LOG_DELAY, log_delay
 from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.inverse_model import noise_limit_of
-from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem, position_problem
+from jointid.estimation.problems.prescribed import (
+    CURRENT_LAG,
+    DriveSideProblem,
+    motion_problem,
+    position_problem,
+    weights_of,
+)
 from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_prescribed_result
@@ -128,7 +134,7 @@ class DriveSideFit(Method):
         solver = Multistart(LevenbergMarquardt(self.tolerance))
         solution = solve(problem, solver, np.array(starts), _report_steps(task.progress))
         verdict = judge_endogeneity(record, problem, solution, self.instruments, task.progress)
-        resting = 1 - float(np.mean(problem.weights))
+        resting = 1 - float(np.mean(weights_of(problem.motion)))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
         limit = noise_limit_of(record, task.joint, ("motor_position",))
         noise = describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model)
