@@ -134,28 +134,30 @@ def _follow(
         step: s.
     """
     first, second, coupling, rotor = mass
-    about = np.array([first, second + rotor])
-    q, v, u = references[0, 0].copy(), references[0, 1].copy(), np.zeros(2)
+    q, v, u, impulse = references[0, 0].copy(), references[0, 1].copy(), np.zeros(2), np.zeros(2)
     positions, torques = np.zeros((len(references) // parts, 2)), np.zeros((len(references) // parts, 2))
     for k in range(len(references)):
-        if k % every == 0:
-            u = about * (stiff**2 * (references[k, 0] - q) + 1.4 * stiff * (references[k, 1] - v))
-            u += friction[:, 0] * references[k, 1]
-        if k % parts == 0:
-            positions[k // parts], torques[k // parts] = q, u
+        for i in range(2):
+            if k % every == 0:
+                asked = stiff**2 * (references[k, 0, i] - q[i]) + 1.4 * stiff * (references[k, 1, i] - v[i])
+                u[i] = (second + rotor if i else first) * asked + friction[i, 0] * references[k, 1, i]
+            if k % parts == 0:
+                positions[k // parts, i], torques[k // parts, i] = q[i], u[i]
         bent, turn = coupling * np.cos(q[1]), coupling * np.sin(q[1])
         m11, m12, m22 = first + 2 * bent, second + bent, second + rotor
-        inverse = np.array([[m22, -m12], [-m12, m11]]) / (m11 * m22 - m12 * m12)
-        push = u - friction[:, 0] * v
-        push += np.array([turn * v[1] * (2 * v[0] + v[1]), -turn * v[0] * v[0]])
-        v = v + step * (inverse[:, 0] * push[0] + inverse[:, 1] * push[1])
-        impulse = np.zeros(2)
+        size = m11 * m22 - m12 * m12
+        push = u[0] - friction[0, 0] * v[0] + turn * v[1] * (2 * v[0] + v[1])
+        pull = u[1] - friction[1, 0] * v[1] - turn * v[0] * v[0]
+        v[0] += step * (m22 * push - m12 * pull) / size
+        v[1] += step * (m11 * pull - m12 * push) / size
+        impulse[:] = 0.0
         for _ in range(_SWEEPS):
             for i in range(2):
-                most = step * friction[i, 1]
-                wanted = impulse[i] + v[i] / inverse[i, i]
-                change = min(max(wanted, -most), most) - impulse[i]
+                own, most = (m11 if i else m22) / size, step * friction[i, 1]
+                change = min(max(impulse[i] + v[i] / own, -most), most) - impulse[i]
                 impulse[i] += change
-                v = v - inverse[:, i] * change
-        q = q + step * v
+                v[i] -= own * change
+                v[1 - i] += m12 / size * change
+        for i in range(2):
+            q[i] += step * v[i]
     return positions, torques
