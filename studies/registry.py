@@ -19,7 +19,7 @@ from studies.refusals import FACTORS, INVISIBLE, PLAIN, StiffnessRun
 from studies.robots import Found
 from studies.stiffness_bounds import BoundRun
 from studies.study import Share, Study
-from studies.unknown_timing import COUNTED
+from studies.unknown_timing import OTHERS, TRUE
 from studies.velocity_taps import TapsRun
 from tests.faults import FAULTS
 from tests.faults import PAIRS as FAULT_PAIRS
@@ -550,12 +550,19 @@ STUDIES: tuple[Study, ...] = (
     ),
     Study(
         "unknown-timing",
-        "Rigid joints by IDIM and on the drive side, and arms of two joints by IDIM, logged at 30 to 1,000 Hz, whose "
-        "torque is held or sampled, as nobody stated.",
+        "Rigid joints by IDIM, logged at 30 to 1,000 Hz, whose torque is held or sampled, as nobody stated.",
         "studies.unknown_timing:judge",
         range(50),
-        tuple(Share(f"{name} within 2 sigma", _within(name), 0.91, 0.985) for name in COUNTED),
-        tuple({"held": held, "way": way} for way in ("", "drive side", "arm") for held in (True, False)),
+        tuple(Share(f"{name} within 2 sigma", _within(name), 0.91, 0.985) for name in TRUE),
+        ({"held": True}, {"held": False}),
+    ),
+    Study(
+        "unknown-timing-others",
+        "Arms of two joints by IDIM, and rigid joints on the drive side whose delay is said to be 0, likewise.",
+        "studies.unknown_timing:judge",
+        range(25),
+        tuple(Share(f"{name} within 2 sigma", _within(name), 0.91) for name in OTHERS),
+        tuple({"held": held, "way": way} for way in ("drive side", "arm") for held in (True, False)),
     ),
     Study(
         "velocity-taps",

@@ -37,11 +37,11 @@ ARM = Robot(
 )  # fmt: skip
 """Two links that turn about parallel axes."""
 
-COUNTED = (
-    *TRUE, *(f"drive side {name}" for name in TRUE), "arm Izz1", "arm Izz2", "arm mx2", "arm my2",
+OTHERS = (
+    *(f"drive side {name}" for name in TRUE), "arm Izz1", "arm Izz2", "arm mx2", "arm my2",
     "arm joint2.rotor_inertia", "arm joint1.viscous", "arm joint1.coulomb", "arm joint2.viscous", "arm joint2.coulomb",
 )  # fmt: skip
-"""The parameters whose intervals are counted, each by the way in which it is found."""
+"""The parameters whose intervals are counted, beside those of a joint by IDIM."""
 
 _RATES = 30.0, 1000.0  # Hz
 _DURATION = 12.0  # s
