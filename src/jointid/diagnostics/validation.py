@@ -568,7 +568,7 @@ def _simulate_prescribed(identified: IdentifiedJoint, record: Record) -> _Predic
         log = LOG_DELAY.fix(-identified.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
         free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, log)
     else:
-        free = position_problem(record, OpenLoop(joint), filtering, joint.parameters, -identified.delay)
+        free = position_problem(record, OpenLoop(joint), filtering, joint.parameters, LOG_DELAY.fix(-identified.delay))
     problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
     found = solve(problem, _SEARCH, problem.vector({})) if problem.free else None
     x = np.zeros(0) if found is None else found.x
