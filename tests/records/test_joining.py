@@ -205,6 +205,26 @@ def test_joints_of_a_robot_cover_the_same_instants(tmp_path: Path) -> None:
     assert np.abs(one.torque.values - moment(at)).max() < 3.5 * (RATE / 2 + 1e-4)
 
 
+@pytest.mark.parametrize("late", [0.3, 9.0])
+def test_joints_of_files_of_their_own_begin_together(late: float, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+    write_robot(tmp_path)
+    text = ROBOT.replace('"positions.csv", "torques.csv", "references.csv"', '"one.csv", "two.csv"')
+    text = text.replace('reference = { column = "r{axis}" }\n', "")
+    (tmp_path / "robot.toml").write_text(text.replace("[record]", "[record]\noffsets = [0, 0]"))
+    for number, (name, begin) in enumerate({"one": 0.0, "two": late}.items(), 1):
+        t = begin + np.arange(3000) * RATE
+        write(tmp_path / f"{name}.csv", f"t,q{number},tau{number}", t, angle(t), moment(t))
+    if late > 6.0:
+        with pytest.raises(RecordError, match="another joint begin 9 s later, by their own clocks"):
+            load(tmp_path / "robot.toml").records()
+        return
+    for record in load(tmp_path / "robot.toml").records():
+        assert record.begin == pytest.approx(late) and record.motor_position is not None
+        at = record.begin + record.motor_position.time
+        np.testing.assert_allclose(record.motor_position.values, angle(at), atol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["joint", "robot"])
 def test_what_reads_one_file_refuses_several(name: str, tmp_path: Path) -> None:
     if name == "robot":
