@@ -51,6 +51,7 @@ from jointid.simulation.robot_drive_side import (
     MotorMotion,
     RobotDriveSideRun,
     differentiate_drive_side,
+    moves_links,
     prescribe_motion,
     run_drive_side,
 )
@@ -174,10 +175,12 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
             moved = differentiate_drive_side(run, some)
             return self.decimate_each([self.show_in_log(run, moved[:, j]) for j in range(moved.shape[1])])
 
-        columns = self.in_blocks(of) + self.regressor(run)
-        if _DELAY in self.parameters.places:
-            late = self.decimate(self.show_in_log(run, run.torque, 1) / self.sample_time)
-            columns[:, self.parameters.places.index(_DELAY)] = late
+        places, columns = self.parameters.places, self.regressor(run)
+        moving = [c for c, place in enumerate(places) if moves_links(place, run.numbers)]
+        if moving:
+            columns[:, moving] += self.in_blocks(of, [places[c] for c in moving])
+        if _DELAY in places:
+            columns[:, places.index(_DELAY)] = self.decimate(self.show_in_log(run, run.torque, 1) / self.sample_time)
         return self.by_search_variables(columns, x)
 
     def regressor(self, run: RobotDriveSideRun) -> FloatArray:
@@ -195,14 +198,9 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         return self.motion.decimate_joint(joint, columns)
 
     def show_in_log(self, run: RobotDriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
-        """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them.
-
-        The window takes a signal for constant within a part. What this takes from a curved one is put back.
-        """
+        """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them."""
         late = float(run.numbers.log[0, 0]) / self.sample_time if run.numbers.log.size else 0.0
-        curved = parts.copy()
-        curved[1:-1] -= np.diff(parts, 2, axis=0) / 12.0
-        return window_parts(curved, PARTS, late, order)
+        return window_parts(parts, PARTS, late, order, curved=True)
 
 
 def drive_side_problem(
