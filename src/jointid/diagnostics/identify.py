@@ -12,6 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message, Progress, ignore_progress
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
@@ -39,6 +40,7 @@ from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, skip_test
 
 
+@one_thread()
 def identify(
     record: Record | Sequence[Record] | Sequence[Sequence[Record]] | LongRecord,
     model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
