@@ -19,8 +19,12 @@ T = TypeVar("T")
 DRAW = os.environ.get("JOINTID_DRAW", "")
 """What the draw is made from; empty if everything runs."""
 
-SHARES = {"browser": 1 / 3, "docs": 1 / 3, "hostile": 1 / 4}
-"""The share of each layer that a draw keeps, per file and rounded up, so that every file has a test that runs."""
+SHARES = {"slow": 1 / 2, "browser": 1 / 3, "docs": 1 / 3, "hostile": 1 / 4}
+"""The share of each layer that a draw keeps; of a test in two layers the later one holds.
+
+It is drawn per file and rounded up, so that every file has a test that runs. Files of slow tests have quick ones, too:
+of them it is drawn per folder.
+"""
 
 
 def draw_tests(tests: Iterable[tuple[str, str]], draw: str) -> set[str]:
@@ -32,7 +36,8 @@ def draw_tests(tests: Iterable[tuple[str, str]], draw: str) -> set[str]:
     """
     groups = defaultdict(list)
     for layer, name in tests:
-        groups[layer, name.partition("::")[0]].append(name)
+        file = name.partition("::")[0]
+        groups[layer, file.rpartition("/")[0] if layer == "slow" else file].append(name)
     kept: set[str] = set()
     for (layer, _), names in groups.items():
         ordered = sorted(names, key=lambda name: hashlib.sha256(f"{draw} {name}".encode()).digest())
