@@ -33,14 +33,9 @@ motor_position = { column = "q{axis}" }
 """
 
 
-def first_joints(count: int) -> Robot:
-    """Return the first joints of the arm; all six take four times as long as three."""
-    return Robot(arm().links[:count], arm().joints[:count], name="arm")
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_robot(tmp_path_factory.mktemp("robot"), first_joints(3))
+    return write_robot(tmp_path_factory.mktemp("robot"), arm(3))
 
 
 def write_robot(place: Path, truth: Robot) -> Path:
@@ -147,7 +142,7 @@ def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "robot"
     folder.mkdir()
-    write_robot(folder, first_joints(2))
+    write_robot(folder, arm(2))
     page, other = tmp_path / "arm.html", folder / "two.csv"
     places = ("--html", page, "--markdown", tmp_path, "--json", tmp_path / "found.json")
     run("report", folder / "robot.toml", "--held-out", other, *places)
@@ -177,7 +172,7 @@ def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     run("export", folder / "robot.toml", "--out", tmp_path / "found.xml")
     printed = capsys.readouterr().out
     assert "mass matrix is positive" in printed.replace("\n", " ") and "Left out: the constant parts" in printed
-    found, truth = load_robot(tmp_path / "found.xml"), first_joints(3)
+    found, truth = load_robot(tmp_path / "found.xml"), arm(3)
     assert found.of_joints("coulomb") == pytest.approx(truth.of_joints("coulomb"), rel=0.02)
     assert found.inertials[1][1] != pytest.approx(1.2 * truth.inertials[1][1], rel=0.02)
 
