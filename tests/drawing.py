@@ -20,10 +20,9 @@ DRAW = os.environ.get("JOINTID_DRAW", "")
 """What the draw is made from; empty if everything runs."""
 
 SHARES = {"slow": 1 / 2, "browser": 1 / 3, "docs": 1 / 3, "hostile": 1 / 4}
-"""The share of each layer that a draw keeps; of a test in two layers the later one holds.
+"""The share of each layer that a draw keeps, per file and rounded up, so that every file has a test that runs.
 
-It is drawn per file and rounded up, so that every file has a test that runs. Files of slow tests have quick ones, too:
-of them it is drawn per folder.
+A test of several layers is drawn in the last of them.
 """
 
 
@@ -36,8 +35,7 @@ def draw_tests(tests: Iterable[tuple[str, str]], draw: str) -> set[str]:
     """
     groups = defaultdict(list)
     for layer, name in tests:
-        file = name.partition("::")[0]
-        groups[layer, file.rpartition("/")[0] if layer == "slow" else file].append(name)
+        groups[layer, name.partition("::")[0]].append(name)
     kept: set[str] = set()
     for (layer, _), names in groups.items():
         ordered = sorted(names, key=lambda name: hashlib.sha256(f"{draw} {name}".encode()).digest())

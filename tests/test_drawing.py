@@ -1,4 +1,4 @@
-"""What a draw leaves out: a share of each place, the same for the same text, and every test at some time."""
+"""What a draw leaves out: a share of each file, the same for the same text, and every test at some time."""
 
 from __future__ import annotations
 
@@ -17,18 +17,6 @@ def test_a_file_keeps_its_share_and_at_least_one_test() -> None:
         assert sum("test_pages" in name for name in kept) == 9 * SHARES["docs"]
         assert "tests/test_one.py::test_a" in kept
     assert draw_tests(TESTS, "a") != draw_tests(TESTS, "b")
-
-
-def test_slow_tests_keep_their_share_of_a_folder() -> None:
-    slow = [
-        ("slow", f"tests/{folder}/test_{k}.py::test_a") for folder, most in (("a", 10), ("b", 4)) for k in range(most)
-    ]
-    for draw in ("a", "b", "c"):
-        kept = draw_tests(slow, draw)
-        assert [sum(f"/{folder}/" in name for name in kept) for folder in "ab"] == [
-            10 * SHARES["slow"],
-            4 * SHARES["slow"],
-        ]
 
 
 def test_every_test_is_drawn_at_some_time() -> None:
