@@ -233,7 +233,7 @@ def test_an_interrupt_keeps_the_best_law_so_far(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True)
     said, fits = list[str](), 0
     trim = search._trim
 
@@ -251,7 +251,7 @@ def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.Mon
 
 
 def test_an_interrupt_before_any_fit_says_that_there_is_no_law_yet(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, said = made(Cascade(position_gain=60.0, velocity_gain=500.0)), list[str]()
+    record, said = made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True), list[str]()
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
