@@ -254,7 +254,7 @@ def _number_of(tables: Mapping[str, Any], axis: str) -> int | None:
 def _with_method_of_axis(
     tables: Mapping[str, Any], changes: list[str], number: int, method: str | None
 ) -> tuple[Mapping[str, Any], list[str]]:
-    """Return tables and changes of which [method] is that of one axis; another one has its default settings."""
+    """Return tables and changes with [method] moved to one axis; another method has its default settings."""
     below, tables = f"joints.{number + 1}.", copy.deepcopy(dict(tables))
     changes = [f"{below}{one}" if re.match(r"method[.=]", one) else one for one in changes]
     if method is None:

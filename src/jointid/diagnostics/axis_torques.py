@@ -194,7 +194,7 @@ def _torques(
 def _shapes(
     axes: Sequence[str], q: FloatArray, v: FloatArray, a: FloatArray, torque: FloatArray, sample_time: float
 ) -> list[list[FaultSignature]]:
-    """Return what each fault adds to the torque of each axis along its motion, raw: as many columns of every axis."""
+    """Return the raw signatures of all faults along the motion of each axis, as many for every axis."""
     along = dict.fromkeys(fault.along for fault in FAULTS if fault.along is not None)
     found = []
     for k in range(len(axes)):

@@ -89,7 +89,7 @@ class AxisDiagnosis:
 
     @property
     def judged(self) -> bool:
-        """False if much is left of a record that is too short to tell noise from a fault of the model."""
+        """False if the residual is large and the record too short to tell noise from a fault of the model."""
         return self.left < _LEFT or self.whiteness is not None
 
     @property
@@ -229,7 +229,7 @@ class Diagnosis(Documented):
 
     @property
     def reasons(self) -> tuple[Message, ...]:
-        """The faults found, and what was tested where none was, of all axes."""
+        """The faults found on all axes, or the tests that found none."""
         return tuple(reason for one in self.axes for reason in one.faults.reasons)
 
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:

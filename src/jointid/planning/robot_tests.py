@@ -435,7 +435,7 @@ def _usual(tests: RobotTests, seed: int) -> FloatArray:
 
 
 def _share_of(torques: FloatArray) -> FloatArray:
-    """Return the noise that belongs to torques of that size, (..., n)."""
+    """Return the noise of torques by their size, (..., n)."""
     return np.asarray(NOISE * np.sqrt(np.mean(torques**2, axis=tuple(range(torques.ndim - 1)))))
 
 
@@ -506,8 +506,8 @@ def as_identified(part: IdentifiedRobot) -> Robot:
     least = np.concatenate([np.full(10 * len(prior), -np.inf), np.zeros(len(prior)), sums.least])
     x = np.concatenate([standard_values(prior), sums.others])
     nominal = A @ x
-    told = np.where(np.abs(sums.values) > _TOLD * sums.covariance.std, sums.values, 0.0)
-    wide = nominal**2 + told**2 + 1e-30
+    significant = np.where(np.abs(sums.values) > _TOLD * sums.covariance.std, sums.values, 0.0)
+    wide = nominal**2 + significant**2 + 1e-30
     scale = np.sqrt(wide)
     shares = sums.covariance.matrix / np.outer(scale, scale)
     moved = scale * np.linalg.solve(np.eye(scale.size) + shares, (sums.values - nominal) / scale)

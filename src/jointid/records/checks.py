@@ -75,7 +75,7 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
 
 
 def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
-    """Faults of a position that travels far beyond the limits of its joint.
+    """Faults of a position that travels far outside the limits of its joint.
 
     Args:
         position: of the joint, behind its gear.

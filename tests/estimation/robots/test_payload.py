@@ -160,6 +160,8 @@ def test_what_is_not_told_of_a_payload_is_said() -> None:
     for same_friction in (True, False):  # of few rows, too
         with pytest.raises(MethodError, match="does not tell all of a payload"):
             payload_of_torques(estimate, estimate, same_friction=same_friction)
+    with pytest.raises(MethodError, match="by didim, and the record with it is identified by idim; expected one method"):
+        identify_payload(twin.robot, estimate, other)
     part = replace(estimate.require_robot(), springs=(SpringVerdict("elbow", False, None, None, 10.0),))
     hidden = replace(estimate, robot=part)
     with pytest.raises(MethodError, match=r"does not show the spring of elbow, .* leave this spring out"):

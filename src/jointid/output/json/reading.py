@@ -45,7 +45,7 @@ def read_identified(path: str | Path, system: RobotSystem) -> Estimate: ...
 def read_identified(
     path: str | Path, system: Joint | RobotSystem, loop: ClosedLoop | None = None
 ) -> IdentifiedJoint | Estimate:
-    """Return what was identified, from the JSON file of its estimate: it predicts torques as the estimate does.
+    """Return the identified joint or robot of an estimate's JSON file; it predicts torques as the estimate does.
 
     Args:
         path: what `Estimate.save` or `identify --json` wrote.
