@@ -42,7 +42,7 @@ _BESIDE_LOAD = (
 _KNOWN = " is known, and not identified; give it a value, or change it in {}."
 _BESIDE_FRICTION = (
     " cannot be identified beside {} friction: a constant adds to the Coulomb force forwards and takes as much "
-    'from it backwards, so the two cannot be told apart; give it a value, or set {} = "symmetric".'
+    'from it backwards, so the two cannot be distinguished; give it a value, or set {} = "symmetric".'
 )
 
 

@@ -487,7 +487,7 @@ def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Blo
     ]
     listed = [(row, nominal) for row, nominal in listed if row.value is not None or row.lower_bound is not None]
     hidden = len(part.names) - len(listed)
-    caption = f"{hidden} more are not told from 0 by this record" if hidden else ""
+    caption = f"{hidden} more are not significant in this record" if hidden else ""
     rows = tuple((row.symbol, *_cells_of_robot(row), number(float(nominal), 4)) for row, nominal in listed)
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
     sums = tuple(

@@ -178,7 +178,7 @@ def _verdict(name: str, value: float, std: float) -> str:
         return f"within {1e3 * _TWO * std:.2g} mm"
     if std <= KNOWN * abs(value):
         return "known"
-    return "roughly known" if _TWO * std < abs(value) else "not told from 0"
+    return "roughly known" if _TWO * std < abs(value) else "not significant"
 
 
 def identify_payload(

@@ -341,7 +341,7 @@ def _parameters(found: Diagnosis) -> Iterator[Block]:
     """Yield a table of each joint's parameters."""
     stated = sum(one.known is Told.TOLD for joint in found.axes for one in joint.parameters)
     whole = sum(len(joint.asked) for joint in found.axes)
-    yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
+    yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. Do not use values that are not significant.")
     header = ("symbol", "parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
     for joint in found.axes:
         if joint.parameters:
