@@ -48,7 +48,10 @@ _BESIDE_FRICTION = (
 
 def find_contradictions(file: FileTable) -> Iterator[Fault]:
     """Yield contradictions between the tables of a joint file."""
-    yield from _joint_faults(file)
+    if not file.is_wrong("drive") and (refused := refusal(lambda: file.joint.drive(file.drive.build()))):
+        yield file.fault(("drive",), refused)
+    if not file.is_wrong("joint"):
+        yield from (file.fault((table,), rest, "refused") for table, rest in _refusals(file))
     yield from _transmission_faults(file)
     yield from _channel_faults(file)
     yield from _method_faults(file)
@@ -223,14 +226,6 @@ def _free_faults(place: Place, names: Collection[str], file: FileTable) -> Itera
     for name in names:
         if refused := refusal(partial(surrounding, name, controller)):
             yield file.fault(place, refused, "refused")
-
-
-def _joint_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield an impossible drive, gravity or ripple of the joint."""
-    if not file.is_wrong("drive") and (refused := refusal(lambda: file.joint.drive(file.drive.build()))):
-        yield file.fault(("drive",), refused)
-    if not file.is_wrong("joint"):
-        yield from (file.fault((table,), rest, "refused") for table, rest in _refusals(file))
 
 
 def _refusals(file: FileTable) -> Iterator[tuple[str, str]]:

@@ -153,7 +153,12 @@ def read_robot(
     _refuse_elements(root, called)
     order = [one.get("name", "") for one in root.iter("joint")]
     stripped = _filter_tree(root, kept)
-    _refuse_infinite(stripped, called)
+    for one in stripped.iter():
+        for name, value in one.items():
+            if name not in _WORDS and _NO_NUMBER.search(value):
+                raise JointFileError(
+                    f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
+                )
     remarks = (*_drop_repeated(stripped), *_forget_impossible(stripped))
     _give_masses(stripped)
     mujoco = extra("mujoco", "robots", "A robot's model")
@@ -338,16 +343,6 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
         faults.append(f"{called} has more than {10 * _MOST} joints; expected a robot of at most {_MOST}.")
     if faults:
         raise JointFileError(dict.fromkeys(faults))
-
-
-def _refuse_infinite(root: ET.Element, called: str) -> None:
-    """Refuse numbers that are none, or not finite."""
-    for one in root.iter():
-        for name, value in one.items():
-            if name not in _WORDS and _NO_NUMBER.search(value):
-                raise JointFileError(
-                    f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
-                )
 
 
 def _is_mesh(geom: ET.Element) -> bool:

@@ -404,13 +404,9 @@ def _default(same: Sequence[Declared]) -> Any:
         return ...
     if same[0].factory is not None:
         return same[0].factory
-    return _plain(same[0].default)
-
-
-def _plain(value: Any) -> Any:
-    """Return a default as TOML writes it; None where TOML cannot."""
+    value = same[0].default
     if isinstance(value, float) and not math.isfinite(value):
-        return None
+        return None  # which TOML cannot write
     if isinstance(value, tuple):
         return list(value)
     return str(value) if isinstance(value, str) else value

@@ -236,7 +236,9 @@ def profile_modes(
     for point in dips if thorough else ():
         beside = {**point.at, "ratio": _DAMPED, "share": _LARGE if point.at["share"] < _BETWEEN else _SMALL}
         ends.append(made.fit(beside, None, None, _SEEK))
-    own = _describe(found)
+    whole = found["motor_inertia"] + found["load_inertia"]
+    ratio = min(damping_ratio(found), MOST_DAMPED)
+    own = {"inertia": whole, "ratio": ratio, "share": found["load_inertia"] / whole, "mode": frequency_of(found)}
     if low < own["mode"] < high:
         ends.append(made.fit(start | {n: found[n] for n in names} | own, None, None, _FREE))
     for end in sorted(ends, key=lambda end: end.cost):
@@ -251,13 +253,6 @@ def damping_ratio(values: Mapping[str, float]) -> float:
     motor, load = values["motor_inertia"], values["load_inertia"]
     size = 2 * math.sqrt(values["stiffness"] * motor * load / (motor + load))
     return values["damping"] / size if size > 0 else 0.0
-
-
-def _describe(values: Mapping[str, float]) -> dict[str, float]:
-    """Return inertia, ratio, share and mode of a flexible joint."""
-    whole = values["motor_inertia"] + values["load_inertia"]
-    ratio = min(damping_ratio(values), MOST_DAMPED)
-    return {"inertia": whole, "ratio": ratio, "share": values["load_inertia"] / whole, "mode": frequency_of(values)}
 
 
 def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float]) -> dict[str, float]:

@@ -125,7 +125,15 @@ def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
             yield table
     drift = estimate.checks.drift
     if drift is not None and drift.segments:
-        yield _segments(estimate, drift)
+        free = [p for p in estimate.params.rows if p.free]
+        header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
+        rows = []
+        for s in drift.segments:
+            found = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
+            stated = (found.get(p.name, "not excited") for p in free)
+            rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *stated, f"{100 * s.filtered_error:.2f}"))
+        caption = "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"
+        yield Table(header, tuple(rows), caption, words=())
 
 
 def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, str]]:
@@ -251,19 +259,6 @@ def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> st
         changes.append(f"{name} by {number(scatter.between, 2)} {unit} rms (p = {scatter.p_value:.2g}{line})")
     listed = "; ".join(changes) or "none by itself, all of them together"
     return f"between {count} segments parameters change by more than their intervals allow: {listed}"
-
-
-def _segments(estimate: EstimateParts, drift: DriftTest) -> Table:
-    """Return the table of the segments: each free parameter with two standard errors."""
-    free = [p for p in estimate.params.rows if p.free]
-    header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
-    rows = []
-    for s in drift.segments:
-        found = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
-        stated = (found.get(p.name, "not excited") for p in free)
-        rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *stated, f"{100 * s.filtered_error:.2f}"))
-    caption = "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"
-    return Table(header, tuple(rows), caption, words=())
 
 
 # The tables
