@@ -214,7 +214,7 @@ def _describe_refused_numbers(controller: Controller, numbers: Mapping[str, floa
     known = (*numbers_of(controller), "period")
     for name in numbers:
         if name not in known:
-            return f".{messages.dot_path([name])}{messages.describe_unknown(name, known)}"
+            return f".{messages.dot_path([name])}{messages.describe_unknown_name(name, known)}"
     return refusal(lambda: with_numbers(controller, numbers))
 
 
@@ -252,7 +252,7 @@ def _parameter_faults(file: FileTable) -> Iterator[Fault]:
     for name, table in file.parameters.items():
         place = ("parameters", name)
         if name not in known:
-            yield file.fault(place, _describe_unknown(name, file, known), "unknown")
+            yield file.fault(place, _describe_unknown_key(name, file, known), "unknown")
             continue
         # A parameter that is a bare number has no keys.
         keys = table.model_fields_set - {"value"}
@@ -308,7 +308,7 @@ def _open(lower: float) -> float:
     return 0.0 if 0.0 < lower < _NEXT_TO_ZERO else lower
 
 
-def _describe_unknown(name: str, file: FileTable, known: Collection[str]) -> str:
+def _describe_unknown_key(name: str, file: FileTable, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
     joint = file.joint
     remedy = messages.suggest(name, known, "leave it out")

@@ -159,7 +159,7 @@ def read_robot(
                 raise JointFileError(
                     f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
                 )
-    remarks = (*_drop_repeated(stripped), *_forget_impossible(stripped))
+    remarks = (*_drop_repeats(stripped), *_forget_impossible(stripped))
     _give_masses(stripped)
     mujoco = extra("mujoco", "robots", "A robot's model")
     try:
@@ -359,7 +359,7 @@ def _filter_tree(element: ET.Element, allowed: Mapping[str, tuple[str, ...]]) ->
     return found
 
 
-def _drop_repeated(root: ET.Element) -> Iterator[str]:
+def _drop_repeats(root: ET.Element) -> Iterator[str]:
     """Drop all but the first of elements that an element has once; yield a remark on each."""
     for parent, once in _ONCE.items():
         for one in root.iter(parent):

@@ -80,13 +80,13 @@ def fit(
         if asked is not None:
             progress(asked)
 
-        def of_one(records: Sequence[Record]) -> FitResult:
+        def fit_single(records: Sequence[Record]) -> FitResult:
             return identify_record(
                 records[0], model, method, filtering=filtering, parameters=parameters, progress=progress
             )
 
         idim = isinstance(method, IDIM) or (method is None and isinstance(model, Joint))
-        found = fit_unstated_timing([record], of_one) if idim else of_one([record])
+        found = fit_unstated_timing([record], fit_single) if idim else fit_single([record])
         return found if asked is None else replace(found, before=(asked, *found.before))
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")

@@ -20,7 +20,7 @@ from jointid.common.text import printable
 _MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow")}
 
 
-def print_document(document: Document, console: Console | None = None) -> None:
+def print_blocks(document: Document, console: Console | None = None) -> None:
     """Print a document; names of files are plain text to it, whatever they hold."""
     console = console or Console()
     blocks = [Padding(_render(block), (1, 0, 0, 0)) for block in document.blocks]

@@ -222,7 +222,7 @@ def profile_modes(
     wide = replace(problem, filtering=band).all_free()
     made = ModeProfile(wide, names, (low, high), start)
     made.stiff = made.fit(start, _SHARE, high, _HELD)
-    made.threshold = _threshold(made)
+    made.threshold = _compute_cost_limit(made)
     last = made.stiff
     for mode in np.geomspace(high, low, _STEPS)[1:]:
         last = made.fit({**last.at, "ratio": max(last.at["ratio"], _DAMPED)}, None, float(mode), _HELD)
@@ -268,7 +268,7 @@ def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float
     return values
 
 
-def _threshold(made: ModeProfile) -> float:
+def _compute_cost_limit(made: ModeProfile) -> float:
     """Return the chi-square threshold on the cost, scaled for the autocorrelation of the residual.
 
     The ratio of the compliance's robust deviation to that of a white residual is taken where the spring is stiff, and

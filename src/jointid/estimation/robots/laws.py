@@ -60,7 +60,7 @@ def search_laws(
         if joint.linear == joint:
             continue
         laws = replace(robot, joints=(*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :])))
-        problem = _bound(pose(laws), bounds).with_sigma(sigma)
+        problem = _restore_bounds(pose(laws), bounds).with_sigma(sigma)
         given = {
             p.name: known[name].start
             for p in joint.model.parameters
@@ -99,7 +99,7 @@ def search_laws(
     return fit
 
 
-def _bound(problem: RobotProblem[Any], bounds: Mapping[str, Parameter]) -> RobotProblem[Any]:
+def _restore_bounds(problem: RobotProblem[Any], bounds: Mapping[str, Parameter]) -> RobotProblem[Any]:
     """Return the problem with the bounds that the search with linear laws had."""
     parameters = tuple(
         replace(p, lower=bounds[p.name].lower, upper=bounds[p.name].upper) if p.name in bounds else p

@@ -37,7 +37,7 @@ from jointid.estimation.robots.regression import base_rows, motions_of_logs, req
 from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_indices
-from jointid.models.robots.inertial import SYMBOLS, is_consistent, mass_properties
+from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -131,7 +131,7 @@ class Payload(Documented):
     @property
     def possible(self) -> bool:
         """True if a body can have the ten parameters as they were found."""
-        return is_consistent(self.payload.inertial)
+        return is_physical(self.payload.inertial)
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the verdict first, then each number both ways; there are no further details."""
