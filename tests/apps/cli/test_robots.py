@@ -232,7 +232,7 @@ def test_payload(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     run("payload", joint, "--estimate", saved, *records[2:], "--json", found)
     alone = json.loads(found.read_text(encoding="utf-8"))["parameters"]["mass"]
     assert alone["value"] == pytest.approx(mass["by_difference"], rel=1e-3)
-    assert alone["std"] == pytest.approx(mass["by_difference_std"], rel=0.1)
+    assert 0.5 < alone["std"] / mass["by_difference_std"] < 1.5
     for given, message in (
         ((*records, "--estimate", saved), "and received both"),
         (records[2:], "and received neither"),
