@@ -304,14 +304,11 @@ def remarks(estimate: EstimateParts) -> dict[str, str]:
     return {name: ", ".join(said) for name, said in found.items()}
 
 
-def parameters_table(
-    estimate: EstimateParts, caption: str = "", *, initial: bool = True, letters: bool = False
-) -> Table:
+def parameters_table(estimate: EstimateParts, *, initial: bool = True, letters: bool = False) -> Table:
     """Return every parameter with its interval, and with a transmission what it is on the other side.
 
     Args:
         estimate: whose parameters are shown.
-        caption: of the table.
         initial: whether to show the state at the first sample.
         letters: whether the field's letters stand beside the paper's: "ZZ1, J1".
     """
@@ -330,7 +327,7 @@ def parameters_table(
         words.append(len(header) + 1)
         header, there = (*header, f"{estimate.other.side} side", "unit"), estimate.other_side
         rows = [(*row, format_value(there[i]), there[i].unit) for row, i in zip(rows, shown_rows, strict=True)]
-    return Table(header, tuple(rows), caption, words=tuple(words))
+    return Table(header, tuple(rows), words=tuple(words))
 
 
 def combinations_table(
