@@ -59,6 +59,7 @@ _NO_UNIT = ("", "-")
 _OTHER_UNITS = frozenset({
     "V", "mV", "µV", "uV", "kV", "mA", "µA", "uA", "kA", "W", "kW", "VA", "Hz", "kHz", "MHz", "°C", "degC", "C", "K",
     "bar", "Pa", "J", "g", "kg", "dB", "ppm", "m/s²", "m/s^2", "m/s2", "rad/s²", "rad/s2",
+    "LU", "Inkr", "Inkr.", "Arms", "Aeff", "A_eff", "A rms", "Apk", "Vrms",
 })  # fmt: skip
 _LONG, _LONG_BLOCK = 2**26, 100_000  # bytes of a file that is read in blocks of so many rows
 _BEGINNING = 1000  # lines, that tell how those of a long file are written
