@@ -442,10 +442,10 @@ def _impossible(inertial: ET.Element) -> str | None:
         return None
     xx, yy, zz, xy, xz, yz = np.append(values, np.zeros(6 - values.size))
     low, middle, high = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    beyond = high - low - middle
-    if max(-low, beyond) > _ROUNDED * abs(high):
+    excess = high - low - middle
+    if max(-low, excess) > _ROUNDED * abs(high):
         return f"principal moments of inertia of {low:.4g}, {middle:.4g}, {high:.4g} kg m2"
-    if moments is not None and (more := max(_NOTHING - low, beyond + 1e-12 * high)) > 0.0:
+    if moments is not None and (more := max(_NOTHING - low, excess + 1e-12 * high)) > 0.0:
         for name, value in zip(("ixx", "iyy", "izz"), (xx, yy, zz), strict=True):
             moments.set(name, repr(float(value + more)))
     return None

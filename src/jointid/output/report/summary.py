@@ -143,6 +143,6 @@ def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
             rows.append((v.subject.question, v.good, reasons))
         yield Verdicts(tuple(rows))
     else:
-        yield Paragraph("This method has no checks beyond the fit.")
+        yield Paragraph("This method has no checks but the fit.")
     if estimate.checks.tests:
         yield Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.checks.tests))
