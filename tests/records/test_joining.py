@@ -10,7 +10,7 @@ import pytest
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.common.errors import JointFileError, RecordError
 from jointid.config import load, loads
-from jointid.records.joining import choose_resampling, read_joined
+from jointid.records.joining import choose_resampling, join_files
 from jointid.records.record import Record
 
 JOINT = """[joint]
@@ -87,7 +87,7 @@ def test_the_offset_of_a_shared_channel_is_found_to_a_part_of_a_sample(own: bool
     if not own:  # clocks that have nothing in common
         table = np.loadtxt(tmp_path / "torques.csv", delimiter=",", skiprows=1)
         write(tmp_path / "torques.csv", "t,tau,q", table[:, 0] - 1e5, table[:, 1], table[:, 2])
-    table = read_joined([tmp_path / "positions.csv", tmp_path / "torques.csv"])
+    table = join_files([tmp_path / "positions.csv", tmp_path / "torques.csv"])
     late = table.columns["time of torques"][0] - table.columns["time of positions"][0]
     assert late == pytest.approx(BEGIN, abs=0.01 * RATE)
     assert table.clocks["torques: q"] == "time of torques" and table.clocks["q"] == "time of positions"

@@ -255,7 +255,7 @@ def _number_of(tables: Mapping[str, Any], axis: str) -> int | None:
 def _with_method_of_axis(
     tables: Mapping[str, Any], changes: list[str], number: int, method: str | None
 ) -> tuple[Mapping[str, Any], list[str]]:
-    """Return tables and changes of which [method] is that of one axis; another one has its default settings."""
+    """Return tables and changes with [method] moved to one axis; another method has its default settings."""
     below, tables = f"joints.{number + 1}.", copy.deepcopy(dict(tables))
     changes = [f"{below}{one}" if re.match(r"method[.=]", one) else one for one in changes]
     if method is None:
@@ -370,7 +370,7 @@ def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[
     """Return the lines of a controller, with units and the drive's numbers as comments."""
     law = numbers_of(controller)
 
-    def comment(name: str, value: float) -> str:
+    def name_unit(name: str, value: float) -> str:
         unit = unit_of_number(controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
         there = shown.get(name)
         if there is None or not there.unit:
@@ -381,7 +381,7 @@ def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[
         other = "" if there.name.endswith(name) else f"{there.name} "
         return f"{in_si}{other}{number(there.of(value, law), 4)} {there.unit} in the drive" if value else unit
 
-    units = {f"{name.rpartition('.')[2]} = {value!r}": comment(name, value) for name, value in law.items()}
+    units = {f"{name.rpartition('.')[2]} = {value!r}": name_unit(name, value) for name, value in law.items()}
     return "".join(
         f"{line}{f'  # {units[line]}' if units.get(line) else ''}\n" for line in text.rstrip("\n").split("\n")
     )

@@ -203,7 +203,7 @@ def _shapes(
     sample_time: float,
     raw: FloatArray | None,
 ) -> list[list[FaultSignature]]:
-    """Return what each fault adds to the torque of each axis along its motion, raw: as many columns of every axis."""
+    """Return the raw signatures of all faults along the motion of each axis, as many for every axis."""
     along = dict.fromkeys(fault.along for fault in FAULTS if fault.along is not None)
     found = []
     for k in range(len(axes)):

@@ -163,7 +163,7 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     whole = all(p.value is not None for p in fit.params.rows)
     if whole:
         try:
-            # DIDIM is told of torque and reference alone: its checks do not read the motor's position either.
+            # DIDIM reads torque and reference alone: its checks do not read the motor's position either.
             found, state = diagnose_joint(fit, record.without("motor_position"), (problem, x), shown=shown)
             check = found.axes[0].faults
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
