@@ -147,7 +147,6 @@ def search(
     seconds: float,
     progress: Progress,
     *,
-    families: Sequence[Family] | None = None,
     seed: int = 0,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Tried]:
@@ -158,7 +157,6 @@ def search(
         begin: first tests to compare with, such as the present one.
         seconds: time limit.
         progress: receives messages.
-        families: to search; all possible ones when None.
         seed: of the draws.
         clock: source of time, s.
     """
@@ -166,7 +164,7 @@ def search(
     work = Work(progress, "looking for the test that tells most", 100.0, "%")
     best: Tried | None = None
     last = 0
-    for count, tried in enumerate(_try_all(asked, begin, families or asked.families, rng), start=1):
+    for count, tried in enumerate(_try_all(asked, begin, rng), start=1):
         if best is None or tried.rank < best.rank:
             best, last = tried, count
             yield best
@@ -178,16 +176,14 @@ def search(
     work.reach(100.0)
 
 
-def _try_all(
-    asked: Objective, begin: Sequence[Plan], families: Sequence[Family], rng: np.random.Generator
-) -> Iterator[Tried]:
+def _try_all(asked: Objective, begin: Sequence[Plan], rng: np.random.Generator) -> Iterator[Tried]:
     """Yield every evaluated test: given ones, random ones, then steps of the best."""
     yield from (asked.try_plan(plan) for plan in begin)
     leader: _Line | None = None
     led = _LED
     while True:
         lines: list[_Line] = []
-        drawn = [(family, rng.uniform(size=family.size)) for _ in range(_DRAWN) for family in families]
+        drawn = [(family, rng.uniform(size=family.size)) for _ in range(_DRAWN) for family in asked.families]
         for pair in (drawn[k : k + 2] for k in range(0, len(drawn), 2)):
             tries = in_threads(lambda one: asked.try_plan(asked.plan(one[0], list(one[1]))), pair)
             lines += [_Line(family, u, tried) for (family, u), tried in zip(pair, tries, strict=True)]
