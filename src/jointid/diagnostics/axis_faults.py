@@ -104,15 +104,14 @@ def find_axis_faults(
         _strongest_coupling(residual, basis, [o for o in shapes if o.axis == k and o.fault != LOG_GAIN], rows[k])
         for k in range(n)
     )
-    linear = torques.friction is not None
-    if linear and (swapped := _find_swap(torques)):
+    if torques.friction is not None and (swapped := _find_swap(torques)):
         for axis, other in (swapped, swapped[::-1]):
             fault = replace(SWAPPED_CHANNELS, describe=partial(_describe_swap, torques.names[other]))
             test = FaultTest(fault, (), 0.0, 1.0, 0.0, 0.0, 0.0)
             found[axis].append(Finding(test, None, (), {}))
         open_ones = []
     elif (
-        linear
+        torques.friction is not None
         and n > 1
         and (scaled := _find_scale(own, stack(torques.measured), rows, shapes, where, speed, _find_driving(torques)))
     ):

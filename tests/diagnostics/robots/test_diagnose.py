@@ -80,8 +80,16 @@ LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
 }
 
 
-@pytest.mark.parametrize(  # a wrist's couplings are below the base's noise: its sign is not seen
-    ("joint", "fault"), [*((1, fault) for fault in LOGS), (4, "log_gain"), (4, "log_delay")]
+@pytest.mark.parametrize(
+    ("joint", "fault"),
+    [
+        *((joint, fault) for joint in (1, 4) for fault in LOGS),
+        *(
+            pytest.param(joint, fault, marks=pytest.mark.slow)
+            for joint in (0, 2, 3, 5)
+            for fault in ("log_gain", "torque_sign")
+        ),
+    ],
 )
 def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_others(fault: str, joint: int) -> None:
     records = logged_torque(records_of(arm(), 2, noise=0.05), joint, LOGS[fault])
