@@ -131,13 +131,12 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
 def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
     problem = problem_of(part.setup, records, part.parameters, filtering)
+    problem = replace(problem, parameters=part.parameters)  # those of the record are among them already
     measured = problem.by_joint(problem.decimate(problem.measured))
-    error = problem.error_of(numbers)
-    assert error is not None  # it was identified from these records
-    predicted = measured - problem.by_joint(error)
     values = part.values[: len(part.parameters.places)]
-    slopes = problem.linearise(part.parameters.to_search_variables(values))[1]
-    slopes = slopes / problem.weights(len(slopes))[:, np.newaxis]
+    error, slopes = problem.linearise(part.parameters.to_search_variables(values))
+    weights = problem.weights(error.size)
+    predicted, slopes = measured - problem.by_joint(error / weights), slopes / weights[:, np.newaxis]
 
     def thin(columns: FloatArray, of: RobotLoopProblem | RobotDriveSideProblem = problem) -> FloatArray:
         rows = of.decimate_each(list(np.moveaxis(columns, 1, 0)))
@@ -208,7 +207,7 @@ def _shapes(
     sample_time: float,
     raw: FloatArray | None,
 ) -> list[list[FaultSignature]]:
-    """Return what each fault adds to the torque of each axis along its motion, raw: as many columns of every axis."""
+    """Return the raw signatures of all faults along the motion of each axis, as many for every axis."""
     along = dict.fromkeys(fault.along for fault in FAULTS if fault.along is not None)
     found = []
     for k in range(len(axes)):

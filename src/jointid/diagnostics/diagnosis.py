@@ -89,7 +89,7 @@ class AxisDiagnosis:
 
     @property
     def judged(self) -> bool:
-        """False if much is left of a record that is too short to tell noise from a fault of the model."""
+        """False if the residual is large and the record too short to tell noise from a fault of the model."""
         return self.left < _LEFT or self.whiteness is not None
 
     @property
@@ -157,14 +157,14 @@ class AxisDiagnosis:
             return ""
         return (
             f"the axis moves in {100 * self.moving:.0f} % of the record; its friction and inertia are "
-            "told while it moves: let it move throughout."
+            "determined only while it moves: let it move throughout."
         )
 
     def _describe_unexplained_part(self) -> str:
         said = f"the model leaves {100 * self.left:.3g} % of the torque, and that is no noise"
         if self.follows is None or not self._one_thing:
             return (
-                f"{said}. It follows no single thing that is looked for: check geometry, gears and couplings of the "
+                f"{said}. It follows none of the tested signals: check geometry, gears and couplings of the "
                 "model, and do not rely on this joint's intervals."
             )
         what, share = self.follows
@@ -229,7 +229,7 @@ class Diagnosis(Documented):
 
     @property
     def reasons(self) -> tuple[Message, ...]:
-        """The faults found, and what was tested where none was, of all axes."""
+        """The faults found on all axes, or the tests that found none."""
         return tuple(reason for one in self.axes for reason in one.faults.reasons)
 
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
@@ -378,7 +378,7 @@ class Diagnosis(Documented):
         Args:
             details: whether undetermined parameters and all tests are listed in full.
         """
-        header: tuple[str, ...] = ("joint", "left, %", "white", "told", "roughly", "not told")
+        header: tuple[str, ...] = ("joint", "left, %", "white", "known", "roughly", "unknown")
         if any(one.law for one in self.axes):
             header = (*header, "controller leaves, %", "any law, %")
         rows = tuple(_row(one)[: len(header)] for one in self.axes)
@@ -404,7 +404,7 @@ class Diagnosis(Documented):
             unknown = tuple(
                 f"{one.subject}{', '.join(one.names(Told.NOT))}" for one in self.axes if one.names(Told.NOT)
             )
-            blocks += [Heading("Not told from 0"), Listing(unknown)] if unknown else []
+            blocks += [Heading("Not significant"), Listing(unknown)] if unknown else []
         return Document(f"{self.name}: what the record tells of {pluralise(len(self.axes), 'joint')}", tuple(blocks))
 
     def _tests(self, details: bool) -> tuple[Table, ...]:

@@ -19,7 +19,7 @@ from jointid.records.signals.filtering import Filtering, default_cutoffs, lowpas
 _PULL = 1e-4  # of the acceleration's power that noise may be, and thereby of an inertia that it may take
 _SEEN = 10.0  # times its noise: an octave of the acceleration that is motion
 _MARGIN = 2.0  # times the highest frequency of the motion, which no noise takes away
-_NOISE = 0.1  # of the sampling frequency: beyond it no default lets motion pass, and noise is measured
+_NOISE = 0.1  # of the sampling frequency: above it no default lets motion pass, and noise is measured
 _PARTS = 4  # of the record, whose spectra are averaged
 _FEWEST = 256  # samples: of fewer no spectrum is averaged
 
@@ -46,8 +46,8 @@ def find_noise_limit(positions: Iterable[FloatArray], sample_time: float, deriva
         frequency, power = welch(np.diff(position, 2) / sample_time**2, 1 / sample_time, nperseg=size)
         frequency, power = frequency[1:], power[1:]
         shape = (2 * np.sin(np.pi * frequency * sample_time) / sample_time) ** 4
-        beyond = frequency >= _NOISE / sample_time
-        noise = float(np.median(power[beyond] / shape[beyond])) * shape
+        above = frequency >= _NOISE / sample_time
+        noise = float(np.median(power[above] / shape[above])) * shape
         power, noise = power * shape ** (derivative / 2 - 1), noise * shape ** (derivative / 2 - 1)
         sums = np.cumsum(np.column_stack([np.zeros((2, 1)), [power, noise]]), axis=1)
         low, high = (np.searchsorted(frequency, frequency * factor) for factor in (0.5**0.5, 2**0.5))
