@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.paper.twin import TABLE_2
+from jointid.paper.twin import TABLE_2, twin
 from jointid.records.record import Timing
 from jointid.simulation.prescribed import simulate_open_loop
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 T = 1e-3
 JOINT = ji.FlexibleJoint("prismatic")
@@ -62,6 +63,22 @@ def test_noise_of_the_encoder_leaves_the_truth_in_the_intervals() -> None:
         assert line.stderr is not None
         assert abs(line.value - TRUTH[name]) < 3 * line.stderr, name
         assert line.stderr < 0.01 * line.value, name
+
+
+def test_a_record_with_a_reference_has_wider_intervals_for_a_force_in_its_loop() -> None:
+    """The torque of loop L30 answers to a disturbance, so it is no free input."""
+    made = twin("L30", seed=1).record
+    alone, controlled = (
+        ji.identify(one, ji.OpenLoop(JOINT), FIT, filtering=FILTERING) for one in (made.without("reference"), made)
+    )
+    for name in ("motor_inertia", "stiffness", "load_inertia"):
+        narrow, wide = alone[name], controlled[name]
+        assert wide.value == narrow.value
+        assert wide.stderr is not None and narrow.stderr is not None
+        assert wide.stderr > 1.1 * narrow.stderr, name
+        assert abs(wide.value - TRUTH[name]) < 2 * wide.stderr, name
+    assert MOTION_MEASURED in controlled.checks.warnings and MOTION_MEASURED not in alone.checks.warnings
+    assert "under control" in controlled.sentence
 
 
 def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:

@@ -35,6 +35,7 @@ _GAINS = (-10.0, -3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5
 _FINER = (1.2, 1.1, 1.05, 1.02, 1.01, 1.005, 1.002, 1.001)  # times: steps of the search
 _CLEARLY = 0.5  # of what is left of one axis: a gain is the cause if it lowers the squares by more
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
+_DRIVES = 5.0  # times the error, along the velocity
 _RANK = 1e-9  # of the largest singular value
 
 
@@ -103,13 +104,17 @@ def find_axis_faults(
         _strongest_coupling(residual, basis, [o for o in shapes if o.axis == k and o.fault != LOG_GAIN], rows[k])
         for k in range(n)
     )
-    if torques.linear and (swapped := _find_swap(torques)):
+    if torques.friction is not None and (swapped := _find_swap(torques)):
         for axis, other in (swapped, swapped[::-1]):
             fault = replace(SWAPPED_CHANNELS, describe=partial(_describe_swap, torques.names[other]))
             test = FaultTest(fault, (), 0.0, 1.0, 0.0, 0.0, 0.0)
             found[axis].append(Finding(test, None, (), {}))
         open_ones = []
-    elif torques.linear and n > 1 and (scaled := _find_scale(own, stack(torques.measured), rows, shapes, where, speed)):
+    elif (
+        torques.friction is not None
+        and n > 1
+        and (scaled := _find_scale(own, stack(torques.measured), rows, shapes, where, speed, _find_driving(torques)))
+    ):
         axis, test, residual = scaled
         found[axis].append(Finding(test, test.declared + test.size, (), {}))
         first.append((axis, test))
@@ -157,11 +162,13 @@ def _find_scale(
     shapes: Sequence[_Shape],
     where: FloatArray,
     speed: FloatArray,
+    driving: Sequence[int],
 ) -> tuple[int, FaultTest, FloatArray] | None:
     """Return the axis with a wrong scale, its test, and the residual without it.
 
     With the rows of an axis g times as large as its equations say, the rest is least at the log's gain. The gain is
-    searched for, as it may be far from 1. It is the fault if no other fault of one axis leaves less.
+    searched for, as it may be far from 1. It is the fault if no other fault of one axis leaves less. Friction that
+    drives its axis tells a wrong sign, however weak the couplings are that tell a scale.
     """
     own = own / column_norms(own)
     products = [own[one].T @ own[one] for one in rows]
@@ -174,13 +181,14 @@ def _find_scale(
         return square - float(right @ np.linalg.lstsq(normal, right, rcond=None)[0])
 
     before = left(0, 1.0)
-    axis, gain = min(((k, g) for k in range(len(rows)) for g in _GAINS), key=lambda pair: left(*pair))
+    tried = itertools.product(driving or range(len(rows)), (g for g in _GAINS if g < 0.0 or not driving))
+    axis, gain = min(tried, key=lambda pair: left(*pair))
     for step in _FINER:
         gain = min((gain * one for one in (1.0 / step, 1.0, step)), key=partial(left, axis))
     basis = _basis_of(own)
     rest = torque - basis @ (basis.T @ torque)
     most = max((_gain_of(one.column, basis, rest) for one in shapes if one.fault != LOG_GAIN), default=0.0)
-    if before - left(axis, gain) < max(_CLEARLY * before / len(rows), most):
+    if not driving and before - left(axis, gain) < max(_CLEARLY * before / len(rows), most):
         return None
     scaled = own.copy()
     scaled[rows[axis]] *= gain
@@ -198,6 +206,14 @@ def _find_scale(
         replace(test, size=size, statistic=size / test.std, p_value=0.0),
         corrected - basis @ (basis.T @ corrected),
     )
+
+
+def _find_driving(torques: AxisTorques) -> list[int]:
+    """Return the axes that their friction drives: its torque along the velocity is clearly negative."""
+    assert torques.friction is not None
+    along = np.sum(torques.friction * torques.velocity * torques.seen, axis=1)
+    noise = np.sqrt(np.sum(torques.velocity**2 * torques.seen, axis=1) * np.mean(torques.error**2, axis=1))
+    return [int(k) for k in np.flatnonzero(along < -_DRIVES * noise)]
 
 
 def _describe_swap(other: str, *_: object) -> str:

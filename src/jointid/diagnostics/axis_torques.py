@@ -25,6 +25,7 @@ from jointid.estimation.robots.problem import RobotLoopProblem
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.estimation.robots.simulated import SimulatedRobot, problem_of
 from jointid.estimation.unknown_timing import read_as
+from jointid.models.robots.friction_terms import Friction, friction_terms
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import find_noise_limit
@@ -44,7 +45,8 @@ class AxisTorques:
         seen: (n, rows) False where a motor rests or turns round, so that friction takes what it must.
         position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s; in all rows, seen or not.
         own: (n, rows, free) columns of the free parameters.
-        linear: whether the predicted torque is the sum of these.
+        friction: (n, rows) torque of the motors' friction without offsets, where the predicted torque is a sum of these
+            columns; else None.
         shapes: what each fault adds to the torque of each axis along its motion, (rows,) each.
     """
 
@@ -59,7 +61,7 @@ class AxisTorques:
     position: FloatArray
     velocity: FloatArray
     own: FloatArray
-    linear: bool
+    friction: FloatArray | None
     shapes: tuple[tuple[FaultSignature, ...], ...]
 
     @property
@@ -117,10 +119,12 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
     path = everywhere.decimate_columns(np.stack([q, v], axis=2)).reshape(len(robot), -1, 2)
     nominal = rows.by_equation(rows.W @ part.nominal) if robot.has_masses else None
     measured = rows.by_equation(rows.Y)
+    own = [0.0 if term.number is Friction.OFFSET else 1.0 for term in friction_terms(robot)]
+    friction = rows.by_equation(rows.W[:, len(part.base) :] @ (own * part.values[len(part.base) :]))
     return _torques(
         robot.names, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values), nominal),
         seen, path, (q, v, a), motion.torque, thin,
-        rows.W.reshape(len(robot), -1, rows.W.shape[1]), linear=True, raw=motion.raw,
+        rows.W.reshape(len(robot), -1, rows.W.shape[1]), friction=friction, raw=motion.raw,
     )  # fmt: skip
 
 
@@ -170,7 +174,7 @@ def _torques(
     thin: Callable[[FloatArray], FloatArray],
     own: FloatArray,
     *,
-    linear: bool = False,
+    friction: FloatArray | None = None,
     raw: FloatArray | None = None,
 ) -> AxisTorques:
     """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are.
@@ -190,7 +194,7 @@ def _torques(
     measured, predicted, nominal = torques
     return AxisTorques(
         tuple(axes), np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted,
-        nominal, seen, path[:, :, 0], path[:, :, 1], own, linear, shapes,
+        nominal, seen, path[:, :, 0], path[:, :, 1], own, friction, shapes,
     )  # fmt: skip
 
 

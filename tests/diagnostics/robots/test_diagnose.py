@@ -80,12 +80,16 @@ LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
 }
 
 
-@pytest.mark.parametrize(  # a wrist's couplings are below the base's noise: its sign is not seen
+@pytest.mark.parametrize(
     ("count", "joint", "fault"),
     [
         *((3, 1, fault) for fault in ("log_gain", "torque_sign")),
+        *(
+            pytest.param(6, joint, fault, marks=pytest.mark.slow)
+            for fault in ("log_gain", "torque_sign")
+            for joint in range(6)
+        ),
         *(pytest.param(6, joint, "log_delay", marks=pytest.mark.slow) for joint in (1, 4)),
-        pytest.param(6, 4, "log_gain", marks=pytest.mark.slow),
     ],
 )
 def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_others(

@@ -11,7 +11,8 @@ squares is biased (`endogeneity` tests that, and mends it where the record has a
 
 In open loop the logged torque is prescribed, and the motor's position is compared, less its drift. This criterion needs
 no derivative of a position, and noise of the encoder does not bias it; but it takes the logged torque for exact, and a
-loop around the drive makes it as endogenous. It begins where the drive-side identification of the same record ends.
+loop around the drive, as of a record with a reference, makes it as endogenous: intervals are wider then. It begins
+where the drive-side identification of the same record ends.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Multistart, Step, Watch, solve
-from jointid.uncertainty.covariance import sandwich, with_bands
+from jointid.uncertainty.covariance import sandwich, with_bands, with_measured_motion
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
 _LOWEST = 0.05  # ... from this share of the cut-off up to it
@@ -284,15 +286,19 @@ class OpenLoopFit(Method):
         solution = solve(problem, solver, start, _report_steps(task.progress))
         drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
         J, error = solution.jacobian, solution.residual
+        covariance = with_bands(sandwich(J, J, error), J, J, error)
+        if controlled := task.record.reference is not None:
+            covariance = with_measured_motion(covariance, J, J, error)
         return build_prescribed_result(
             task.record,
             problem,
             solution.x,
             solution,
-            with_bands(sandwich(J, J, error), J, J, error),
+            covariance,
             ("torque", "motor_position"),
             ("open_loop", "open loop by least squares"),
             earlier=first.simulations,
             initial=initial_of(problem.values(solution.x)),
             before=(drift,),
+            after=(MOTION_MEASURED,) if controlled else (),
         )
