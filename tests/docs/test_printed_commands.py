@@ -20,9 +20,14 @@ _FILE = re.compile(r"[\w/-]+\.(?:toml|csv|json|html|xml|urdf|mat)\b")
 _STAND_IN = re.compile(r"(?:^|[\s/])[A-Z]{2,}\b|\$")
 _ROWS = 8001  # of the demo's record: a third of it, to be quicker
 
+_ON_SLURM = "jointid campaign run campaign.toml --out results"
 NOT_RUN = {
-    "jointid campaign run campaign.toml --out results --executor slurm --shared /shared/jobs --partition short": "Slurm",
-    "jointid learn-controller joint.toml --write learned.toml": "run by the README's own axis, and takes minutes",
+    f"{_ON_SLURM} --executor slurm --shared /shared/jobs --partition short": "Slurm",
+    "jointid learn-controller joint.toml --write learned.toml": "takes minutes; pages run it",
+    "jointid learn-controller examples/emps/joint.toml --record DATA_EMPS.mat": "takes minutes; a page runs it",
+    "jointid payload robot.toml --without empty.csv --with loaded.csv": "two joints do not tell all of a payload",
+    "jointid tune examples/emps/joint.toml --record DATA_EMPS.mat": "a real record; a page runs it",
+    "jointid diagnose examples/kr300/robot.toml --record rec_A.mat": "a real record",
 }
 """By the command, what it needs that is not here, or where it is run."""
 
@@ -65,12 +70,16 @@ def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "torque.png").unlink()
     run(f"jointid demo {place} -q")
     rows = (place / "record.csv").read_text(encoding="utf-8").splitlines(keepends=True)[:_ROWS]
-    for name in ("record", "run", "a", "b", "other"):
+    for name in ("run", "a", "other"):
         (place / f"{name}.csv").write_text("".join(rows), encoding="utf-8")
+    run(f"jointid simulate --twin L19 --seed 2 --out {place / 'b.csv'} -q")
     shutil.copy(place / "estimate.json", place / "out.json")
     run(f"jointid report {place / 'joint.toml'} --record {place / 'a.csv'} --html {place / 'before.html'} -q")
     shutil.copy(place / "before.html", place / "after.html")
-    (place / "campaign.toml").write_text('[fleet]\njoint = "joint.toml"\nrecords = "[ab].csv"\n', encoding="utf-8")
+    (place / "logs").mkdir()
+    for name in ("a", "b"):
+        shutil.copy(place / f"{name}.csv", place / "logs")
+    (place / "campaign.toml").write_text('[fleet]\njoint = "joint.toml"\nrecords = "logs/*.csv"\n', encoding="utf-8")
     return place
 
 
@@ -89,9 +98,12 @@ def test_a_printed_command_runs_as_it_stands(
     (place / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(place)
     search_once(monkeypatch)
+    if "--window" not in command:
+        shutil.copy(place / "a.csv", place / "record.csv")
     if "robot.toml" in command:
         shutil.copy(place / "other-robot.csv", place / "other.csv")
-    run(command)
+    # Its minute of search is cut short.
+    run(f"{command} --search-time 1" if command.startswith("jointid design") else command)
 
 
 def test_what_is_not_run_is_printed() -> None:
