@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jointid.campaigns.campaign_file import load_campaign
 from jointid.common.errors import JointFileError, RecordError
 from jointid.config import load, loads
 from jointid.records.joining import choose_resampling, read_joined
@@ -133,3 +134,87 @@ def test_an_offset_that_cannot_be_found_is_to_be_stated(shared: bool, tmp_path: 
 def test_files_that_contradict_are_one_sentence(old: str, new: str, said: str) -> None:
     with pytest.raises(JointFileError, match=said):
         loads(JOINT.replace(old, new))
+
+
+ROBOT = """[robot]
+model = "robot.xml"
+[record]
+files = ["positions.csv", "torques.csv", "references.csv"]
+[record.channels]
+torque = { column = "tau{axis}" }
+motor_position = { column = "q{axis}" }
+reference = { column = "r{axis}" }
+[[joints]]
+name = "one"
+[[joints]]
+name = "two"
+"""
+MODEL = """<mujoco><worldbody><body><joint name="one"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<body><joint name="two"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody></mujoco>"""
+
+
+def write_robot(folder: Path, *, begins: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+    """Write positions at 500 Hz, torques at 1 kHz and references at 250 Hz of two joints, each on a clock of its own.
+
+    The clock of a file counts from its beginning, and each file but the first holds the position of the first joint.
+    """
+    (folder / "robot.xml").write_text(MODEL)
+    (folder / "robot.toml").write_text(ROBOT)
+    names = ("positions", "torques", "references")
+    for name, rate, begin in zip(names, (RATE, RATE / 2, 2 * RATE), begins, strict=True):
+        clock = np.arange(round(6.0 / rate)) * rate
+        t = clock + begin
+        signals = {
+            "positions": {"q1": angle(t), "q2": -angle(t)},
+            "torques": {"tau1": moment(t), "tau2": 2 * moment(t)},
+            "references": {"r1": angle(t), "r2": -angle(t)},
+        }[name]
+        shared = {} if name == "positions" or not any(begins) else {"q1": angle(t)}
+        write(folder / f"{name}.csv", ",".join(["t", *signals, *shared]), clock, *signals.values(), *shared.values())
+
+
+@pytest.mark.parametrize("begins", [(0.0, 0.0, 0.0), (0.0, BEGIN, 0.121)])
+def test_a_robot_s_record_in_three_files_has_one_clock(begins: tuple[float, float, float], tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+    write_robot(tmp_path, begins=begins)
+    one, two = load(tmp_path / "robot.toml").records()
+    assert one.begin == two.begin
+    for record, sign, factor in ((one, 1.0, 1.0), (two, -1.0, 2.0)):
+        assert record.torque is not None and record.motor_position is not None and record.reference is not None
+        assert record.torque.sample_time == pytest.approx(RATE / 2, rel=1e-6)
+        assert len(record.torque) == len(record.motor_position) == len(record.reference) > 5000
+        at = record.begin + record.torque.time
+        np.testing.assert_allclose(record.motor_position.values, sign * angle(at), atol=2e-4)
+        np.testing.assert_allclose(record.reference.values, sign * angle(at), atol=1e-3)
+        assert np.abs(record.torque.values - factor * moment(at)).max() < 3.5 * factor * (RATE / 2 + 1e-4)
+
+
+def test_joints_of_a_robot_cover_the_same_instants(tmp_path: Path) -> None:
+    """Also where a file that begins later has a channel of one of them."""
+    pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+    write_robot(tmp_path)
+    text = ROBOT.replace('"references.csv"', '"loads.csv"').replace('reference = { column = "r{axis}" }\n', "")
+    own = '[joints.channels]\nload_position = { column = "load2" }\ntorque = { column = "tau2" }\n'
+    (tmp_path / "robot.toml").write_text(text + own)
+    t = 0.3 + np.arange(2000) * RATE
+    write(tmp_path / "loads.csv", "t,load2", t, angle(t))
+    one, two = load(tmp_path / "robot.toml").records()
+    assert two.load_position is not None and one.torque is not None
+    assert one.begin == two.begin == pytest.approx(0.3, abs=1e-9)
+    at = one.begin + one.torque.time
+    assert np.abs(one.torque.values - moment(at)).max() < 3.5 * (RATE / 2 + 1e-4)
+
+
+@pytest.mark.parametrize("name", ["joint", "robot"])
+def test_what_reads_one_file_refuses_several(name: str, tmp_path: Path) -> None:
+    if name == "robot":
+        pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+        write_robot(tmp_path)
+    else:
+        (tmp_path / "joint.toml").write_text(JOINT)
+        file = load(tmp_path / "joint.toml")
+        with pytest.raises(RecordError, match="in several files is not read in chunks; join them to one file"):
+            file.log()
+    (tmp_path / "campaign.toml").write_text(f'[fleet]\njoint = "{name}.toml"\n')
+    with pytest.raises(JointFileError, match="a record in several files, and a campaign reads each record from one"):
+        load_campaign(tmp_path / "campaign.toml")

@@ -125,6 +125,7 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
 def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
     problem = problem_of(part.setup, records, part.parameters, filtering)
+    problem = replace(problem, parameters=part.parameters)  # those of the record are among them already
     measured = problem.by_joint(problem.decimate(problem.measured))
     error = problem.error_of(numbers)
     assert error is not None  # it was identified from these records

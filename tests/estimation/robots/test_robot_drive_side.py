@@ -107,8 +107,8 @@ def test_damping_makes_up_for_a_log_that_is_late_and_taken_for_one_that_is_not()
     twin = two((12.0, 18.0))
     taken = identified(twin, logged(twin, duration=6.0, late=3), delay=0.0)
     assert "log_delay" not in taken.fit.names
-    damping, deviation = taken.fit.value("joint1.damping")
-    assert abs(damping - RobotNumbers.of(twin.robot).springs[0, 1]) > 5 * deviation
+    damping, _ = taken.fit.value("joint1.damping")
+    assert damping > 1.8 * RobotNumbers.of(twin.robot).springs[0, 1]
 
 
 def test_a_record_that_begins_in_motion() -> None:
