@@ -10,8 +10,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from jointid.apps.cli.console import Flag, Options, Quiet, fresh_folder, ready, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError, RecordError
@@ -102,6 +100,8 @@ def _show_robot(folder: Path, seed: int, options: Options) -> None:
 
 def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ...]]:
     """Return a robot that is a tenth heavier than its file says, with friction, and what its drives log."""
+    import numpy as np
+
     from jointid import Channel, Record, excitation, simulate
     from jointid.robots import JointSpring
 
@@ -155,6 +155,8 @@ def make_fleet(
         fall: by what share, from a day between a third and two thirds on.
         seed: of all that is drawn.
     """
+    import numpy as np
+
     import jointid as ji
     from jointid.paper.twin import CONTROLLERS, TABLE_2
 
