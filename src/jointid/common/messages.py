@@ -15,10 +15,11 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 _LONGEST = 60  # characters of a value that a sentence shows
 _GUESSED = 100  # characters of a word that another one may be meant by
+_NUMBERS = re.compile(r"-?\d[\d.e+-]*")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _FIRST, _BETWEEN = 3.0, 10.0  # seconds to the first line of progress where no bar is drawn, and between two
 _MINUTES, _HOURS = 100.0, 5400.0  # seconds from which a time is said in minutes, and in hours
@@ -32,6 +33,51 @@ Progress = Callable[[str], None]
 
 def ignore_progress(message: str) -> None:
     """Ignore progress; the default listener."""
+
+
+class Suspicion(str):
+    """A line of progress that says why an attempt fails.
+
+    Attributes:
+        brief: the line without the reason.
+        why: the reason, a sentence.
+    """
+
+    brief: str
+    why: str
+
+    def __new__(cls, brief: str, why: object) -> Self:
+        """Return the line "brief: why"."""
+        made = super().__new__(cls, f"{brief}: {why}")
+        made.brief, made.why = brief, str(why)
+        return made
+
+
+class Suspicions:
+    """A listener that tells a reason once, whatever its numbers, and keeps the latest.
+
+    Args:
+        progress: the listener that it passes lines to.
+
+    Attributes:
+        latest: the reason that was told last; empty where none was.
+    """
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._told, self.latest = progress, set[str](), ""
+        if isinstance(progress, BarListener):
+            self.draw = progress.draw
+
+    def __call__(self, message: str) -> None:
+        """Pass on a line, without its reason where that was told before."""
+        if isinstance(message, Suspicion):
+            shape = _NUMBERS.sub("", message.why)
+            if shape in self._told:
+                message = message.brief
+            else:
+                self._told.add(shape)
+                self.latest = message.why
+        self._progress(message)
 
 
 @runtime_checkable

@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.errors import FaultsError, JointidError, RecordError
-from jointid.common.messages import Message, Progress, ignore_progress
+from jointid.common.messages import Message, Progress, Suspicion, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
@@ -167,7 +167,13 @@ def find_causes(
     filtering = asked.resolve(record.torque.sample_time, model)
     tried = list_hypotheses(record, loop, filtering)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
-    fits = fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
+
+    def suspect(best: Fit) -> None:
+        if best.hypothesis.fault is not None:
+            told = explain(best.hypothesis.fault, best.number, best.error, loop, shown)
+            progress(Suspicion("the likeliest cause so far", ", or ".join(one.words for one in told)))
+
+    fits = fit_flexible(tried, loop, suspect) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
     found = _judge_faults(tried[0], fits, loop)
     declared = min((f.error for f in fits if f.hypothesis.fault is None), default=math.inf)
     if estimate is not None:

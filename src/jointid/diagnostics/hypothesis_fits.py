@@ -8,7 +8,7 @@ size; only the remaining hypotheses are fitted to the whole band.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,8 +81,13 @@ def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0) -> l
     return _race(in_threads(begin, tried), loss)
 
 
-def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop) -> list[Fit]:
-    """Fit a flexible joint under the hypotheses that a rigid one does not exclude far below the resonance."""
+def fit_flexible(
+    tried: Sequence[Hypothesis], loop: ClosedLoop, suspect: Callable[[Fit], None] | None = None
+) -> list[Fit]:
+    """Fit a flexible joint under the hypotheses that a rigid one does not exclude far below the resonance.
+
+    The best of the rigid joints is passed to `suspect`, if given, long before the flexible ones are fitted.
+    """
     assert isinstance(loop.joint, FlexibleJoint)
     low = []
     for one in tried:
@@ -92,6 +97,8 @@ def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop) -> list[Fit]:
     fits = fit_rigid(low, loop.joint.rigid, _ROUGHLY)
     wide = {(one.fault, one.factor, one.free): one for one in tried}
     least = min((fit.error for fit in fits), default=math.inf)
+    if fits and suspect is not None:
+        suspect(fits[0])
 
     def begin(rigid: Fit) -> list[Fit]:
         of = rigid.hypothesis

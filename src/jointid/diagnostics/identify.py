@@ -11,7 +11,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
-from jointid.common.messages import Message, Progress, ignore_progress
+from jointid.common.messages import Message, Progress, Suspicions, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
@@ -121,6 +121,7 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
+    progress = Suspicions(progress)
     fit = fit_records(
         record, model, method, filtering=filtering, parameters=parameters, several=several, windows=windows,
         progress=progress,

@@ -197,9 +197,9 @@ class Design(Charted, Documented):
 
     @property
     def sentence(self) -> str:
-        """Predicted interval of the goal, compared with the present test."""
+        """Peak torque as it is played, and the predicted interval of the goal beside that of the present test."""
         over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
-        return f"{self._summary}.{over}"
+        return f"Peak torque {'; '.join(self.peaks)}. {self._summary}.{over}"
 
     @property
     def _summary(self) -> str:
@@ -251,7 +251,7 @@ class Design(Charted, Documented):
             for name in ("positions", *_QUANTITIES)
             if any(name in ("positions", *axis.reached) for axis in self.axes)
         ]
-        facts = [("test", self.description), ("peak torque", "; ".join(self.peaks)), ("noise", self.noise)]
+        facts = [("test", self.description), ("noise", self.noise)]
         facts += [fact for axis in self.axes for fact in common_facts(None, axis.transmission)]
         if taken := [axis.word(name.replace("_", " ")) for axis in self.axes for name in axis.from_record]:
             facts.append(("limits", f"not stated, and those which the present test reaches: {join(taken)}"))
@@ -382,7 +382,8 @@ class Design(Charted, Documented):
             f"Then `jointid examine {kind}.toml --record RECORD`, and `jointid identify {kind}.toml --record RECORD`.",
         ]
         numbered = "\n".join(f"{i}. {step}" for i, step in enumerate(steps, 1))
-        return f"# A test of this {kind}\n\n{self.description}.\n\n{numbered}\n\n{self.to_document().markdown()}\n"
+        peak = f"Peak torque {'; '.join(self.peaks)}. {self.description}."
+        return f"# A test of this {kind}\n\n{peak}\n\n{numbered}\n\n{self.to_document().markdown()}\n"
 
 
 _PLAIN = PlayedAxis(1.0, 1.0, "", "", None, "")

@@ -186,7 +186,7 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
     text = joint.read_text(encoding="utf-8").replace("[[joints]]\n", f"[[joints]]\n{limits}")
     joint.write_text(text, encoding="utf-8")
     run("design", joint, "--search-time", "0.3", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
-    assert "13 parameters to a tenth" in capsys.readouterr().out
+    assert "13 parameters to a tenth" in " ".join(capsys.readouterr().out.split())
     answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.design/2" and "1 % of each joint" in answer["noise"]
     assert answer["axes"][0]["reached"]["upper"] < 1.0 and not answer["passed"]

@@ -26,12 +26,13 @@ from jointid.apps.cli import campaign as campaigns
 from jointid.apps.cli import endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
+from jointid.apps.cli.demo import demo
 from jointid.apps.cli.diagnose import advise, diagnosis, friction, intervals, methods, springs
 from jointid.apps.cli.identify import examine, identify, learn_controller, payload, tune
 from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
-from jointid.apps.cli.simulate import demo, reproduce, simulate
+from jointid.apps.cli.simulate import reproduce, simulate
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import remove_rooms
 

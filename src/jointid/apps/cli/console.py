@@ -15,7 +15,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.places import NOTHING, Outputs
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.messages import Progress, ignore_progress
+from jointid.common.messages import Progress, Suspicions, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
@@ -105,15 +105,24 @@ class Inputs:
         Raises:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
-        from jointid import Record
+        from jointid import Estimate, Record
 
         record = file.record(self.record, judged=judged)
         if isinstance(record, Record):  # the engine of a robot is another
             ready(self.progress)
+        suspicions, known = Suspicions(self.progress), list[Estimate]()
         try:
-            return record, file.identify(record, self.progress, checks=checks)
-        except JointidError as error:
-            raise file.explain(error, record, self.progress) from error
+            try:
+                return record, file.identify(record, suspicions, checks=checks, unchecked=known.append)
+            except JointidError as error:
+                suspicions.latest = suspicions.latest or str(error)
+                raise file.explain(error, record, suspicions) from error
+        except KeyboardInterrupt:
+            if known:
+                show(known[0])
+            elif suspicions.latest:
+                show(f"Not identified yet. Known so far: {suspicions.latest}")
+            raise
 
     def identify_by_didim(self, joint: Path, outputs: Outputs = NOTHING) -> tuple[Record, Estimate]:
         """Identify the joint by didim whatever its file says, without checks, and return the record, too."""

@@ -1,4 +1,4 @@
-"""The commands `jointid simulate`, `demo` and `reproduce`."""
+"""The commands `jointid simulate` and `reproduce`."""
 
 from __future__ import annotations
 
@@ -8,84 +8,14 @@ from typing import TYPE_CHECKING, Literal
 
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import MethodError
 
 if TYPE_CHECKING:
-    from jointid import Estimate
     from jointid.config import JointFile
     from jointid.config.robot_file import RobotFile
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["disturbance", "white", "none"]
-
-
-def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet = False) -> None:
-    """Make the digital twin of the paper's flexible axis and identify it, its stiffness too, from torque alone.
-
-    Writes the record, the joint file, the answer and the figure; change the joint file and run
-    `jointid identify FOLDER/joint.toml` to see what follows.
-
-    Args:
-        folder: where to write; it is made if it is not there.
-        seed: of the noise.
-        quiet: say nothing of the progress.
-    """
-    from jointid import figures, twin, write
-    from jointid.common.files import write_whole
-    from jointid.common.text import align, number
-    from jointid.output import json as answers
-    from jointid.paper.twin import JOINT_FILE
-
-    Outputs(folders={"FOLDER": folder})
-    options, listener, joint = Options(quiet=quiet), listen(quiet), folder / "joint.toml"
-    with fresh_folder(folder):
-        _refuse_foreign_files(folder)
-        listener("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
-        ready(listener)
-        axis = twin(seed=seed)
-        write_whole(joint, JOINT_FILE)
-    write(axis.record, folder / "record.csv")
-    listener("identifying it from motor force and reference alone")
-    file = options.load_joint(joint)
-    _, estimate = options.identify(file)
-    answers.write(answers.to_dict(estimate), folder / "estimate.json")
-    figures.save(figures.torque(estimate), folder / "torque.png")
-    show(estimate)
-    sums = {name: axis.truth[f"motor_{name}"] + axis.truth[f"load_{name}"] for name in ("viscous", "coulomb")}
-    rows = []
-    for name, truth in (axis.truth | sums).items():
-        value, std, symbol, unit = _look_up(estimate, name)
-        rows.append((symbol, number(value), number(2 * std, 2), number(truth), unit))
-    show()
-    show("Beside the truth; torque alone knows the two viscous frictions, and the two Coulomb ones, by their sum:")
-    show(align(("symbol", "identified", "2 sigma", "truth", "unit"), rows, (False, True, True, True, False)))
-    show()
-    show(f"Written to {folder}: record.csv, joint.toml, estimate.json, torque.png")
-    show(f"All of it on one page: jointid report {joint} --html report.html")
-    show(f"Change the joint file, then: jointid identify {joint}")
-
-
-def _refuse_foreign_files(folder: Path) -> None:
-    """Raise a `RecordError` if a folder holds files of others by the names that the demo writes."""
-    from jointid.paper.twin import JOINT_FILE
-
-    joint = folder / "joint.toml"
-    there = [name for name in ("joint.toml", "record.csv", "estimate.json", "torque.png") if (folder / name).exists()]
-    if there and not (joint.is_file() and joint.read_bytes() == JOINT_FILE.encode()):
-        raise RecordError(
-            f"{folder / there[0]} is there, and is not, or is no longer, what the demo writes; it would be replaced: "
-            "name another folder."
-        )
-
-
-def _look_up(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
-    """Return value, deviation, symbol and unit of a parameter, or of the sum of both sides."""
-    if name in estimate.values:
-        found = estimate[name]
-        return estimate.values[name], found.stderr or 0.0, found.symbol, found.unit
-    motor, load = estimate[f"motor_{name}"], estimate[f"load_{name}"]
-    value, std = estimate.params.total((motor.name, load.name))
-    return value, std, f"{motor.symbol}+{load.symbol}", motor.unit
 
 
 def simulate(

@@ -45,6 +45,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.messages import Suspicion
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import History, Solved, free_more, least_squares, or_moving
@@ -278,7 +279,7 @@ class DIDIM(Method):
         except MethodError as error:
             if self.form == "paper":
                 raise
-            history.progress(f"by least squares instead: {error}")
+            history.progress(Suspicion("by least squares instead", error))
             try:
                 return self._descend(problem, starts, history), _LEAST
             except MethodError:

@@ -24,7 +24,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress
+from jointid.common.messages import Progress, Suspicion
 from jointid.common.parameters import Quantity
 from jointid.estimation.descent import History, Solved, least_squares, or_moving, roughly
 from jointid.estimation.methods.registry import Method, Task, method_of
@@ -99,14 +99,14 @@ class StiffnessSearch:
             rigid = rough_rigid_joint(self.task, self.cutoff, tell)
         except MethodError as error:
             # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
-            tell(f"without a rigid joint to begin with: {error}")
+            tell(Suspicion("without a rigid joint to begin with", error))
             return self._without_rigid_joint(), 0
         try:
             solved = self._from_rigid_joint(rigid)
         except MethodError as error:
             if self.frequency is not None:
                 raise
-            tell(f"with other inertias than that joint's: {error}")
+            tell(Suspicion("with other inertias than that joint's", error))
             solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
         assert rigid.settings.filtering.cutoff is not None
         edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
@@ -119,7 +119,7 @@ class StiffnessSearch:
             try:
                 rigid = rough_rigid_joint(self.task, edge / lower, tell)
             except MethodError as error:  # a short record shows too little there
-                tell(f"not below {edge / lower:.3g} Hz: {error}")
+                tell(Suspicion(f"not below {edge / lower:.3g} Hz", error))
                 break
             simulations += rigid.simulations
             solved = self._from_rigid_joint(rigid)
@@ -139,7 +139,7 @@ class StiffnessSearch:
         try:
             return self._refine(explore(wide, None, self.frequency, history))
         except MethodError as error:
-            history.progress(f"with the joint that would follow its reference to begin with: {error}")
+            history.progress(Suspicion("with the joint that would follow its reference to begin with", error))
         filtering = Filtering(cutoff=RIGID_CUTOFF / self.problem.sample_time)
         loop = _rigid_loop(self.task)
         follows = regular_start(torque_problem(self.task.record, loop, filtering, loop.joint.parameters)).values
@@ -244,7 +244,7 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> F
             found = identify_rigid(edge)
             break
         except MethodError as error:
-            progress(f"not below {edge:.3g} Hz: {error}")
+            progress(Suspicion(f"not below {edge:.3g} Hz", error))
             edge /= lower
     found = found or identify_rigid(edge)
     law = rigid.controller.law(sample_time)

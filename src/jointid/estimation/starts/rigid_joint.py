@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress
+from jointid.common.messages import Progress, Suspicion
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
 from jointid.estimation.starts.inverse_controller import (
@@ -62,7 +62,7 @@ def rigid_starts(problem: ClosedLoopProblem, asked: str, progress: Progress) -> 
     if not found or (asked not in found and asked != "inversion"):
         raise failures[0]
     if asked not in found:
-        progress(f"from a regular start instead: {failures[0]}")
+        progress(Suspicion("beginning with the inertia that the gains would suit", failures[0]))
     return found
 
 

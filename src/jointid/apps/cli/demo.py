@@ -1,0 +1,246 @@
+"""The command `jointid demo`: an axis, a robot or a fleet to try the program on, simulated, with its truth."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jointid.apps.cli.console import Flag, Options, Quiet, fresh_folder, ready, show
+from jointid.apps.cli.places import Outputs
+from jointid.common.errors import MethodError, RecordError
+from jointid.common.files import write_whole
+from jointid.common.text import align, number
+
+if TYPE_CHECKING:
+    from jointid import Estimate, Record, Robot
+    from jointid.simulation.robots import RobotLoop
+
+_ROBOT = ("robot.toml", "robot.xml")
+_ANSWER = ("record.csv", "estimate.json", "torque.png")
+
+CAMPAIGN = """\
+# Every record of every axis, identified as the joint file says: jointid campaign run campaign.toml --out results
+name = "fleet of axes"
+
+[fleet]
+joint = "joint.toml"                     # one for all; "joints/{joint}.toml" where each has its own
+records = "logs/{joint}/{day}.npy"       # or a URL, as s3://line-3/{joint}/{day}.npy
+"""
+FIRST_DAY = datetime.date(2026, 10, 1)
+SCATTER = {"stiffness": 0.005, "motor_coulomb": 0.03, "load_coulomb": 0.03, "motor_viscous": 0.03, "load_viscous": 0.03}
+"""Standard deviation from day to day, as a share of the value."""
+
+
+def demo(
+    folder: Path | None = None, /, *, robot: Flag = False, fleet: Flag = False, seed: int = 1, quiet: Quiet = False
+) -> None:
+    """Make the digital twin of the paper's flexible axis and identify it, its stiffness too, from torque alone.
+
+    Writes the record, the joint file, the answer and the figure; change the joint file and run
+    `jointid identify FOLDER/joint.toml` to see what follows.
+
+    Args:
+        folder: where to write, made if it is not there; without it jointid-demo, jointid-demo-robot or
+            jointid-demo-fleet.
+        robot: a robot of two joints instead, one of them flexible, from torques alone.
+        fleet: the records of four axes over nine days instead, of which the stiffness of one falls.
+        seed: of the noise.
+        quiet: say nothing of the progress.
+    """
+    if robot and fleet:
+        raise MethodError("A demo is of a robot or of a fleet; leave out --robot or --fleet.")
+    kind, make = ("-robot", _show_robot) if robot else ("-fleet", _show_fleet) if fleet else ("", _show_axis)
+    folder = folder or Path(f"jointid-demo{kind}")
+    Outputs(folders={"FOLDER": folder})
+    make(folder, seed, Options(quiet=quiet))
+
+
+def _show_axis(folder: Path, seed: int, options: Options) -> None:
+    from jointid import twin, write
+    from jointid.paper.twin import JOINT_FILE
+
+    with _fresh(folder, {"joint.toml": JOINT_FILE}, _ANSWER):
+        options.progress("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
+        ready(options.progress)
+        axis = twin(seed=seed)
+    write(axis.record, folder / "record.csv")
+    options.progress("identifying it from motor force and reference alone")
+    estimate = _identify(folder, "joint.toml", options)
+    sums = {name: axis.truth[f"motor_{name}"] + axis.truth[f"load_{name}"] for name in ("viscous", "coulomb")}
+    show("Beside the truth; torque alone knows the two viscous frictions, and the two Coulomb ones, by their sum:")
+    _show_truth(estimate, axis.truth | sums)
+    _show_next(folder, "joint.toml", ("joint.toml",))
+
+
+def _show_robot(folder: Path, seed: int, options: Options) -> None:
+    from jointid.config import load
+    from jointid.config.robot_file import RobotFile
+
+    texts = {name: files("jointid.apps.cli").joinpath("demo_robot", name).read_text("utf-8") for name in _ROBOT}
+    with _fresh(folder, texts, _ANSWER):
+        file = load(folder / "robot.toml")
+        assert isinstance(file, RobotFile)
+    options.progress("simulating 8 s of a robot of two joints, with 2 % of noise on each torque")
+    robot, records = _simulate_robot(file.loop, seed)
+    file.write(records, folder / "record.csv")
+    options.progress("identifying it from motor torques and references alone")
+    estimate = _identify(folder, "robot.toml", options)
+    assert estimate.robot is not None
+    truth = estimate.robot.parameters_of(robot)
+    assert truth is not None
+    show("Beside the truth:")
+    _show_truth(estimate, dict(zip(estimate.robot.names, truth.tolist(), strict=True)))
+    _show_next(folder, "robot.toml", _ROBOT)
+
+
+def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ...]]:
+    """Return a robot that is a tenth heavier than its file says, with friction, and what its drives log."""
+    import numpy as np
+
+    from jointid import Channel, Record, excitation, simulate
+    from jointid.robots import JointSpring
+
+    links = tuple(replace(link, inertial=1.1 * link.inertial) for link in loop.robot.links)
+    shoulder, elbow = loop.robot.joints
+    spring = JointSpring(stiffness=2560.0, damping=2.7, viscous=1.2, coulomb=1.2)
+    shoulder = replace(shoulder, rotor_inertia=0.8, viscous=1.8, coulomb=2.8, spring=spring)
+    elbow = replace(elbow, rotor_inertia=0.3, viscous=1.2, coulomb=1.5)
+    robot = replace(loop.robot, links=links, joints=(shoulder, elbow))
+    motions = ((0.9, 0.25, 24), (1.2, 0.375, 19))  # rad, Hz of the slowest sine, sines up to beyond the mode
+    driven = [
+        Record(reference=Channel(excitation.multisine(8000, 1e-3, size, f, 35.0, lines=n, tilt=1.6), "rad", 1e-3))
+        for size, f, n in motions
+    ]
+    draw, logged = np.random.default_rng(seed), []
+    for record in simulate(replace(loop, robot=robot), driven).records(driven):
+        assert record.torque is not None
+        values = record.torque.values
+        noisy = values + 0.02 * np.std(values) * draw.standard_normal(values.size)
+        logged.append(replace(record, torque=replace(record.torque, values=noisy), motor_position=None))
+    return robot, tuple(logged)
+
+
+def _show_fleet(folder: Path, seed: int, options: Options) -> None:
+    from jointid.paper.twin import JOINT_FILE
+
+    joint = JOINT_FILE.replace("record.csv", f"logs/axis-001/{FIRST_DAY}.npy")
+    with _fresh(folder, {"campaign.toml": CAMPAIGN, "joint.toml": joint}, ("fleet.csv", "logs")):
+        options.progress("simulating 8 s of four axes on each of nine days")
+        ready(options.progress)
+    make_fleet(folder, seed=seed)
+    campaign, results = folder / "campaign.toml", folder / "results"
+    show("The stiffness of axis-001 falls by a tenth from some day on; of the files 5 % are spoiled.")
+    show(f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs")
+    show(f"Identify all of them, which takes minutes: jointid campaign run {campaign} --out {results}")
+    show(f"Then see what changed: jointid campaign report {results}")
+
+
+def make_fleet(
+    folder: Path, joints: int = 4, days: int = 9, spoiled: float = 0.05, falling: int = 1, fall: float = 0.1,
+    seed: int = 1,
+) -> None:  # fmt: skip
+    """Write the records of a fleet, and its table: the twin's axis with parameters that scatter from day to day.
+
+    Args:
+        folder: in which there are joint and campaign files.
+        joints: how many.
+        days: one record of each joint a day.
+        spoiled: share of the records.
+        falling: joints whose stiffness falls, the first ones.
+        fall: by what share, from a day between a third and two thirds on.
+        seed: of all that is drawn.
+    """
+    import numpy as np
+
+    import jointid as ji
+    from jointid.paper.twin import CONTROLLERS, TABLE_2
+
+    loop = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])
+    reference = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, 1e-3, duration=8.0)
+    pulses = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
+    names = [f"axis-{number + 1:03}" for number in range(joints)]
+    rows = ["name,filtering.cutoff,method.frequency", *(f"{name},60,30" for name in names)]
+    write_whole(folder / "fleet.csv", "".join(f"{row}\n" for row in rows))
+    for place_in_line, name in enumerate(names):
+        draw = np.random.default_rng([seed, place_in_line])
+        own = {name: value * (1 + 0.1 * draw.uniform(-1, 1)) for name, value in TABLE_2.items()}
+        begins = int(draw.integers(days // 3, max(2 * days // 3, days // 3 + 1)))
+        place = folder / "logs" / name
+        place.mkdir(parents=True, exist_ok=True)
+        for day in range(days):
+            today = {name: value * (1 + SCATTER.get(name, 0.0) * draw.standard_normal()) for name, value in own.items()}
+            if place_in_line < falling and day >= begins:
+                today["stiffness"] *= 1 - fall
+            force = 10.0 * draw.standard_normal(reference.size)
+            record = ji.simulated_record(
+                loop, reference, today, sample_time=1e-3, injected=pulses, disturbance=force, encoder_step=5e-8
+            )
+            path = place / f"{FIRST_DAY + datetime.timedelta(days=day)}.npy"
+            ji.write(record, path)
+            if draw.random() < spoiled:
+                content = path.read_bytes()
+                ways = (content[: len(content) // 3], b"", b"the drive could not be reached\n")
+                path.write_bytes(ways[int(draw.integers(3))])
+
+
+@contextmanager
+def _fresh(folder: Path, texts: Mapping[str, str], others: Sequence[str]) -> Iterator[None]:
+    """Make a folder, write the demo's texts into it, and take it away again if nothing stays there.
+
+    Raises:
+        RecordError: it holds files of others by the names that the demo writes.
+    """
+    with fresh_folder(folder):
+        own = all((folder / name).is_file() and (folder / name).read_text("utf-8") == texts[name] for name in texts)
+        there = [name for name in (*texts, *others) if (folder / name).exists()]
+        if there and not own:
+            raise RecordError(
+                f"{folder / there[0]} is there, and is not, or is no longer, what the demo writes; it would be "
+                "replaced: name another folder."
+            )
+        for name, text in texts.items():
+            write_whole(folder / name, text)
+        yield
+
+
+def _identify(folder: Path, name: str, options: Options) -> Estimate:
+    """Identify as a file of the demo says, write and show the answer, and return it."""
+    from jointid import figures
+    from jointid.output import json as answers
+
+    _, estimate = options.identify(options.load(folder / name))
+    answers.write(answers.to_dict(estimate), folder / "estimate.json")
+    figures.save(figures.torque(estimate), folder / "torque.png")
+    show(estimate)
+    show()
+    return estimate
+
+
+def _show_truth(estimate: Estimate, truth: Mapping[str, float]) -> None:
+    rows = []
+    for name, true in truth.items():
+        value, std, symbol, unit = _look_up(estimate, name)
+        rows.append((symbol, number(value), number(2 * std, 2), number(true), unit))
+    show(align(("symbol", "identified", "2 sigma", "truth", "unit"), rows, (False, True, True, True, False)))
+    show()
+
+
+def _show_next(folder: Path, name: str, texts: Sequence[str]) -> None:
+    show(f"Written to {folder}: record.csv, {', '.join(texts)}, estimate.json, torque.png")
+    show(f"All of it on one page: jointid report {folder / name} --html report.html")
+    show(f"Change the {name.removesuffix('.toml')} file, then: jointid identify {folder / name}")
+
+
+def _look_up(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
+    """Return value, deviation, symbol and unit of a parameter, or of the sum of both sides."""
+    if name in estimate.values:
+        found = estimate[name]
+        return estimate.values[name], found.stderr or 0.0, found.symbol, found.unit
+    motor, load = estimate[f"motor_{name}"], estimate[f"load_{name}"]
+    value, std = estimate.params.total((motor.name, load.name))
+    return value, std, f"{motor.symbol}+{load.symbol}", motor.unit

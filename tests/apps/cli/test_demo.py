@@ -1,0 +1,54 @@
+"""The demos of a robot and of a fleet: what can be tried without a real record."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from jointid.apps.cli import main
+from jointid.apps.cli.demo import FIRST_DAY
+from jointid.config import load_joint
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def run(*words: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+@pytest.mark.slow
+def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = tmp_path / "robot"
+    assert run("demo", "--robot", place, "-q") == 0
+    names = {"record.csv", "robot.toml", "robot.xml", "estimate.json", "torque.png"}
+    assert {path.name for path in place.iterdir()} == names
+    for name in ("robot.toml", "robot.xml"):
+        assert (place / name).read_bytes() == (ROOT / "examples" / "robot" / name).read_bytes()
+    assert (place / "record.csv").read_text(encoding="utf-8").startswith("tau1,r1,tau2,r2\n")
+    rows = re.findall(r"^(\w+) +(-?[\d.e-]+) +([\d.e-]+) +(-?[\d.e-]+)  \S", capsys.readouterr().out, re.MULTILINE)
+    found = {symbol: tuple(map(float, numbers)) for symbol, *numbers in rows}
+    assert len(found) == 18, "every parameter has its truth"
+    assert all(abs(value - true) < 2 * interval for value, interval, true in found.values())
+    value, interval, true = found["K1"]
+    assert true == 2560.0 and interval < 0.01 * value
+    (place / "robot.toml").write_text("# changed", encoding="utf-8")
+    assert run("demo", "--robot", place, "-q") == 2
+    assert "is there, and is not, or is no longer, what the demo writes" in capsys.readouterr().err
+
+
+def test_a_fleet_is_made_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "fleet"
+    assert run("demo", "--fleet", place, "-q") == 0
+    assert len([*place.glob("logs/axis-00?/*.npy")]) == 4 * 9
+    record = load_joint(place / "joint.toml").record(place / "logs" / "axis-001" / f"{FIRST_DAY}.npy")
+    assert record.torque is not None and record.torque.values.size == 8000
+    assert f"jointid campaign run {place}/campaign.toml --out {place}/results" in capsys.readouterr().out
+    assert run("demo", "--fleet", "--robot", place) == 2
+    assert "A demo is of a robot or of a fleet" in capsys.readouterr().err

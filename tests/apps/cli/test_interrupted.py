@@ -1,0 +1,112 @@
+"""What an identification knew is printed where it is interrupted, and a reason is told once."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.apps.cli import main
+from jointid.common.errors import MethodError
+from jointid.common.messages import Suspicion, Suspicions
+from jointid.config import JointFile, loads
+
+JOINT = """
+[joint]
+kind = "revolute"
+model = "MODEL"
+[record]
+file = "run.csv"
+time = "t"
+[record.channels]
+torque = { column = "torque", unit = "N m" }
+reference = { column = "reference", unit = "rad" }
+[controller]
+law = "cascade"
+position_gain = 40.0
+velocity_gain = 0.9
+"""
+RIGID = JOINT.replace("MODEL", "rigid")
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An axis of 0.02 kg m2, its record and its joint file."""
+    reference = ji.excitation.trapezoids([2.0, 5.0], 60.0, 2.0, 1e-3, rest=0.1, duration=5.0)
+    file = loads(RIGID)
+    assert file.loop is not None
+    truth = {"inertia": 0.02, "viscous": 0.05, "coulomb": 0.1, "offset": 0.0}
+    noise = 0.01 * np.random.default_rng(3).standard_normal(reference.size)
+    record = ji.simulated_record(file.loop, reference, truth, sample_time=1e-3, torque_noise=noise)
+    file.write(record, tmp_path / "run.csv")
+    (tmp_path / "joint.toml").write_text(RIGID, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def interrupt(*_: Any, **__: Any) -> Any:
+    raise KeyboardInterrupt
+
+
+def identify(*words: str) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(["identify", *words])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+def test_an_estimate_is_printed_whose_checks_are_interrupted(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("jointid.diagnostics.identify.run_checks", interrupt)
+    assert identify("joint.toml", "-q") == 130
+    said = capsys.readouterr().out
+    assert re.match(r"Inertia 0\.0[12]\d+ ± ", said)
+    assert "which was not checked" in " ".join(said.split())
+
+
+def test_the_reason_is_printed_where_the_search_for_the_cause_is_interrupted(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any, **__: Any) -> Any:
+        raise MethodError("The loop is not stable; check the gain.")
+
+    monkeypatch.setattr(JointFile, "identify", fail)
+    monkeypatch.setattr(JointFile, "explain", interrupt)
+    assert identify("joint.toml", "-q") == 130
+    assert "Known so far: The loop is not stable; check the gain." in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_wrong_gain_is_suspected_before_the_whole_search_and_no_reason_is_repeated(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = JOINT.replace("MODEL", "flexible").replace("velocity_gain = 0.9", "velocity_gain = 54.0")
+    (place / "joint.toml").write_text(wrong, encoding="utf-8")
+    assert identify("joint.toml") in (0, 2)
+    told = capsys.readouterr().err.splitlines()
+    reasons = [re.sub(r"[\d.e+-]+", "", line.partition(": ")[2]) for line in told if len(line) > 150]
+    assert len(reasons) == len(set(reasons))
+    likeliest = next(i for i, line in enumerate(told) if line.startswith("the likeliest cause so far: "))
+    assert "times too large" in told[likeliest]
+    assert told[likeliest - 1].startswith("searching for the cause"), "after the rigid joints, before the flexible"
+
+
+def test_a_reason_is_told_again_only_where_more_than_its_numbers_differ() -> None:
+    told: list[str] = []
+    listener = Suspicions(told.append)
+    for brief, why in (
+        ("below 5 Hz", "The inertia is -3.2e-4 kg; check the gain."),
+        ("below 1 Hz", "The inertia is 7 kg; check the gain."),
+        ("below 0.2 Hz", "The record is too short."),
+    ):
+        listener(Suspicion(brief, why))
+    first, second, third = told
+    assert first == "below 5 Hz: The inertia is -3.2e-4 kg; check the gain."
+    assert second == "below 1 Hz"
+    assert third == "below 0.2 Hz: The record is too short."
+    assert listener.latest == "The record is too short."
