@@ -92,7 +92,7 @@ COMMANDS = {
     "diagnose methods joint.toml": "DIDIM",
     "diagnose joint.toml": "Loop and log",
     "advise joint.toml": "encoder",
-    "diagnose intervals joint.toml --of inertia": "ZZ",
+    "diagnose intervals joint.toml": "ZZ",
     "tune joint.toml": "position_gain",
     "learn-controller joint.toml": "cascade",
     "reproduce": "from torque alone",

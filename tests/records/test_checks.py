@@ -153,7 +153,17 @@ def test_what_is_added_after_the_limit_does_not_count() -> None:
         (180 / np.pi, "rad", "as if motor_position were in deg and read as rad"),
         (1 / (2 * np.pi), "rad", "as if motor_position were in rev and read as rad"),
         (np.pi / 180, "rad", "as if reference were in deg and read as rad"),
-        (20.0, "rad", "motor_position is 20 times reference, and should equal it; check both units, and give the gain"),
+        (
+            98.6,
+            "rad",
+            "motor_position is 98.6 times reference, and should equal it, as if the reference were of the load "
+            'behind a gear of 100:1; give transmission.ratio = 100 and record.channels.reference.side = "load"',
+        ),
+        (
+            0.07,
+            "rad",
+            "motor_position is 0.07 times reference, and should equal it; check both units, and give the gain",
+        ),
     ],
 )
 def test_a_wrong_unit_is_named(factor: float, unit: str, part: str) -> None:

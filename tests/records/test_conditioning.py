@@ -155,6 +155,22 @@ def test_the_remedies_that_a_broken_clock_names_work(tmp_path: Path, name: str) 
         read(path, columns, part=7)
 
 
+def test_parts_are_counted_as_the_sentence_counts_them(tmp_path: Path) -> None:
+    """Beside rows that are repeated, which are no jumps, and among those that start and stop leave."""
+    rows = np.delete(np.arange(TIME.size), [*range(100, 120), *range(700, 740)])
+    rows = np.sort(np.concatenate([rows, [30, 31, 500]]))
+    path = tmp_path / "run.csv"
+    write_table(path, Table({"t": TIME[rows], "q": MOTION[rows]}))
+    columns = {"motor_position": "q"}
+    for cut, number, first, last in (({}, 2, 120, 699), ({"start": 0.2}, 1, 200, 699), ({"start": 0.5}, 2, 740, 999)):
+        with pytest.raises(RecordError, match=rf"give part = {number} \(samples") as error:
+            read(path, columns, **cut)
+        assert len(error.value.faults) == 1
+        for part in (number, 0):
+            found = read(path, columns, part=part, **cut).motor_position
+            np.testing.assert_allclose(found.values, MOTION[first : last + 1], rtol=1e-6)
+
+
 def test_a_record_is_cut_by_its_own_clock(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     write_table(path, Table({"t [ms]": 5e3 + 1e3 * TIME, "q": MOTION}))

@@ -100,6 +100,14 @@ AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
         "Time;r63;r80\n[ms];[1/min];[Nm]\n0;1,5;2\n",
         {"Time [ms]": [0], "r63 [1/min]": [1.5], "r80 [Nm]": [2]},
     ),
+    "Startdrive": (
+        '"Time";"p1:r62";"p1:r80"\r\n"ms";"1/min";"Nm"\r\n0,0;1,5;2,0\r\n0,125;2,5;3,0\r\n',
+        {"Time [ms]": [0, 0.125], "p1:r62 [1/min]": [1.5, 2.5], "p1:r80 [Nm]": [2, 3]},
+    ),
+    "a drive's own units": (
+        "Time;s_set;i_act;enc\nms;LU;Arms;Inkr\n0;1;2;3\n",
+        {"Time [ms]": [0], "s_set [LU]": [1], "i_act [Arms]": [2], "enc [Inkr]": [3]},
+    ),
     "PicoScope": (
         "Time,Channel A,Channel B\n(ms),(V),(mV)\n\n0.5,1,2\n",
         {

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jointid.campaigns.campaign_file import load_campaign
 from jointid.common.errors import JointFileError, RecordError
 from jointid.config import load, loads
-from jointid.records.joining import choose_resampling, read_joined
+from jointid.records.joining import choose_resampling, join_files
 from jointid.records.record import Record
 
 JOINT = """[joint]
@@ -86,7 +87,7 @@ def test_the_offset_of_a_shared_channel_is_found_to_a_part_of_a_sample(own: bool
     if not own:  # clocks that have nothing in common
         table = np.loadtxt(tmp_path / "torques.csv", delimiter=",", skiprows=1)
         write(tmp_path / "torques.csv", "t,tau,q", table[:, 0] - 1e5, table[:, 1], table[:, 2])
-    table = read_joined([tmp_path / "positions.csv", tmp_path / "torques.csv"])
+    table = join_files([tmp_path / "positions.csv", tmp_path / "torques.csv"])
     late = table.columns["time of torques"][0] - table.columns["time of positions"][0]
     assert late == pytest.approx(BEGIN, abs=0.01 * RATE)
     assert table.clocks["torques: q"] == "time of torques" and table.clocks["q"] == "time of positions"
@@ -133,3 +134,107 @@ def test_an_offset_that_cannot_be_found_is_to_be_stated(shared: bool, tmp_path: 
 def test_files_that_contradict_are_one_sentence(old: str, new: str, said: str) -> None:
     with pytest.raises(JointFileError, match=said):
         loads(JOINT.replace(old, new))
+
+
+ROBOT = """[robot]
+model = "robot.xml"
+[record]
+files = ["positions.csv", "torques.csv", "references.csv"]
+[record.channels]
+torque = { column = "tau{axis}" }
+motor_position = { column = "q{axis}" }
+reference = { column = "r{axis}" }
+[[joints]]
+name = "one"
+[[joints]]
+name = "two"
+"""
+MODEL = """<mujoco><worldbody><body><joint name="one"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<body><joint name="two"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody></mujoco>"""
+
+
+def write_robot(folder: Path, *, begins: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+    """Write positions at 500 Hz, torques at 1 kHz and references at 250 Hz of two joints, each on a clock of its own.
+
+    The clock of a file counts from its beginning, and each file but the first holds the position of the first joint.
+    """
+    (folder / "robot.xml").write_text(MODEL)
+    (folder / "robot.toml").write_text(ROBOT)
+    names = ("positions", "torques", "references")
+    for name, rate, begin in zip(names, (RATE, RATE / 2, 2 * RATE), begins, strict=True):
+        clock = np.arange(round(6.0 / rate)) * rate
+        t = clock + begin
+        signals = {
+            "positions": {"q1": angle(t), "q2": -angle(t)},
+            "torques": {"tau1": moment(t), "tau2": 2 * moment(t)},
+            "references": {"r1": angle(t), "r2": -angle(t)},
+        }[name]
+        shared = {} if name == "positions" or not any(begins) else {"q1": angle(t)}
+        write(folder / f"{name}.csv", ",".join(["t", *signals, *shared]), clock, *signals.values(), *shared.values())
+
+
+@pytest.mark.parametrize("begins", [(0.0, 0.0, 0.0), (0.0, BEGIN, 0.121)])
+def test_a_robot_s_record_in_three_files_has_one_clock(begins: tuple[float, float, float], tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+    write_robot(tmp_path, begins=begins)
+    one, two = load(tmp_path / "robot.toml").records()
+    assert one.begin == two.begin
+    for record, sign, factor in ((one, 1.0, 1.0), (two, -1.0, 2.0)):
+        assert record.torque is not None and record.motor_position is not None and record.reference is not None
+        assert record.torque.sample_time == pytest.approx(RATE / 2, rel=1e-6)
+        assert len(record.torque) == len(record.motor_position) == len(record.reference) > 5000
+        at = record.begin + record.torque.time
+        np.testing.assert_allclose(record.motor_position.values, sign * angle(at), atol=2e-4)
+        np.testing.assert_allclose(record.reference.values, sign * angle(at), atol=1e-3)
+        assert np.abs(record.torque.values - factor * moment(at)).max() < 3.5 * factor * (RATE / 2 + 1e-4)
+
+
+def test_joints_of_a_robot_cover_the_same_instants(tmp_path: Path) -> None:
+    """Also where a file that begins later has a channel of one of them."""
+    pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+    write_robot(tmp_path)
+    text = ROBOT.replace('"references.csv"', '"loads.csv"').replace('reference = { column = "r{axis}" }\n', "")
+    own = '[joints.channels]\nload_position = { column = "load2" }\ntorque = { column = "tau2" }\n'
+    (tmp_path / "robot.toml").write_text(text + own)
+    t = 0.3 + np.arange(2000) * RATE
+    write(tmp_path / "loads.csv", "t,load2", t, angle(t))
+    one, two = load(tmp_path / "robot.toml").records()
+    assert two.load_position is not None and one.torque is not None
+    assert one.begin == two.begin == pytest.approx(0.3, abs=1e-9)
+    at = one.begin + one.torque.time
+    assert np.abs(one.torque.values - moment(at)).max() < 3.5 * (RATE / 2 + 1e-4)
+
+
+@pytest.mark.parametrize("late", [0.3, 9.0])
+def test_joints_of_files_of_their_own_begin_together(late: float, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+    write_robot(tmp_path)
+    text = ROBOT.replace('"positions.csv", "torques.csv", "references.csv"', '"one.csv", "two.csv"')
+    text = text.replace('reference = { column = "r{axis}" }\n', "")
+    (tmp_path / "robot.toml").write_text(text.replace("[record]", "[record]\noffsets = [0, 0]"))
+    for number, (name, begin) in enumerate({"one": 0.0, "two": late}.items(), 1):
+        t = begin + np.arange(3000) * RATE
+        write(tmp_path / f"{name}.csv", f"t,q{number},tau{number}", t, angle(t), moment(t))
+    if late > 6.0:
+        with pytest.raises(RecordError, match="another joint begin 9 s later, by their own clocks"):
+            load(tmp_path / "robot.toml").records()
+        return
+    for record in load(tmp_path / "robot.toml").records():
+        assert record.begin == pytest.approx(late) and record.motor_position is not None
+        at = record.begin + record.motor_position.time
+        np.testing.assert_allclose(record.motor_position.values, angle(at), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["joint", "robot"])
+def test_what_reads_one_file_refuses_several(name: str, tmp_path: Path) -> None:
+    if name == "robot":
+        pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+        write_robot(tmp_path)
+    else:
+        (tmp_path / "joint.toml").write_text(JOINT)
+        file = load(tmp_path / "joint.toml")
+        with pytest.raises(RecordError, match="in several files is not read in chunks; join them to one file"):
+            file.log()
+    (tmp_path / "campaign.toml").write_text(f'[fleet]\njoint = "{name}.toml"\n')
+    with pytest.raises(JointFileError, match="a record in several files, and a campaign reads each record from one"):
+        load_campaign(tmp_path / "campaign.toml")

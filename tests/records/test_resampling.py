@@ -310,3 +310,70 @@ def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
         assert told["sample_time"] == T
         assert told["channels"]["torque"] == {"method": "hold", "time": "t"}
         assert 0.1 * T < told["clocks"]["t"]["largest"] < 0.2 * T
+
+
+def _sparse(path: Path, every: int = 4, phase: int = 0, *, drop: tuple[int, ...] = ()) -> None:
+    """Write torque and position in every row, and a reference in some."""
+    t = np.arange(1000) * 1e-3
+    rows = [row for row in range(phase, t.size, every) if row not in drop]
+    cells = [f"{np.sin(5 * t[k]):.9f}" if k in rows else "" for k in range(t.size)]
+    lines = [f"{t[k]:.3f},{np.cos(5 * t[k]):.9f},{np.sin(5 * t[k]):.9f},{cells[k]}" for k in range(t.size)]
+    path.write_text("\n".join(["t,tau,q,r", *lines]))
+
+
+SPARSE = {"torque": "tau", "motor_position": "q", "reference": "r"}
+
+
+@pytest.mark.parametrize(("every", "phase"), [(4, 0), (4, 3), (2, 1), (10, 5)])
+@pytest.mark.parametrize("stated", [(), ("sample_time",), ("update_time",)])
+def test_a_channel_that_is_empty_between_has_its_own_rate(
+    tmp_path: Path, every: int, phase: int, stated: tuple[str, ...]
+) -> None:
+    _sparse(tmp_path / "run.csv", every, phase)
+    column = ji.Column("r", **dict.fromkeys(stated, every * 1e-3))
+    record = ji.read(tmp_path / "run.csv", {**SPARSE, "reference": column}, time="t")
+    assert record.reference is not None and record.motor_position is not None
+    assert record.reference.sample_time == pytest.approx(every * 1e-3)
+    assert record.motor_position.sample_time == pytest.approx(1e-3)
+    assert record.begin == pytest.approx(phase * 1e-3, abs=1e-9)
+    for channel in (record.reference, record.motor_position):
+        np.testing.assert_allclose(channel.values, np.sin(5 * (record.begin + channel.time)), atol=1e-7)
+    assert record.remarks == (
+        f'reference (column "r") has a number in one row of {every}: it is read as a channel with a sample every '
+        f"{every * 1e-3:g} s",
+    )
+
+
+def test_another_rate_than_that_of_the_rows_is_refused(tmp_path: Path) -> None:
+    _sparse(tmp_path / "run.csv")
+    with pytest.raises(RecordError, match=r"one row of 4, every 0.004 s, and is stated to have one every 0.002 s"):
+        ji.read(tmp_path / "run.csv", {**SPARSE, "reference": ji.Column("r", sample_time=2e-3)}, time="t")
+
+
+@pytest.mark.parametrize("phase", [0, 3])
+def test_a_joint_is_identified_from_a_reference_in_every_fourth_row(tmp_path: Path, phase: int) -> None:
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.controller.PD(position_gain=40.0, derivative_gain=1.0))
+    reference = ji.excitation.trapezoids([0.5, 1.0], 20.0, 1.0, 1e-3, rest=0.1, duration=5.0)
+    at = np.arange(reference.size)
+    reference = np.interp(at, at[phase::4], reference[phase::4])  # as a controller takes it between
+    values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.3, "offset": 0.0}
+    record = ji.simulated_record(loop, reference, values, sample_time=1e-3)
+    assert record.torque is not None
+    rows = (f"{k / 1e3},{record.torque.values[k]},{reference[k] if k % 4 == phase else ''}" for k in at)
+    (tmp_path / "run.csv").write_text("\n".join(["t,tau,r", *rows]))
+    found = ji.identify(ji.read(tmp_path / "run.csv", {"torque": "tau", "reference": "r"}), loop, checks=False)
+    assert found.params["inertia"].value == pytest.approx(0.04, rel=1e-3)
+    assert found.params["coulomb"].value == pytest.approx(0.3, rel=1e-3)
+
+
+def test_the_remedy_for_cells_that_are_empty_now_and_then_works(tmp_path: Path) -> None:
+    _sparse(tmp_path / "run.csv", 4, drop=(400,))
+    with pytest.raises(RecordError, match="or give resample, which takes every channel at the rows") as error:
+        ji.read(tmp_path / "run.csv", SPARSE, time="t")
+    assert len(error.value.faults) == 1
+    record = ji.read(tmp_path / "run.csv", SPARSE, time="t", resample=Resampling(1e-3, "cubic"))
+    assert record.reference is not None and record.torque is not None
+    assert len(record.reference) == len(record.torque) == 997  # to the last number of the reference
+    np.testing.assert_allclose(record.reference.values, np.sin(5 * record.reference.time), atol=1e-6)
+    with pytest.raises(RecordError, match='"t, r" leaves out 1 samples in a row'):
+        ji.read(tmp_path / "run.csv", SPARSE, time="t", resample=Resampling(1e-3, "cubic", longest_gap=0))

@@ -216,7 +216,13 @@ def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = (
     """
     path = joint.absolute()
     text = _embed_model(read_text(path), path.parent)
-    named = loads(text, changes=settings).source.file if record is None else record
+    source = loads(text, changes=settings).source
+    if source.files and record is None:
+        raise JointFileError(
+            f"{path} names a record in several files, and a campaign reads each record from one; join them to one "
+            "file, or name records in this file."
+        )
+    named = source.file if record is None else record
     if named is None:
         raise JointFileError(f"{path} names no record; add file to its [record], or name records in this file.")
     place = path.parent / named

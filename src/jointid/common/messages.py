@@ -224,7 +224,7 @@ def missing(expected: str, meaning: str) -> str:
     return f" is missing; expected {expected} ({meaning}): add it."
 
 
-def describe_unknown(key: str, known: Iterable[str]) -> str:
+def describe_unknown_name(key: str, known: Iterable[str]) -> str:
     """Describe an unknown key."""
     keys = list(known)
     return f" is not a known key; expected one of {', '.join(keys)}: {suggest(key, keys, 'leave it out')}"
@@ -252,7 +252,7 @@ def beside_preset(value: object, preset: str) -> str:
     return f' is {format_value(value)} beside preset = "{preset}", which sets it: leave one of them out.'
 
 
-def describe_unexpected(value: object, says: Says, optional: bool) -> str:
+def describe_unexpected_value(value: object, says: Says, optional: bool) -> str:
     """Describe an unexpected value."""
     remedy = "correct it, or leave it out" if optional else "correct it"
     if isinstance(value, int | float) and value < 0 and says.negative:

@@ -43,7 +43,7 @@ from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.limits import AxisLimits
 from jointid.records.checks import check_record
-from jointid.records.chunks import Log
+from jointid.records.chunks import Log, begin_together
 from jointid.records.clock import Cut
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive
@@ -180,7 +180,7 @@ class File(ABC, Generic[R]):
     def _cut(
         self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, Table, str], Record]
     ) -> tuple[Record, ...]:
-        """Read a table once, and cut it into the record of each axis."""
+        """Read a table once, and cut it into the record of each axis; all begin at one instant."""
         path = self.record_path(path)
         table = self.source.read(path, self.path.parent)
         found, faults = list[Record](), dict[Fault, list[str]]()
@@ -192,7 +192,7 @@ class File(ABC, Generic[R]):
                     faults.setdefault(fault, []).append(str(axis.name))
         if faults:
             raise RecordError(name_axes(faults, len(self.axes)))
-        return tuple(found)
+        return begin_together(found)
 
     def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
         """Return the records with the feed-forward, which must be computed or logged, but not both."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -33,6 +33,7 @@ _DEEPEST = 300  # elements in each other: the parser calls itself for each
 _MOST = 100  # joints
 _MOST_LINKS = 100  # without a mass, in one body
 _NOTHING = 1e-13  # kg and kg m2: a link without a mass is given it, as MuJoCo moves none without, and then freed of it
+_ROUNDED = 1e-5  # of the largest principal moment of inertia, that others may be below it as of a flat body
 
 _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _PLACED = ("pos", *_TURNED)
@@ -48,6 +49,7 @@ _JOINT = (
     "armature",
     "frictionloss",
     "stiffness",
+    "springdamper",
     "range",
     "limited",
 )
@@ -97,7 +99,7 @@ _ONCE: Mapping[str, tuple[str, ...]] = {
     "link": ("inertial",),
     "body": ("inertial",),
     "inertial": ("origin", "mass", "inertia"),
-    "joint": ("parent", "child", "origin", "axis", "dynamics"),
+    "joint": ("parent", "child", "origin", "axis", "dynamics", "limit"),
 }
 _NO_NUMBER = re.compile(r"(?i)(^|[\s,])[+-]?(nan|inf)")
 _WORDS = ("name", "model", "class", "childclass", "link")  # attributes that are any text
@@ -153,8 +155,13 @@ def read_robot(
     _refuse_elements(root, called)
     order = [one.get("name", "") for one in root.iter("joint")]
     stripped = _filter_tree(root, kept)
-    _refuse_infinite(stripped, called)
-    remarks = (*_drop_repeated(stripped), *_forget_impossible(stripped))
+    for one in stripped.iter():
+        for name, value in one.items():
+            if name not in _WORDS and _NO_NUMBER.search(value):
+                raise JointFileError(
+                    f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
+                )
+    remarks = (*_drop_repeats(stripped), *_forget_impossible(stripped))
     _give_masses(stripped)
     mujoco = extra("mujoco", "robots", "A robot's model")
     try:
@@ -168,8 +175,14 @@ def read_robot(
             robot = _robot(mujoco, model, root.get("name") or root.get("model") or "robot", called)
     except MethodError as error:
         raise JointFileError(f"{called}: {error}") from error
-    initial = {model.joint(number).name: float(model.joint(number).qpos0[0]) for number in range(model.njnt)}
-    still = _follow_ties(root, locked, initial, called)
+    joints = [model.joint(number) for number in range(model.njnt)]
+    still = _follow_ties(root, locked, {one.name: float(one.qpos0[0]) for one in joints}, called)
+    sprung = [n for n, one in zip(robot.names, joints, strict=True) if np.any(one.stiffness) and n not in still]
+    if sprung:
+        raise JointFileError(
+            f"{called}: the joint {', '.join(sprung)} has a spring to its parent, which is not modelled; leave its "
+            "stiffness out, or name it in robot.locked if it stands still."
+        )
     if unknown := [name for name in locked if name not in robot.names]:
         raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], robot.names)}")
     ordered = reorder_joints(lock_joints(robot, still), order)
@@ -193,47 +206,57 @@ def _follow_ties(
                 value = initial.get(follower, 0.0) + float(np.polynomial.polynomial.polyval(moved, polynomial))
                 still.setdefault(follower, value)
     carried = _joints_below(root)
-    faults = []
+    tied_by = dict[str, tuple[dict[str, None], dict[str, None]]]()  # of each element the joints, and those to lock
     for tag, one, other, _ in ties:
         element, _, body = tag.partition(" ")
         tied = {one, other} if one else {*(carried.get(str(other), set()) ^ carried.get(body, set()))}
         if moving := sorted(name for name in tied if name and name not in still):
-            faults.append(
-                f"{called}: <{element}> ties {', '.join(moving)}; expected joints that move on their own: name those "
-                f"that stand still in robot.locked, as locked = {{ {other if other in moving else moving[-1]} = 0.0 }}."
-            )
-    if faults:
-        raise JointFileError(dict.fromkeys(faults))
+            joints, leaders = tied_by.setdefault(element, ({}, {}))
+            joints |= dict.fromkeys(moving)
+            leaders[str(other) if other in moving else moving[-1]] = None
+    if tied_by:
+        raise JointFileError(
+            f"{called}: <{element}> ties {', '.join(joints)}; expected joints that move on their own: name those that "
+            f"stand still in robot.locked, as locked = {{ {' = 0.0, '.join(leaders)} = 0.0 }}."
+            for element, (joints, leaders) in tied_by.items()
+        )
     return still
 
 
 def _ties(root: ET.Element) -> Iterator[tuple[str, str | None, str | None, list[float]]]:
     """Yield ties: the element, the joint that follows and the one that leads, with the coefficients of its polynomial.
 
-    Of a tie of two bodies no joint follows; the element is then named with the one body, and the other leads.
+    Of a tie of two bodies, sites or tendons no joint follows; the element is then named with the one, and the other
+    leads. Ties that MJCF does not activate are none.
     """
+    fixed = {joint.get("name") for joint in root.iter("joint") if joint.get("type") == "fixed"}
     try:
         for joint in root.iter("joint"):
-            for mimic in joint.findall("mimic"):
+            for mimic in joint.findall("mimic") if joint.get("name") not in fixed else ():
                 numbers = [float(mimic.get("offset", 0.0)), float(mimic.get("multiplier", 1.0))]
-                yield "mimic", joint.get("name"), mimic.get("joint"), numbers
-        for tie in (one for equality in root.iter("equality") for one in equality):
+                leader = mimic.get("joint")
+                yield "mimic", joint.get("name"), None if leader in fixed else leader, numbers
+        for tie in (one for equality in root.iter("equality") for one in equality if one.get("active") != "false"):
             if tie.tag == "joint":
                 numbers = [float(one) for one in tie.get("polycoef", "0 1").split()]
                 yield "equality", tie.get("joint1"), tie.get("joint2"), numbers
-            else:
-                yield f"{tie.tag} {tie.get('body1')}", None, tie.get("body2", "world"), []
+                continue
+            kind = next((kind for kind in ("site", "tendon") if f"{kind}1" in tie.attrib), "")
+            first, second = (" ".join([kind, tie.get((kind or "body") + k, "")]).strip() for k in "12")
+            yield f"{tie.tag} {first}", None, second or "world", []
     except ValueError as error:
         raise JointFileError(f"A tie of joints has a number that is none ({error}); correct it.") from error
 
 
 def _joints_below(root: ET.Element) -> dict[str, set[str]]:
-    """Return by the names of bodies the joints that carry them."""
+    """Return by the names of bodies, sites and tendons the joints that carry or pull them."""
     found: dict[str, set[str]] = {"world": set()}
+    for tendon in (one for tendons in root.findall("tendon") for one in tendons):
+        found[f"tendon {tendon.get('name')}"] = {str(one.get("joint")) for one in tendon.findall("joint")}
 
     def enter(body: ET.Element, above: set[str]) -> None:
         own = above | {joint.get("name", "a joint without a name") for joint in body.findall("joint")}
-        found[body.get("name", "")] = own
+        found.update({f"site {site.get('name')}": own for site in body.findall("site")} | {body.get("name", ""): own})
         for child in body.findall("body"):
             enter(child, own)
 
@@ -292,39 +315,44 @@ def _quiet(mujoco: Any) -> Iterator[None]:
 
 
 def _parse(text: str, called: str) -> ET.Element:
-    _refuse_declarations(text, called)
-    try:
-        root = ET.fromstring(text)  # noqa: S314, without entities, and of a bounded size
-    except (ET.ParseError, ValueError) as error:
-        raise JointFileError(f"{called} is no XML ({error}); expected URDF or MJCF: check the file.") from error
-    level, depth = [root], 0
-    while level:
-        level, depth = [child for one in level for child in one], depth + 1
-        if depth > _DEEPEST:
-            raise JointFileError(f"{called} has elements more than {_DEEPEST} deep in each other; is it a robot?")
-    return root
+    """Return the root element, with names as they are written: those of a namespace with its prefix.
 
-
-def _refuse_declarations(text: str, called: str) -> None:
-    """Refuse a DOCTYPE, which can declare entities, and elements of xacro; what a comment mentions is neither."""
+    Raises:
+        JointFileError: the text is no XML, declares a DOCTYPE, which can declare entities, or is of xacro.
+    """
+    builder, parser = ET.TreeBuilder(), expat.ParserCreate()
+    open_elements = 0
 
     def refuse_doctype(*_: object) -> None:
         raise JointFileError(f"{called} declares a DOCTYPE; expected plain URDF or MJCF: remove it.")
 
-    def refuse_template(name: str, _: object) -> None:
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal open_elements
+        open_elements += 1
         if name.startswith("xacro:"):
             raise JointFileError(
                 f"{called} is a template for xacro; expected what that makes of it: run xacro on it first."
             )
+        if open_elements > _DEEPEST:
+            raise JointFileError(f"{called} has elements more than {_DEEPEST} deep in each other; is it a robot?")
+        builder.start(name, attributes)
 
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler, parser.StartElementHandler = refuse_doctype, refuse_template
-    with suppress(expat.ExpatError, ValueError):  # which the tree's own parser reports
-        parser.Parse(text, True)
+    def end(name: str) -> None:
+        nonlocal open_elements
+        open_elements -= 1
+        builder.end(name)
+
+    parser.StartDoctypeDeclHandler, parser.StartElementHandler, parser.EndElementHandler = refuse_doctype, start, end
+    try:
+        parser.Parse(text.lstrip(), True)
+    except (expat.ExpatError, ValueError) as error:
+        raise JointFileError(f"{called} is no XML ({error}); expected URDF or MJCF: check the file.") from error
+    return builder.close()
 
 
 def _refuse_elements(root: ET.Element, called: str) -> None:
     faults = []
+    by_shapes = any(one.get("inertiafromgeom") == "true" for one in root.iter("compiler"))
     for one in root.iter():
         name = f"<{one.tag}>" + (f" {one.get('name')}" if one.get("name") else "")
         if one.tag in _REFUSED:
@@ -332,22 +360,22 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
         elif one.tag == "joint" and one.get("type") in ("ball", "free", "floating", "planar"):
             kinds = "expected joints that turn or slide about one axis: write it as several joints, or leave it out"
             faults.append(f"{called}: {name} is of the type {one.get('type')}; {kinds}.")
-        elif one.tag == "body" and one.find("inertial") is None and any(map(_is_mesh, one.findall("geom"))):
-            faults.append(f"{called}: the mass of {name} follows from a mesh, which is not read; add <inertial> to it.")
+        elif one.tag == "body" and (by_shapes or one.find("inertial") is None) and any(map(_is_mesh, _geoms(one))):
+            more = " and leave inertiafromgeom out" if by_shapes else ""
+            faults.append(
+                f"{called}: the mass of {name} follows from a mesh, which is not read; add <inertial> to it{more}."
+            )
     if len(list(root.iter("joint"))) > 10 * _MOST:
         faults.append(f"{called} has more than {10 * _MOST} joints; expected a robot of at most {_MOST}.")
     if faults:
         raise JointFileError(dict.fromkeys(faults))
 
 
-def _refuse_infinite(root: ET.Element, called: str) -> None:
-    """Refuse numbers that are none, or not finite."""
-    for one in root.iter():
-        for name, value in one.items():
-            if name not in _WORDS and _NO_NUMBER.search(value):
-                raise JointFileError(
-                    f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
-                )
+def _geoms(body: ET.Element) -> Iterator[ET.Element]:
+    """Yield the shapes of a body, also those in its frames."""
+    yield from body.findall("geom")
+    for frame in body.findall("frame"):
+        yield from _geoms(frame)
 
 
 def _is_mesh(geom: ET.Element) -> bool:
@@ -364,7 +392,7 @@ def _filter_tree(element: ET.Element, allowed: Mapping[str, tuple[str, ...]]) ->
     return found
 
 
-def _drop_repeated(root: ET.Element) -> Iterator[str]:
+def _drop_repeats(root: ET.Element) -> Iterator[str]:
     """Drop all but the first of elements that an element has once; yield a remark on each."""
     for parent, once in _ONCE.items():
         for one in root.iter(parent):
@@ -375,7 +403,7 @@ def _drop_repeated(root: ET.Element) -> Iterator[str]:
 
 
 def _forget_impossible(root: ET.Element) -> Iterator[str]:
-    """Drop the inertial parameters that no body can have; yield a remark on each.
+    """Drop the inertial parameters that no body can have; yield a remark on each, but those that are all 0.
 
     Where links are is enough to identify a robot, so a wrong mass is no reason to refuse a model.
     """
@@ -384,34 +412,42 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
         inertial = one.find("inertial")
         if inertial is None or (reason := _impossible(inertial)) is None:
             continue
-        yield f"{_where(root, one)} has {reason}, as no body can; its mass and inertia are taken as unknown"
+        if reason:
+            yield f"{_where(root, one)} has {reason}, as no body can; its mass and inertia are taken as unknown"
         one.remove(inertial)
         if one.tag == "body":  # without it MuJoCo makes a mass of the shapes
             one.append(ET.Element("inertial", pos="0 0 0", mass=least, diaginertia=" ".join(3 * [least])))
 
 
 def _impossible(inertial: ET.Element) -> str | None:
-    """Return the impossible part of inertial parameters; None if there is none, or if MuJoCo reports it."""
+    """Return the impossible part of inertial parameters, empty if all are 0; None if MuJoCo takes or reports them.
+
+    Moments of URDF that are none but for rounding, as of a rod or a plate, are corrected.
+    """
     of_urdf, moments = inertial.find("mass"), inertial.find("inertia")
     said = inertial.get("mass") if of_urdf is None else of_urdf.get("value")
+    if inertial.get("mass") is None and (missing := [n for n in ("mass", "inertia") if inertial.find(n) is None]):
+        return f"an <inertial> without <{missing[0]}>"
     if moments is not None:
-        names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        numbers = [moments.get(name, "0") for name in names]
+        numbers = [moments.attrib.setdefault(name, "0") for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
     else:
         numbers = (inertial.get("fullinertia") or inertial.get("diaginertia") or "").split()
     try:
         mass, values = float(said or "nan"), np.array([float(one) for one in numbers])
     except ValueError:
         return None
-    if mass < 0.0:
-        return f"a mass of {mass:g} kg"
+    if mass <= 0.0:
+        return f"a mass of {mass:g} kg" if mass or values.any() else ""
     if values.size not in (3, 6):
         return None
     xx, yy, zz, xy, xz, yz = np.append(values, np.zeros(6 - values.size))
-    moments_of = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    if moments_of[0] < 0.0 or moments_of[0] + moments_of[1] < moments_of[2]:
-        said = ", ".join(f"{value:.4g}" for value in moments_of)
-        return f"principal moments of inertia of {said} kg m2"
+    low, middle, high = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    excess = high - low - middle
+    if max(-low, excess) > _ROUNDED * abs(high):
+        return f"principal moments of inertia of {low:.4g}, {middle:.4g}, {high:.4g} kg m2"
+    if moments is not None and (more := max(_NOTHING - low, excess + 1e-12 * high)) > 0.0:
+        for name, value in zip(("ixx", "iyy", "izz"), (xx, yy, zz), strict=True):
+            moments.set(name, repr(float(value + more)))
     return None
 
 
@@ -455,7 +491,7 @@ def _robot(mujoco: Any, model: Any, name: str, called: str) -> Robot:
                 rotation = rotation @ _rotation_about(mujoco, axis, back)
             else:
                 origin = origin + rotation @ axis * back
-            joints.append(_joint(model, joint, called))
+            joints.append(_joint(model, joint))
             last = joint == first + count - 1
             low, high = map(float, model.jnt_range[joint])
             called_link = body if last else f"{body} {joint - first + 1}"
@@ -483,12 +519,8 @@ def _robot(mujoco: Any, model: Any, name: str, called: str) -> Robot:
     return Robot(tuple(links), tuple(joints), np.array(model.opt.gravity), name)
 
 
-def _joint(model: Any, number: int, called: str) -> RobotJoint:
+def _joint(model: Any, number: int) -> RobotJoint:
     name, dof = model.joint(number).name or f"joint{number + 1}", int(model.jnt_dofadr[number])
-    if np.any(model.jnt_stiffness[number]):
-        raise JointFileError(
-            f"{called}: the joint {name} has a spring to its parent, which is not modelled; leave its stiffness out."
-        )
     armature, damping, loss = (
         float(np.ravel(values[dof])[0]) for values in (model.dof_armature, model.dof_damping, model.dof_frictionloss)
     )
@@ -501,7 +533,7 @@ def _body(mujoco: Any, model: Any, number: int) -> FloatArray:
     if mass <= _MOST_LINKS * _NOTHING:  # links that do not move against each other are one body
         return np.zeros(10)
     axes = _matrix(mujoco, model.body_iquat[number])
-    inertia = axes @ np.diag(np.where(moments <= _NOTHING, 0.0, moments)) @ axes.T
+    inertia = axes @ np.diag(np.where(moments <= 2 * _NOTHING, 0.0, moments)) @ axes.T
     return MassProperties(mass, model.body_ipos[number].copy(), inertia).inertial
 
 

@@ -163,7 +163,7 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     whole = all(p.value is not None for p in fit.params.rows)
     if whole:
         try:
-            # DIDIM is told of torque and reference alone: its checks do not read the motor's position either.
+            # DIDIM reads torque and reference alone: its checks do not read the motor's position either.
             found, state = diagnose_joint(fit, record.without("motor_position"), (problem, x), shown=shown)
             check = found.axes[0].faults
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
@@ -221,13 +221,11 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         )
     none = "no motor position and reference of a declared controller were logged"
     loop = skip_test(Subject.LOOP, found.untested_clause or none, found.untested)
-    wrong = [joint.name for joint in found.axes if joint.law_holds is False]
     if all(joint.law_holds for joint in found.axes):
-        said = "the declared controllers make the logged torques of the logged positions"
+        said = found.describe_laws(holds=True)
         loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
-    elif wrong:
-        said = f"the declared controller of {join(wrong)} does not make the logged torque of the logged positions"
-        said = "; ".join(filter(None, (said, found.untested_clause)))
+    elif wrong := found.describe_laws(holds=False):
+        said = "; ".join(filter(None, (wrong, found.untested_clause)))
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))

@@ -66,7 +66,7 @@ class Intervals(Documented):
 def intervals(
     estimate: Estimate,
     record: Record,
-    quantities: Sequence[str] = (),
+    quantities: Sequence[str] | None = None,
     *,
     bootstrap: bool = False,
     refit: bool = False,
@@ -81,7 +81,8 @@ def intervals(
         estimate: of the record.
         record: it came from.
         quantities: to profile: names of free parameters, "compliance" for 1/K12, or sums and differences of parameters,
-            "motor_viscous + load_viscous".
+            "motor_viscous + load_viscous". None without a bootstrap means the stiffness, or the inertia of a rigid
+            joint; where that is fixed, the first free parameter.
         bootstrap: True to bootstrap as well.
         refit: True for a whole least-squares fit of every draw; one linear step otherwise.
         curved_only: True to leave out quantities along which the criterion is a parabola within a tenth: the profile of
@@ -109,6 +110,8 @@ def intervals(
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
     spread = uncertainty(J, J, residual, where, names, problem.torque_unit).covariance
+    if quantities is None:
+        quantities = () if bootstrap else ("stiffness",) if "stiffness" in names else names[:1]
     if "compliance" in quantities and "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
     wanted = {name: _parse_combination(problem, name) for name in quantities if name != "compliance"}

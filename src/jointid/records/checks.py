@@ -32,6 +32,7 @@ _RATIO_TOLERANCE = 0.1  # relative distance of a ratio from a unit's factor with
 _BEYOND = 3.0  # times the range of the model's limits, that a position may travel
 _PLURAL = {"deg": "degrees"}
 _GEAR_TOLERANCE = 0.02  # likewise of a gear's ratio
+_GEAR_ROUNDING = 0.03  # likewise of the round number that a gear's ratio is taken for
 _ROUNDING = 0.01  # of a torque's rms, that its rounding may be: the EMPS axis leaves 4 % for other reasons
 _LATE = 0.9  # of the encoders' difference, that a lag may be: of motorbench it is 0.3 %, of the paper's twin 41 %
 _FEWEST_STEPS = 30.0  # of an encoder in a sample, rms, while the axis moves: with 16, rounding leaves 4 to 9 %
@@ -75,7 +76,7 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
 
 
 def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
-    """Faults of a position that travels far beyond the limits of its joint.
+    """Faults of a position that travels far outside the limits of its joint.
 
     Args:
         position: of the joint, behind its gear.
@@ -213,20 +214,27 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, 
     if ratio < 0:
         faults.append(f"{name} runs against {other_name}; give one of them sign = -1.")
     if not _RATIO_BAND[0] <= abs(ratio) <= _RATIO_BAND[1]:
-        hint = _unit_hint(abs(ratio), name, other_name, channel.unit)
+        hint = _unit_hint(abs(ratio), name, other_name, channel.unit, geared=gear != 1.0)
         if gear != 1.0 and any(abs(abs(ratio) / one - 1) < _GEAR_TOLERANCE for one in (gear, 1 / gear)):
             hint = f", as if one of them were of the other side of the {gear:g}:1 gear; give its channel side"
         faults.append(f"{name} is {abs(ratio):.4g} times {other_name}, and should equal it{hint}.")
     return faults
 
 
-def _unit_hint(ratio: float, name: str, other_name: str, declared: str) -> str:
-    """Suggest the unit that explains the ratio of two signals."""
+def _unit_hint(ratio: float, name: str, other_name: str, declared: str, *, geared: bool) -> str:
+    """Suggest the unit or the undeclared gear behind the ratio of two signals."""
     for entry in map(unit, units_of(unit(declared).dimension)):
         for suspect, factor in ((name, 1 / entry.factor), (other_name, entry.factor)):
             if factor != 1 and abs(ratio / factor - 1) < _RATIO_TOLERANCE:
                 return f", as if {suspect} were in {entry.name} and read as {entry.si}; check both units"
-    return "; check both units, and give the gain of the one that is off"
+    if geared or ratio < 1 or (name, other_name) != ("motor_position", "reference"):
+        return "; check both units, and give the gain of the one that is off"
+    rounded = (float(f"{ratio:.{digits}g}") for digits in (1, 2, 3))
+    gear = next(one for one in rounded if abs(one / ratio - 1) < _GEAR_ROUNDING)  # a following error moves the ratio
+    return (
+        f", as if the reference were of the load behind a gear of {gear:g}:1; give transmission.ratio = {gear:g} and "
+        'record.channels.reference.side = "load", or check both units'
+    )
 
 
 def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str, ...]:

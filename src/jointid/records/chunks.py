@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -172,6 +172,30 @@ class InMemory:
             if number % every == 0:
                 part = _cut(self.record, first, min(first + length + overlap, samples))
                 yield Chunk(number, part, first == firsts[-1])
+
+
+def begin_together(records: Sequence[Record]) -> tuple[Record, ...]:
+    """Return the records of one log from the latest of their beginnings on, within half a sample.
+
+    Raises:
+        RecordError: they cover no time together, or the channels of one have rates by which they are not cut there.
+    """
+    latest = max(record.begin for record in records)
+    return tuple(_begin_at(record, latest) for record in records)
+
+
+def _begin_at(record: Record, begin: float) -> Record:
+    late, periods = begin - record.begin, [channel.sample_time for _, channel in record.items()]
+    if late <= 0.5 * min(periods):
+        return record
+    if late > record.duration - 2 * max(periods) or any(
+        abs(late - round(late / period) * period) > 0.5 * min(periods) for period in periods
+    ):
+        raise RecordError(
+            f"The channels of another joint begin {late:g} s later, by their own clocks, where these are not cut; "
+            "give resample, or log all joints by one clock."
+        )
+    return _map_channels(record, lambda c: replace(c, values=c.values[round(late / c.sample_time) :]), begin)
 
 
 def _require_one_rate(record: Record) -> float:

@@ -31,7 +31,7 @@ _RATE_TOLERANCE = 1e-3
 _NEAR = 0.05  # of a mean period over stamps with jumps or gaps
 _LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has no end
 _JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
-_BRIDGED = 3  # samples missing in a row, that resampling bridges unless it is told otherwise
+_BRIDGED = 3  # samples missing in a row that resampling bridges by default
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
 
 
@@ -123,7 +123,7 @@ def _stamped_clock(
 def cut_table(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None, cut: Cut, *, repaired: bool
 ) -> tuple[Table, list[str]]:
-    """Leave out whole rows that are repeated, and what is outside of a cut; return remarks on the former.
+    """Leave out repeated whole rows and samples outside of a cut; return remarks on the former.
 
     Each column is cut by its clock. Rows are left out only if `repaired`, and where every repeated stamp is of one.
     """
@@ -154,12 +154,13 @@ def cut_table(
                 f"{table.source} repeats {pluralise(again.size, 'whole row')}, the first after sample {again[0] - 1}"
                 f"{format_instant(stamps, int(again[0]))}: left out"
             )
-        kept &= cut.find_rows(stamps, _seconds(table, clock, time_unit), clock or "the clock")
+        kept[kept] = cut.find_rows(stamps[kept], seconds_of(table, clock, time_unit), clock or "the clock")
         columns |= {name: columns[name][kept] for name in names}
     return (table if not remarks and cut == Cut() else replace(table, columns=columns)), remarks
 
 
-def _seconds(table: Table, clock: str | None, time_unit: str | None) -> float:
+def seconds_of(table: Table, clock: str | None, time_unit: str | None) -> float:
+    """Return the seconds of a time column's unit; 1 without a column."""
     known = units.units_of("time")
     named = [time_unit, unit_in_name(clock or "", known), units.normalise_unit(table.units.get(clock or "", ""))]
     return 1.0 if clock is None else units.unit(next((name for name in named if name in known), "s")).factor
@@ -167,7 +168,7 @@ def _seconds(table: Table, clock: str | None, time_unit: str | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """The rows of a table to read: from `start` to `stop` of the log's own clock [s], in a part between its jumps."""
+    """The rows of a table to read: from `start` to `stop` of the log's own clock [s], of these a part between jumps."""
 
     start: float | None = None
     stop: float | None = None
@@ -179,18 +180,7 @@ class Cut:
         Raises:
             RecordError: fewer than two are.
         """
-        kept = np.ones(stamps.size, dtype=bool)
-        if self.part is not None:
-            parts = find_parts(stamps)
-            if self.part > len(parts):
-                raise RecordError(
-                    f'part is {self.part}, but the time column "{clock}" has {pluralise(len(parts), "part")} between '
-                    f"its jumps; give one of 1 to {len(parts)}, or 0 for the longest."
-                )
-            lengths = [end - first for first, end in parts]
-            first, end = parts[self.part - 1 if self.part else int(np.argmax(lengths))]
-            kept[:first] = kept[end:] = False
-        times = stamps * seconds
+        kept, times = np.ones(stamps.size, dtype=bool), stamps * seconds
         for bound, outside in ((self.start, times < (self.start or 0.0)), (self.stop, times > (self.stop or 0.0))):
             kept &= ~outside if bound is not None else True
         if (self.start, self.stop) != (None, None) and np.count_nonzero(kept) < 2:
@@ -198,6 +188,17 @@ class Cut:
                 f"start and stop leave {np.count_nonzero(kept)} samples of {clock}, which goes from "
                 f"{times.min():.10g} to {times.max():.10g} s; give two instants between these."
             )
+        if self.part is not None:
+            rows = np.flatnonzero(kept)
+            parts = find_parts(stamps[rows])
+            if self.part > len(parts):
+                raise RecordError(
+                    f'part is {self.part}, but the time column "{clock}" has {pluralise(len(parts), "part")} between '
+                    f"its jumps; give one of 1 to {len(parts)}, or 0 for the longest."
+                )
+            lengths = [end - first for first, end in parts]
+            first, end = parts[self.part - 1 if self.part else int(np.argmax(lengths))]
+            kept[rows[:first]] = kept[rows[end:]] = False
         return kept
 
 

@@ -9,16 +9,29 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
-from jointid.records.clock import CLOCK_TOLERANCE, Clock, Clocks, Cut, beginning_faults, cut_table, find_clock
+from jointid.records.clock import (
+    CLOCK_TOLERANCE,
+    Clock,
+    Clocks,
+    Cut,
+    beginning_faults,
+    cut_table,
+    find_clock,
+    is_same_rate,
+    seconds_of,
+)
 from jointid.records.columns import (
     Column,
     Wrap,
+    fill_forward,
+    find_rows_with_number,
     find_wrap,
     finite_faults,
     known_units,
@@ -131,8 +144,13 @@ class RecordReader:
         table, repeated = self._cut(table)
         source = _Columns(table, self.kind, self.transmission, self.drive, [])
         found = source.apply_file_units(wanted, source.find_columns(source.apply_profile(wanted)))
+        source, rows = source.fill_rows(found, resampled=self.resample is not None)
+        rates = {n: found[n].sample_time or found[n].update_time for n in rows}
+        found |= {n: replace(found[n], sample_time=None, update_time=None) for n in rows}
         found, remarks = source.find_wraps(found)
         clocks = self._clocks(table, found, source.faults)
+        if self.resample is None:
+            remarks.extend(source.name_rates(found, clocks, rows, rates))
         read_in = {channel: source.build_channel(channel, found, clocks) for channel in found}
         if self.resample is None:
             source.faults.extend(
@@ -145,18 +163,19 @@ class RecordReader:
         done, resample = None, self.resample
         used = {n: clock for n, c in found.items() if (clock := clocks.clock_of(c)).jitter}
         if resample is None and used:
-            resample, said = judge_jitter(logged, used)
+            resample, said = judge_jitter({n: c for n, c in logged.items() if n not in rows}, used)
             remarks.append(said)
         if resample is None:
             updates = {n: column.update_time for n, column in found.items()}
-            channels, begin = align_updates({**logged, **others}, updates)
+            channels, begin = align_updates({**logged, **others}, updates, rows)
         else:
-            channels, begin, done = resample_together(_add_stamps(logged, others, found, clocks), resample)
+            stamped = _add_stamps(logged, others, found, clocks, rows)
+            channels, begin, done = resample_together(stamped, resample)
         apart = {n: channels.pop(n) for n in others}
         record = replace(
             _build_record(channels, found, self.name or name),
             other_axes=apart,
-            begin=begin,
+            begin=begin + self._late(table, clocks, found),
             resampled=done,
             remarks=(*repeated, *remarks),
         )
@@ -168,6 +187,13 @@ class RecordReader:
     def _cut(self, table: Table) -> tuple[Table, list[str]]:
         stamped = self.resample is None and (self.time is not None or self.sample_time is None)
         return cut_table(table, self.time, self.time_unit, self.sample_time, self.cut, repaired=stamped)
+
+    def _late(self, table: Table, clocks: Clocks, found: Mapping[str, Column]) -> float:
+        """Seconds from the first sample of a table to that of these channels, for columns with several clocks."""
+        used = [stamps[0] for c in found.values() if (stamps := clocks.clock_of(c).stamps) is not None]
+        every = [table.columns[n][0] * seconds_of(table, n, self.time_unit) for n in set(clocks.columns.values())]
+        late = float(min(used) - min(every)) if used and every else 0.0
+        return late if late > 0.0 else 0.0
 
     def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
         time = self.time
@@ -256,6 +282,34 @@ class _Columns:
             self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}{why}; it has {listed}.")
         return {n: column for n, column in wanted.items() if n not in missing}
 
+    def fill_rows(
+        self, found: Mapping[str, Column], *, resampled: bool
+    ) -> tuple[_Columns, dict[str, NDArray[np.bool_]]]:
+        """Fill the empty rows of channels that are logged more seldom than others; return the rows with a number."""
+        sought = {n: find_rows_with_number(self.table.columns[c.column], resampled=resampled) for n, c in found.items()}
+        rows = {n: filled for n, filled in sought.items() if filled is not None}
+        whole = {found[n].column: fill_forward(self.table.columns[found[n].column], rows[n]) for n in rows}
+        return replace(self, table=replace(self.table, columns={**self.table.columns, **whole})), rows
+
+    def name_rates(
+        self,
+        found: Mapping[str, Column],
+        clocks: Clocks,
+        rows: Mapping[str, NDArray[np.bool_]],
+        rates: Mapping[str, float | None],
+    ) -> Iterator[str]:
+        """Yield remarks on channels with a number in some rows alone; another rate that is stated is a fault."""
+        for name, filled in rows.items():
+            first, second = np.flatnonzero(filled)[:2]
+            period, stated = (second - first) * (clocks.clock_of(found[name]).sample_time or np.nan), rates[name]
+            said = f'{name} (column "{found[name].column}") has a number in one row of {second - first}'
+            if stated is not None and not is_same_rate(period, stated):
+                self.faults.append(
+                    f"{said}, every {period:g} s, and is stated to have one every {stated:g} s; correct its "
+                    "sample_time or update_time, or leave it out."
+                )
+            yield f"{said}: it is read as a channel with a sample every {period:g} s"
+
     def kind_of(self, channel: str, column: Column | None) -> str:
         """Kind of motion on the side of a channel."""
         if self.transmission is None:
@@ -288,7 +342,10 @@ class _Columns:
             lengths = f"{values.size} samples, the time {stamps.size}"
             self.faults.append(f"{what} has {lengths}; name columns of one length.")
             stamps = None
-        faults = [*finite_faults(what, values, stamps), *column.misplaced_faults(name)]
+        remedy = "mend them, or cut the record there"
+        if stamps is not None and np.isnan(values).any():
+            remedy += ", or give resample, which takes every channel at the rows in which it has a number"
+        faults = [*finite_faults(what, values, stamps, remedy), *column.misplaced_faults(name)]
         if column.wrap is not None and not faults:
             faults = wrap_faults(what, values, column.wrap)
             values = unwrap(values, column.wrap)
@@ -385,18 +442,22 @@ class _Columns:
 
 
 def _cut_tails(table: Table) -> Table:
-    """Cut each column after its last number."""
+    """Cut each column after its last number, if it has one in every row until then."""
     cut = {}
     for name, values in table.columns.items():
         filled = np.flatnonzero(~np.isnan(values))
-        cut[name] = values[: filled[-1] + 1] if filled.size else values
+        cut[name] = values[: filled.size] if filled.size and filled[-1] + 1 == filled.size else values
     return replace(table, columns=cut)
 
 
 def _add_stamps(
-    logged: Mapping[str, Channel], others: Mapping[str, Channel], found: Mapping[str, Column], clocks: Clocks
+    logged: Mapping[str, Channel],
+    others: Mapping[str, Channel],
+    found: Mapping[str, Column],
+    clocks: Clocks,
+    rows: Mapping[str, NDArray[np.bool_]],
 ) -> dict[str, Stamped]:
-    """Attach instants to channels; refuse missing stamps or refreshed channels."""
+    """Attach instants to channels, of the rows in which they have a number; refuse missing stamps or refreshes."""
     faults = []
     made = {}
     position = _own_position(found)
@@ -407,8 +468,11 @@ def _add_stamps(
             faults.append(f"{name} has an update_time, and is to be resampled; leave one of the two out.")
         elif clock.stamps is None:
             faults.append(f"{name} has no time stamps to be resampled by; name its time column, or leave resample out.")
-        else:
+        elif (filled := rows.get(name)) is None:
             made[name] = Stamped(channel, clock.stamps, clock.column)
+        else:
+            own = replace(channel, values=channel.values[filled])
+            made[name] = Stamped(own, clock.stamps[filled], f"{clock.column}, {column.column}")
     if faults:
         raise RecordError(faults)
     return made

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
@@ -238,15 +240,22 @@ class _Rhythm:
 
 
 def align_updates(
-    logged: Mapping[str, Channel], update_times: Mapping[str, float | None]
+    logged: Mapping[str, Channel],
+    update_times: Mapping[str, float | None],
+    rows: Mapping[str, NDArray[np.bool_]] = MappingProxyType({}),
 ) -> tuple[dict[str, Channel], float]:
     """Decimate channels to their update rates; return them and the first common instant.
 
-    The update times [s] are by channel, None for a channel that is refreshed at every sample.
+    The update times [s] are by channel, None for a channel that is refreshed at every sample. Of a channel that has a
+    number in some rows, (samples,), alone, these are its refreshes.
     """
     rhythms, faults = {}, list[str]()
     for name, channel in logged.items():
         rhythms[name] = _Rhythm(channel)
+        if name in rows:
+            phase, following = map(int, np.flatnonzero(rows[name])[:2])
+            rhythms[name] = _Rhythm(channel, following - phase, phase)
+            continue
         update_time = update_times.get(name)
         if update_time is not None:
             rhythms[name], fault = _find_rhythm(f"{name} ({channel.source})", channel, update_time)

@@ -77,7 +77,7 @@ class Covariance:
         weighted = np.asarray(weights) * self.std
         return math.sqrt(max(float(weighted @ self.correlation @ weighted), 0.0))
 
-    def with_fixed(self, count: int) -> Covariance:
+    def append_constants(self, count: int) -> Covariance:
         """Return the covariance with `count` more parameters that are fixed: without deviation or correlation."""
         size = self.std.size
         correlation = np.eye(size + count)

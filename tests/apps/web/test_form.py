@@ -342,6 +342,35 @@ def test_a_joint_file_fills_its_times_and_sides_into_their_fields() -> None:
     assert read_joint_file(plain).items() >= {"extra": "", "controller.integral_time": "0.02"}.items()
 
 
+def test_gear_and_screw_are_fields_of_step_2_in_the_units_of_both_sides() -> None:
+    step = {one.name: one for one in CHANNEL_STEP}
+    assert step.keys() >= {"transmission.ratio", "transmission.lead", "transmission.sign"}
+    text = """
+    [joint]
+    kind = "prismatic"
+    [record.channels]
+    torque = {column = "i", unit = "mN m"}
+    reference = {column = "x", unit = "mm", side = "load"}
+    motor_position = {column = "q", unit = "deg"}
+    [transmission]
+    lead = 10.0
+    lead_unit = "mm"
+    sign = -1
+    [drive]
+    counts_per_turn = 4096.0
+    [controller]
+    law = "cascade"
+    position_gain = 25.0
+    velocity_gain = 0.02
+    """
+    draft = read_joint_file(text)
+    assert draft["extra"] == "", "every key has its field"
+    require_answers(draft)
+    assert make_reading_tables(draft, "a.csv")["transmission"] == {"lead": 10.0, "lead_unit": "mm", "sign": -1}
+    expected = text.replace("[record.channels]", '[record]\nfile = "a.csv"\n[record.channels]')
+    assert loads(make_order(draft, "a.csv")[0]) == loads(expected)
+
+
 @pytest.mark.parametrize("lines", ['velocity_filter = {kind = "notch", frequency = 90.0, bandwidth = 20.0}',
     'torque_filters = [{kind = "first_order", time_constant = 1e-3}, [0.5, 0.5]]',
     "velocity_filter = {numerator = [0.2], denominator = [1.0, -0.8]}", "integral_gain = 49.0"])  # fmt: skip

@@ -201,6 +201,23 @@ def test_a_text_file_can_be_read_in_another_way(asker: Asker) -> None:
     assert [column["name"] for column in asker.folder.preview["columns"]] == ["1", "2"]
 
 
+def test_a_geared_axis_is_asked_for_its_gear_in_step_2_and_passes_it(asker: Asker) -> None:
+    time = 1e-3 * np.arange(4000)
+    command, torque = 30.0 * np.sin(3 * time) ** 3, np.sign(np.cos(3 * time)) + np.sin(7 * time)
+    motor = 100.0 * 30.0 * np.sin(3 * (time - 0.03)) ** 3
+    rows = "\n".join(",".join(map(repr, row)) for row in np.column_stack([time, torque, command, motor]).tolist())
+    assert asker.send("axis.csv", f"t [s],torque [Nm],q_ref [deg],q_m [deg]\n{rows}\n".encode())[0] == 200
+    status, said = asker.post("/channels", {"joint.kind": "revolute"})
+    assert status == 422
+    assert "behind a gear of 100:1; give transmission.ratio = 100" in said
+    assert "#transmission-ratio" in said and "#record-channels-reference-side" in said
+    assert 'id="transmission-ratio"' in said and 'id="record-channels-reference-side"' in said
+    geared = {"transmission.ratio": "100", "record.channels.reference.side": "load"}
+    status, said = asker.post("/channels", geared)
+    assert (status, "The record is sound" in said) == (200, True)
+    assert 'href="/kept-secret/channels"' in said, "and back"
+
+
 def test_a_joint_file_fills_in_the_form_and_is_named(asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
     code, text = asker.send(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def diagnosis(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     """Ask what an estimate is worth, axis by axis: what its record tells, and whether loops and models are as declared.
 
-    Of each axis: which parameters are told, what is left of the torque and what that follows, whether the declared
+    Of each axis: which parameters it determines, what is left of the torque and what that follows, whether the declared
     controller makes the logged torque, and which faults of loop, log and mechanics the record shows.
 
     Args:
@@ -109,20 +109,18 @@ def intervals(
         joint: the joint file (TOML).
         options: those that most commands have.
         of: a parameter, a sum such as "motor_viscous + load_viscous", or compliance; may be given several times.
+            Without it and without a bootstrap it is the stiffness, or the inertia of a rigid joint.
         bootstrap: draw over blocks of time, and over stretches of position, direction and speed.
         refit: every draw is a whole fit, which takes minutes; otherwise it is one linear step.
     """
-    from jointid import MethodError
     from jointid import intervals as run
     from jointid.diagnostics.intervals import require_quantities
 
-    if not of and not bootstrap:
-        raise MethodError("There is nothing to do without --of or --bootstrap; give --of stiffness, say.")
     file = options.load_joint(joint, method="didim")
     if file.loop is not None:
         require_quantities(of or (), file.loop)
     logged, estimate = options.identify(file, checks=False)
-    show(run(estimate, logged, of or (), bootstrap=bootstrap or refit, refit=refit, progress=options.progress))
+    show(run(estimate, logged, of, bootstrap=bootstrap or refit, refit=refit, progress=options.progress))
 
 
 def advise(

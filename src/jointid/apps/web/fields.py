@@ -24,13 +24,22 @@ from jointid.records.record import CHANNELS
 Form: TypeAlias = Literal["number", "numbers", "text", "choice", "column", "unit", "sign", "flag"]
 Draft: TypeAlias = Mapping[str, str]
 
+_ANY_LAW, _ANYTHING = "any law", "*"  # in a condition of `form.toml`
+
+SCREW = "screw"
+_LEAD = "transmission.lead"
+_UNITS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "prismatic": {"joint.kind": ("prismatic",), _LEAD: ("",)},
+    "revolute": {"joint.kind": ("revolute",)},
+    SCREW: {"joint.kind": ("prismatic",), _LEAD: (_ANYTHING,)},
+}
+"""By the variants of a channel's unit, when each applies."""
+
 EXTRA = "extra"
 """The field of further lines of the joint file."""
 
 LEARN, WITHOUT, EXTRA_LAW = "learn", "none", "extra"
 """Answers to the question for the controller's law that are no laws."""
-
-_ANY_LAW = "any law"  # in a condition of `form.toml`
 
 _DIGITS = r"[+-]?([0-9]+[.,]?[0-9]*|[.,][0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBER = re.compile(_DIGITS)
@@ -75,7 +84,8 @@ class Field:
 
     def applies(self, draft: Draft) -> bool:
         """Return whether the field applies, given the other fields."""
-        return all(draft.get(name, usual(name)) in values for name, values in self.when.items())
+        given = ((draft.get(name, usual(name)), values) for name, values in self.when.items())
+        return all(text in values or (_ANYTHING in values and bool(text)) for text, values in given)
 
     def read(self, draft: Draft) -> Any:
         """Return its value as the joint file has it, None where it is empty.
@@ -209,13 +219,19 @@ def _define_group(group: str) -> tuple[Field, ...]:
     return tuple(_define_entry(name, said) for name, said in _FORM[group].items())
 
 
+def list_units(channel: str, variant: str) -> tuple[str, ...]:
+    """Return the units of a channel: of a motion, or of both sides of a screw, whose motor turns."""
+    kinds = ("prismatic", "revolute") if variant == SCREW else (variant,)
+    return tuple(dict.fromkeys(unit for kind in kinds for unit in known_units(channel, kind)))
+
+
 def _define_channel(channel: str) -> tuple[Field, ...]:
     """Return the fields of a channel: its column, its units, and the rest."""
     path = f"record.channels.{channel}"
     units = tuple(
-        Field(f"{path}.unit", "Unit", "", "unit", when={"joint.kind": (kind,)}, variant=kind,
-              choices=(("", "choose ..."), *((u, u) for u in known_units(channel, kind))))
-        for kind in ("prismatic", "revolute")
+        Field(f"{path}.unit", "Unit", "", "unit", when=when, variant=variant,
+              choices=(("", "choose ..."), *((u, u) for u in list_units(channel, variant))))
+        for variant, when in _UNITS.items()
     )  # fmt: skip
     rest = tuple(
         _define_entry(key, said, f"{path}.{key}")
@@ -236,12 +252,12 @@ _LABELS = {
     "joint.friction": {law.name: law.label for law in FRICTIONS.values()},
     "joint.spring": {name: law.label for name, law in SPRINGS.items()},
 }
-(KIND,), CLOCK, TEXT, DRIVE = map(_define_group, ("kind", "clock", "text", "drive"))
+(KIND,), CLOCK, TEXT, GEAR, DRIVE = map(_define_group, ("kind", "clock", "text", "gear", "drive"))
 JOINT, (LAW,), CONTROLLER, METHOD = map(_define_group, ("joint", "law", "controller", "method"))
 CHANNEL_FIELDS = {channel: _define_channel(channel) for channel in CHANNELS}
 
 CHANNEL_STEP: tuple[Field, ...] = (
-    KIND, *CLOCK, *TEXT, *(one for fields in CHANNEL_FIELDS.values() for one in fields), *DRIVE,
+    KIND, *CLOCK, *TEXT, *GEAR, *(one for fields in CHANNEL_FIELDS.values() for one in fields), *DRIVE,
 )  # fmt: skip
 JOINT_STEP: tuple[Field, ...] = (*JOINT, LAW, *CONTROLLER, *METHOD)
 FIELDS: tuple[Field, ...] = (*CHANNEL_STEP, *JOINT_STEP)

@@ -22,6 +22,8 @@ _STAND_IN = {"law": "cascade", "position_gain": 1.0, "velocity_gain": 1.0}
 
 _LAW = "controller.law"
 _FILTER_KINDS = ("controller.velocity_filter.kind", "controller.torque_filters.0.kind")
+_DECIDING = ("joint.kind", "joint.model", "transmission.lead", *_FILTER_KINDS)
+"""Keys on which it depends whether other fields apply."""
 _SEVERAL = {"records": "[[records]]", "together": "[together]"}
 """Tables of a joint file that read other records than the one that was sent."""
 
@@ -97,11 +99,10 @@ def _make_fault(key: str, rest: str) -> Fault:
 def _open_units(draft: Draft) -> list[Field]:
     """Return the units that a form leaves open.
 
-    None is open if a drive's profile or the further lines define it, or if the load of a transmission has another
-    kind of motion; an injected signal has the unit of the torque.
+    None is open if a drive's profile or the further lines define it; an injected signal has the unit of the torque.
     """
     extra = _parse(draft.get(EXTRA, ""), EXTRA)
-    if _at(extra, ["drive", "profile"]) is not None or _at(extra, ["transmission", "load"]) is not None:
+    if _at(extra, ["drive", "profile"]) is not None:
         return []
     asked = [one for one in FIELDS if one.form == "unit" and one.applies(draft) and _has_column(one, draft)]
     return [
@@ -196,7 +197,7 @@ def read_joint_file(text: str) -> dict[str, str]:
     draft: dict[str, str] = {}
     law = _at(rest, ["controller", "law"])
     _lay_out_fields(rest)
-    deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model", *_FILTER_KINDS)}
+    deciding = {name: _at(rest, name.split(".")) for name in _DECIDING}
     known = {name: str(value or usual(name)) for name, value in deciding.items()} | {_LAW: str(law or WITHOUT)}
     if not isinstance(law, str) or law not in dict(LAW.choices):
         known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW

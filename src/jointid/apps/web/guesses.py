@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping
 
+from jointid.apps.web.fields import SCREW, list_units
 from jointid.common.units import POSITION_UNITS, TORQUE_UNITS, normalise_unit, unit, units_of
 from jointid.records.columns import known_units
 from jointid.records.drives import load_profile, profile_names
@@ -68,9 +69,9 @@ def guess_draft(columns: Collection[str]) -> dict[str, str]:
                 draft["record.time_unit"] = said
             continue
         draft[f"record.channels.{role}.column"] = column
-        for kind in _KINDS:
-            if said := find_unit(column, known_units(role, kind)):
-                draft[f"record.channels.{role}.unit@{kind}"] = said
+        for variant in (*_KINDS, SCREW):
+            if said := find_unit(column, list_units(role, variant)):
+                draft[f"record.channels.{role}.unit@{variant}"] = said
     moves = guess_kind(roles)
     return draft if moves is None else draft | {"joint.kind": moves}
 

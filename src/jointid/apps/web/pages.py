@@ -207,7 +207,8 @@ def show_channels(state: AppState, refusal: Exception | None = None) -> Response
     always = ("torque", "reference", "motor_position")
     return _render(
         "channels", state, 422 if faults else 200, step=2, faults=faults, draft=draft, preview=preview,
-        own_units=units_of("current", COUNTS, SHARE), kind=fields.KIND, clock=fields.CLOCK, drive=fields.DRIVE,
+        own_units=units_of("current", COUNTS, SHARE), kind=fields.KIND, clock=fields.CLOCK, gear=fields.GEAR,
+        drive=fields.DRIVE,
         channels=[(name, one, name in always) for name, one in fields.CHANNEL_FIELDS.items()],
         places={one["name"]: i for i, one in enumerate(preview["columns"]) if one["outline"] is not None},
     )  # fmt: skip

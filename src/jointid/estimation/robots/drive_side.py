@@ -212,6 +212,8 @@ def drive_side_problem(
     parameters: RobotParameters,
     filtering: Filtering | None = None,
     delay: float | None = 0.0,
+    *,
+    stated: bool = True,
 ) -> RobotDriveSideProblem:
     """Return the problem of reproducing the torques of a robot's records along its motors' motion.
 
@@ -221,6 +223,7 @@ def drive_side_problem(
         parameters: of the robot.
         filtering: of positions and torques.
         delay: s, by which the log shows the torques late; None to search it.
+        stated: whether the torques' timing is, which a known delay counts from; see `log_delay`.
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
@@ -252,7 +255,7 @@ def drive_side_problem(
     motion = replace(motion, torque=lowpass(motion.torque, cutoff, motion.sample_time))
     prescribed = replace(prescribed, direction=lowpass(parts, cutoff, prescribed.step))
     sigma = np.std(motion.torque, axis=0) + 1e-300
-    parameters = of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time))
+    parameters = of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time, stated=stated))
     return RobotDriveSideProblem(motion.torque, motion.filtering, parameters, sigma, motion, prescribed)
 
 
@@ -269,7 +272,7 @@ def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: 
                     NumberPlace(NumberOf.BESIDE, int(j), column),
                 )
             )
-    log = np.array([[0.0 if delay.free else delay.start]])
+    log = np.array([[delay.start]])
     base = replace(parameters.base, beside=np.zeros((n, 2)), log=log)
     return replace(parameters.add(*more), base=base)
 
@@ -311,7 +314,8 @@ def identify_flexible_drive_side(
     stiff, known = robot.rigid, known or {}
     parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True, whole=False), known)
     logs = each_log(records)
-    parts = [drive_side_problem(robot, log, parameters, filtering, delay) for log in logs]
+    stated = all(record.torque.stated for log in logs for record in log if record.torque is not None)
+    parts = [drive_side_problem(robot, log, parameters, filtering, delay, stated=stated) for log in logs]
     problem = add_problems(parts)
     require_frequencies(frequencies, problem.sample_time)
     of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets, whole=False), known)

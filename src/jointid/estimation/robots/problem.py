@@ -103,7 +103,7 @@ class RobotProblem(ABC, Generic[Run]):
 
     @property
     def motion_measured(self) -> bool:
-        """Whether the motors move as measured, so that a force in the loop biases least squares."""
+        """True if the motors move as measured; a force in the loop then biases least squares."""
         return False
 
     @abstractmethod

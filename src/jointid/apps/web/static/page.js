@@ -20,7 +20,7 @@ function show() {
   for (const part of all("[data-when]")) {
     const counts = Object.entries(JSON.parse(part.dataset.when)).every(([name, values]) => {
       const value = valueOf(name);
-      return value === null ? !part.hidden : values.includes(value);
+      return value === null ? !part.hidden : values.includes(value) || (values.includes("*") && value !== "");
     });
     part.hidden = !counts;
     for (const field of all("input, select, textarea", part)) field.disabled = !counts;
