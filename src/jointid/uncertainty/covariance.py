@@ -215,9 +215,10 @@ def smoothed_spectrum(signal: FloatArray, degrees: int) -> tuple[FloatArray, Flo
 
     Both are (samples // 2,), without the mean. The periodogram is averaged over sqrt(samples) neighbours.
     """
+    from scipy.fft import rfft  # of columns, and of a length with large prime factors, in half of NumPy's time
+
     rows = len(signal)
-    each = (np.abs(np.fft.rfft(column)[1:]) ** 2 for column in signal.reshape(rows, -1).T)
-    periodogram = sum(each, np.zeros(rows // 2)) / degrees
+    periodogram = np.sum(np.abs(rfft(signal.reshape(rows, -1), axis=0)[1:]) ** 2, axis=1) / degrees
     half = min(max(math.isqrt(rows) // 2, 1), periodogram.size - 1)
     padded = np.pad(periodogram, half, "reflect")
     both = np.full(periodogram.size, 2.0)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -365,6 +365,7 @@ class SearchOfSprings:
 
     problem: RobotDriveSideProblem
     progress: Progress
+    _known: dict[frozenset[tuple[int, float]], float] = field(default_factory=dict)
 
     @cached_property
     def _measured(self) -> FloatArray:
@@ -440,7 +441,10 @@ class SearchOfSprings:
 
     def _whole(self, start: StartOfSprings, placed: Mapping[int, float]) -> float:
         """Return the error of all joints, each as good as another: the product of what is left of them."""
-        return float(np.exp(0.5 * np.sum(np.log(self._costs(start, placed)))))
+        way = frozenset(placed.items())
+        if way not in self._known:  # a sweep comes back to what was tried
+            self._known[way] = float(np.exp(0.5 * np.sum(np.log(self._costs(start, placed)))))
+        return self._known[way]
 
     def _costs(
         self, start: StartOfSprings, placed: Mapping[int, float], joints: Sequence[int] | None = None
