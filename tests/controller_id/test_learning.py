@@ -233,7 +233,7 @@ def test_an_interrupt_keeps_the_best_law_so_far(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True)
     said, fits = list[str](), 0
     trim = search._trim
 
@@ -251,7 +251,7 @@ def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.Mon
 
 
 def test_an_interrupt_before_any_fit_says_that_there_is_no_law_yet(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, said = made(Cascade(position_gain=60.0, velocity_gain=500.0)), list[str]()
+    record, said = made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True), list[str]()
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
@@ -264,7 +264,10 @@ def test_an_interrupt_before_any_fit_says_that_there_is_no_law_yet(monkeypatch: 
 
 def test_a_longer_record_is_expected_to_take_longer_only_where_all_of_it_is_judged() -> None:
     task = Task(prepare_loop_record(made(Cascade(position_gain=60.0, velocity_gain=500.0))), 1.0)
-    short, long = search._expect_seconds(task, task), search._expect_seconds(task, task.segment(task.log.samples // 10))
+    short, long = (
+        search._expect_seconds(task, task),
+        search._expect_seconds(task, task.select_strongest(task.log.samples // 10)),
+    )
     assert all(seconds > 0 for seconds in short.values())
     assert long["judging on the whole record"] / sum(long.values()) > short["judging on the whole record"] / sum(
         short.values()

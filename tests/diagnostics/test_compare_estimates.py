@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,9 +22,14 @@ def told(estimate: ji.Estimate, folder: Path, name: str) -> Path:
     return path
 
 
-def of_rigid(seed: int, folder: Path, inertia: float = 0.04) -> Path:
+@cache
+def identified(seed: int, inertia: float) -> ji.Estimate:
     record, loop = reports.rigid_record(seed, inertia=inertia)
-    return told(ji.identify(record, loop), folder, f"run{seed}-{inertia}")
+    return ji.identify(record, loop)
+
+
+def of_rigid(seed: int, folder: Path, inertia: float = 0.04) -> Path:
+    return told(identified(seed, inertia), folder, f"run{seed}-{inertia}")
 
 
 @pytest.mark.slow
@@ -193,9 +199,9 @@ def test_the_command_prints_the_table_and_writes_the_answer(tmp_path: Path, caps
 
 @pytest.mark.slow
 def test_seldom_is_anything_called_changed_where_nothing_did(tmp_path: Path) -> None:
-    files = [read_report(of_rigid(seed, tmp_path)) for seed in range(60)]
-    alarms = [bool(ji.compare(files[i], files[i + 1]).changed) for i in range(0, 60, 2)]
-    assert sum(alarms) <= 5  # of 30 at 5 %: more happens once in a hundred
+    files = [read_report(of_rigid(seed, tmp_path)) for seed in range(40)]
+    alarms = [bool(ji.compare(files[i], files[i + 1]).changed) for i in range(0, 40, 2)]
+    assert sum(alarms) <= 4  # of 20 at 5 %: more happens three times in a thousand
 
 
 @pytest.mark.slow

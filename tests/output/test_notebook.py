@@ -13,10 +13,10 @@ import pytest
 
 import jointid as ji
 from jointid.common.document import Document, Heading, Listing, Table, notebook_html
-from jointid.controller_id.fitting import FittedLaw, Task, fit
 from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.structures import Structure
 from jointid.output.json import read_report
+from tests.learned_once import find_law
 from tests.output.report import reports
 
 MOST = 4000  # characters
@@ -34,13 +34,8 @@ def results() -> dict[str, Any]:
 def learned() -> LearnedController:
     """As if the search, which takes long, had found the law of the record."""
     record, _ = reports.rigid_record(name=reports.EVIL)
-    numbers = {"position_gain": 40.0, "velocity_gain": 2.0}
-
-    def found(task: Task, *_: object) -> tuple[FittedLaw | None, tuple[()], bool]:
-        return fit(task, Structure(), numbers, task.noise(Structure(), numbers)), (), True
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jointid.controller_id.learn.search", found)
+        find_law(patch, Structure(), {"position_gain": 40.0, "velocity_gain": 2.0})
         return ji.learn_controller(record)
 
 

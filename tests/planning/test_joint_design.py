@@ -516,7 +516,7 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: p
     free = [p for p in loop.joint.parameters if p.free]
     covariance = np.diag([(0.02 * abs(values[p.name]) + 1e-4) ** 2 for p in free])
     found = ji.design(
-        loop, values=values, noise=Noise(log=0.01), record=present, covariance=covariance, search_time=250.0
+        loop, values=values, noise=Noise(log=0.01), record=present, covariance=covariance, search_time=80.0
     )
     assert not found.passed
     assert found.proposed.reference.min() > 1.19

@@ -61,7 +61,7 @@ def reference_of(found: Design) -> FloatArray:
 
 
 def test_a_motion_keeps_every_limit_and_begins_at_rest() -> None:
-    found = design(two().robot, limits=LIMITS, duration=8.0, sample_time=T, search_time=1.0)
+    found = design(two().robot, limits=LIMITS, duration=8.0, sample_time=T, search_time=0.4)
     q = reference_of(found)
     v, a = np.gradient(q, T, axis=0), np.gradient(np.gradient(q, T, axis=0), T, axis=0)
     for k, one in enumerate(LIMITS):
@@ -73,7 +73,7 @@ def test_a_motion_keeps_every_limit_and_begins_at_rest() -> None:
     assert np.abs(v[0]).max() < 2e-3 and np.abs(a[2]).max() < 0.2, "begins at rest"
     assert np.abs(q[-1] - q[0]).max() < 2e-3, "and ends where it began"
     weak = replace(LIMITS[0], torque=20.0)
-    tight = design(two().robot, limits=(weak, LIMITS[1]), duration=8.0, sample_time=T, search_time=1.0)
+    tight = design(two().robot, limits=(weak, LIMITS[1]), duration=8.0, sample_time=T, search_time=0.4)
     assert np.abs(tight.axes[0].torque).max() < 20.0 < np.abs(found.axes[0].torque).max()
 
 
@@ -94,7 +94,7 @@ def test_a_motion_that_was_looked_for_tells_more_than_any_of_twenty_random_ones(
 
 def test_the_intervals_are_those_that_come() -> None:
     noise = np.array([0.4, 0.2])
-    found = design(two().robot, limits=LIMITS, duration=8.0, sample_time=T, search_time=1.0, noise=noise)
+    found = design(two().robot, limits=LIMITS, duration=8.0, sample_time=T, search_time=0.4, noise=noise)
     each = [by_idim(two().robot, measured(reference_of(found), noise, seed)) for seed in range(30)]
     assert each[0].names == found.proposed.joint
     scatter = np.std([one.values for one in each], axis=0, ddof=1)
@@ -105,7 +105,7 @@ def test_the_intervals_are_those_that_come() -> None:
 
 def test_what_didim_will_report_is_predicted() -> None:
     loop, noise = two().loop(), np.array([0.4, 0.2])
-    found = design(loop, limits=LIMITS, duration=6.0, sample_time=1e-3, search_time=1.0, noise=noise)
+    found = design(loop, limits=LIMITS, duration=6.0, sample_time=1e-3, search_time=0.4, noise=noise)
     driven, rng = found.records(), np.random.default_rng(5)
     logged = []
     for k, one in enumerate(simulate(loop, driven).records(driven)):

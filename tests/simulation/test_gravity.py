@@ -47,10 +47,10 @@ def cascade(position_gain: float, velocity_gain: float, period: float) -> Law:
 
 
 def errors(plant: Plant, period: float, delay: float = 0.0) -> tuple[float, int]:
-    """Largest error of the torque, of its peak, over 4 s of a link that swings by 2 rad; and the events."""
+    """Largest error of the torque, of its peak, over 2.4 s of a link that swings by 2 rad; and the events."""
     rigid = plant.inertia2 is None
     position_gain, velocity_gain = (20.0, 150.0) if rigid else (10.0, 80.0)
-    reference = trapezoids((1.0, 2.0), 8.0, 2.0, period, rest=0.1, duration=4.0)
+    reference = trapezoids((1.0, 2.0), 8.0, 2.0, period, rest=0.1, duration=2.4)
     case = (
         cascade(position_gain, velocity_gain, period),
         position_gain * velocity_gain * reference,

@@ -80,12 +80,12 @@ def fit(
         if asked is not None:
             progress(asked)
 
-        def of_one(records: Sequence[Record]) -> FitResult:
+        def fit_single(records: Sequence[Record]) -> FitResult:
             return identify_record(
                 records[0], model, method, filtering=filtering, parameters=parameters, progress=progress
             )
 
-        found = fit_unstated_timing([record], of_one)
+        found = fit_unstated_timing([record], fit_single)
         return found if asked is None else replace(found, before=(asked, *found.before))
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")

@@ -55,7 +55,7 @@ def read_timing(answer: Mapping[str, Any]) -> Timing | None:
 
 
 def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:
-    """Return the fit by the reading of the torque that leaves less, with intervals that cover the other as needed.
+    """Return the fit by the torque's timing with the smaller residual; intervals cover the other as needed.
 
     Args:
         records: of one log, or of the joints of a robot.

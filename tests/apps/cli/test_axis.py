@@ -12,7 +12,9 @@ import jointid as ji
 from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError, MethodError
 from jointid.config import JointFile, load
+from jointid.controller_id.structures import Structure
 from jointid.models.disturbances import Drift
+from tests.learned_once import find_law
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 
@@ -67,7 +69,10 @@ def run(*words: str | Path) -> object:
     return app([str(word) for word in words], result_action="return_value")
 
 
-def test_commands_of_one_joint(robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_of_one_joint(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find_law(monkeypatch, Structure(), {"position_gain": 18.0, "velocity_gain": 13.0})
     found = tmp_path / "found.json"
     axis, by_torque = ("--axis", "base"), ("--set", "method.name=didim")
     run("identify", robot, *axis, *by_torque, "--json", found)

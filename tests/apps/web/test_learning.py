@@ -16,13 +16,14 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.config import load
 from jointid.controller_id.learned_controller import LearnedController
+from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.geared import RATE, RIGID
-from tests.learned_once import search_once
+from tests.learned_once import find_law
 
 CONSTANT = 0.5  # N m/A
 LAW = Cascade(position_gain=25.0, velocity_gain=0.04, gain=CONSTANT)
@@ -89,10 +90,10 @@ def test_the_learner_is_told_the_same_gain_by_both(folder: Path, monkeypatch: py
     assert told == [10 * CONSTANT] * 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("folder", [IN_AMPERE], indirect=True, ids=["torque constant"])
 def test_behind_a_gear_the_page_learns_what_the_command_does(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    search_once(monkeypatch)
+    near = {"position_gain": 0.9 * LAW.position_gain, "velocity_gain": 0.9 * LAW.velocity_gain}
+    find_law(monkeypatch, Structure(), near)
     page, command = learned_by_both(folder)
     assert page == command
     assert page.gain == pytest.approx(10 * CONSTANT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -81,8 +82,9 @@ def assert_springs(found: FlexibleRobotFit, twin: Twin, within: float) -> None:
 
 
 def test_springs_come_back_with_their_intervals() -> None:
-    twin = two((12.0, 18.0))
-    found = identified(twin, logged(twin))
+    twin, said = two((12.0, 18.0)), list[str]()
+    found = identified(twin, logged(twin), progress=said.append)
+    assert re.fullmatch(r"searching 2 springs takes about \d+ (s|min)", said[0])
     assert found.fit.converged
     assert_springs(found, twin, 0.02)
     assert inside(found, twin) > 0.85

@@ -29,8 +29,8 @@ COULOMB = (7.0, 8.0, 5.0, 2.0, 2.0, 1.5)
 OFFSETS = (0.5, -1.0, 0.3, 0.1, -0.2, 0.05)
 
 
-def arm() -> Robot:
-    """Return six joints with the lengths and masses of a light arm of 20 kg."""
+def arm(count: int = 6) -> Robot:
+    """Return six joints with the lengths and masses of a light arm of 20 kg, or the first of them, which take less."""
     half = np.pi / 2
     rows = [(0, 0, 0.09), (half, 0, 0.13), (0, 0.425, -0.12), (0, 0.39, 0.1), (half, 0, 0.095), (-half, 0, 0.08)]
     masses = (3.7, 8.4, 2.3, 1.2, 1.2, 0.6)
@@ -62,7 +62,7 @@ def arm() -> Robot:
         RobotJoint(f"joint{k + 1}", *numbers)
         for k, numbers in enumerate(zip(ROTORS, VISCOUS, COULOMB, OFFSETS, strict=True))
     )
-    return Robot(tuple(links), joints, name="arm")
+    return Robot(tuple(links[:count]), joints[:count], name="arm")
 
 
 def motion(seed: int, joints: int = 6, seconds: float = 10.0) -> tuple[Array, Array, Array]:

@@ -9,6 +9,7 @@ import numpy as np
 
 import jointid as ji
 from jointid.output.report import Report
+from tests.mistakes import cut
 
 EVIL = "<script>document.title='x'</script></script><!--[a](javascript:x)|"
 
@@ -42,9 +43,9 @@ def idim() -> Report:
 
 @cache
 def flexible() -> Report:
-    """Of the twin's flexible joint."""
+    """Of the twin's flexible joint, by 12 s of its 24."""
     axis = ji.twin()
-    record = axis.record.without("motor_position", "load_position")
+    record = cut(axis.record.without("motor_position", "load_position"), 12.0)
     return ji.Report.of(ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0)), record, profiles=["stiffness"])
 
 

@@ -49,8 +49,8 @@ from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Multistart, Solution, Step, Watch, solve
-from jointid.uncertainty.covariance import Covariance, sandwich, with_bands
+from jointid.solvers.solve import Multistart, Step, Watch, solve
+from jointid.uncertainty.covariance import sandwich, with_bands
 
 _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
 _LOWEST = 0.05  # ... from this share of the cut-off up to it
@@ -232,12 +232,6 @@ def _vector(problem: DriveSideProblem, found: Mapping[str, float]) -> FloatArray
     return problem.vector({**found, **given})
 
 
-def _covariance_of(solution: Solution) -> Covariance:
-    """Return the covariance of a least-squares estimate, by rows and by bands of frequency."""
-    J, error = solution.jacobian, solution.residual
-    return with_bands(sandwich(J, J, error), J, J, error)
-
-
 def _report_steps(progress: Progress) -> Watch:
     """Return a listener that reports the residual of every step."""
     numbers = itertools.count(1)
@@ -289,12 +283,13 @@ class OpenLoopFit(Method):
         start, solver = problem.vector({**found, **given}), LevenbergMarquardt(self.tolerance)
         solution = solve(problem, solver, start, _report_steps(task.progress))
         drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
+        J, error = solution.jacobian, solution.residual
         return build_prescribed_result(
             task.record,
             problem,
             solution.x,
             solution,
-            _covariance_of(solution),
+            with_bands(sandwich(J, J, error), J, J, error),
             ("torque", "motor_position"),
             ("open_loop", "open loop by least squares"),
             earlier=first.simulations,
