@@ -19,7 +19,7 @@ from studies.refusals import FACTORS, INVISIBLE, PLAIN, StiffnessRun
 from studies.robots import Found
 from studies.stiffness_bounds import BoundRun
 from studies.study import Share, Study
-from studies.unknown_timing import TRUE
+from studies.unknown_timing import OTHERS, TRUE
 from studies.velocity_taps import TapsRun
 from tests.faults import FAULTS
 from tests.faults import PAIRS as FAULT_PAIRS
@@ -33,9 +33,14 @@ def _symbol(name: str) -> str:
     return SYMBOLS.get(name, name)
 
 
-def _within(name: str, limit: float = 2.0, key: str = "") -> Callable[[Any], bool]:
-    """Return whether a number of an outcome, or of a part of it, is within a limit of 0."""
-    return lambda outcome: abs((outcome[key] if key else outcome)[name]) <= limit
+def _within(name: str, limit: float = 2.0, key: str = "") -> Callable[[Any], bool | None]:
+    """Return whether a number of an outcome, or of a part of it, is within a limit of 0; None where it has none."""
+
+    def holds(outcome: Any) -> bool | None:
+        numbers = outcome[key] if key else outcome
+        return abs(numbers[name]) <= limit if name in numbers else None
+
+    return holds
 
 
 def _above(name: str, key: str = "") -> Callable[[Any], bool]:
@@ -550,6 +555,14 @@ STUDIES: tuple[Study, ...] = (
         range(50),
         tuple(Share(f"{name} within 2 sigma", _within(name), 0.91, 0.985) for name in TRUE),
         ({"held": True}, {"held": False}),
+    ),
+    Study(
+        "unknown-timing-others",
+        "Arms of two joints by IDIM, and rigid joints on the drive side whose delay is said to be 0, likewise.",
+        "studies.unknown_timing:judge",
+        range(25),
+        tuple(Share(f"{name} within 2 sigma", _within(name), 0.91) for name in OTHERS),
+        tuple({"held": held, "way": way} for way in ("drive side", "arm") for held in (True, False)),
     ),
     Study(
         "velocity-taps",

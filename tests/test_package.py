@@ -129,3 +129,34 @@ def test_every_layer_that_is_left_out_by_itself_is_run_by_ci() -> None:
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert f"pytest -m '{' or '.join(layers)}'" in script
     assert "--durations=20" in script
+
+
+THREADS = """
+import ctypes
+import numpy.linalg._umath_linalg as linear
+import jointid as ji
+
+library = ctypes.CDLL(linear.__file__)
+if not hasattr(library, "scipy_openblas_set_num_threads64_"):
+    print("none none")
+    raise SystemExit
+read, threads = library.scipy_openblas_get_num_threads64_, set()
+library.scipy_openblas_set_num_threads64_(2)
+loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
+reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+ji.identify(record, loop, progress=lambda _: threads.add(read()))
+print(*threads, read())
+"""
+
+
+@pytest.mark.parametrize(("given", "during"), [(None, "1"), ("2", "2")])
+def test_identification_limits_linear_algebra_to_one_thread_and_gives_it_back(given: str | None, during: str) -> None:
+    """A number in the environment stays."""
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    ran = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, check=True)
+    if ran.stdout.split() == ["none", "none"]:
+        pytest.skip("NumPy was built without OpenBLAS")
+    assert ran.stdout.split() == [during, "2"]

@@ -639,7 +639,7 @@ FAULTS = [
         SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "asymmetric"')
         + "[parameters]\noffset = { free = true }",
         "parameters.offset cannot be identified beside asymmetric friction: a constant adds to the Coulomb force "
-        "forwards and takes as much from it backwards, so the two cannot be told apart; give it a value, or set "
+        "forwards and takes as much from it backwards, so the two cannot be distinguished; give it a value, or set "
         'joint.friction = "symmetric".',
     ),
     # TOML

@@ -291,6 +291,10 @@ def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) 
             '[[records]]\nfile = "a.csv"\n[[records]]\nown = ["file"]\nfile = "b.csv"\n',
             '[[records]]\nfile = "../runs/a.csv"\n[[records]]\nown = ["file"]\nfile = "../runs/b.csv"\n',
         ),
+        (
+            "[record] # two\nfiles = [\"a.csv\",\n  'sub/[b].csv'] # of one run\noffsets = [0, 1]\n",
+            '[record] # two\nfiles = ["../runs/a.csv", "../runs/sub/[b].csv"] # of one run\noffsets = [0, 1]\n',
+        ),
         ('record = { file = "a.csv" }\n', '[record]\nfile = "../runs/a.csv"\n'),
         ('[record]\nfile = """a.csv"""\n', '[record]\nfile = "../runs/a.csv"\n'),
         ('[joint]\nfile = "a.csv"\n', '[joint]\nfile = "a.csv"\n'),
@@ -331,6 +335,7 @@ def test_a_saved_file_is_loaded(tmp_path: Path) -> None:
     [
         "[record]\nfile = 'old.csv'  # of Monday\ntime = 't'\n",
         "[record]  # a log\ntime = 't'\n",
+        "[record]\nfiles = ['q.csv', 'tau.csv']  # of Monday\n",
         "",
     ],
 )
@@ -339,6 +344,7 @@ def test_a_file_is_made_to_name_another_record(record: str) -> None:
     text = f"{before}[record.channels]\ntorque = {{ unit = 'N' }}\n[drive]\nprofile = 'generic'\n"
     made = with_record(text, "logs/run 1.csv")
     expected = tomllib.loads(text)
+    expected["record"].pop("files", None)
     expected["record"]["file"] = "logs/run 1.csv"
     assert tomllib.loads(made) == expected
     assert made.startswith("# an axis\n") and ("# of Monday" in made) == ("# of Monday" in record)

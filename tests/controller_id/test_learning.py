@@ -264,7 +264,10 @@ def test_an_interrupt_before_any_fit_says_that_there_is_no_law_yet(monkeypatch: 
 
 def test_a_longer_record_is_expected_to_take_longer_only_where_all_of_it_is_judged() -> None:
     task = Task(prepare_loop_record(made(Cascade(position_gain=60.0, velocity_gain=500.0))), 1.0)
-    short, long = search._expect_seconds(task, task), search._expect_seconds(task, task.segment(task.log.samples // 10))
+    short, long = (
+        search._expect_seconds(task, task),
+        search._expect_seconds(task, task.select_strongest(task.log.samples // 10)),
+    )
     assert all(seconds > 0 for seconds in short.values())
     assert long["judging on the whole record"] / sum(long.values()) > short["judging on the whole record"] / sum(
         short.values()

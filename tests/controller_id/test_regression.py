@@ -56,7 +56,7 @@ def test_a_law_s_own_regression_predicts_what_the_law_does(seed: int) -> None:
 def test_an_integral_s_content_is_that_at_the_first_sample_of_a_stretch(seed: int) -> None:
     """A stretch begins in motion, with something in the integral."""
     twin = loop_twin(seed)
-    task = Task(prepare_loop_record(twin.record), 1.0).segment(4000)
+    task = Task(prepare_loop_record(twin.record), 1.0).select_strongest(4000)
     on = regression(task.log)
     names = ("velocity_filter", "reference_delay")
     numbers = {name: value for name, value in twin.numbers.items() if name.startswith(names)}
@@ -185,7 +185,7 @@ def test_a_stretch_keeps_the_phase_of_a_slower_loop() -> None:
     whole = prepare_loop_record(twin.record)
     numbers = {name: value for name, value in twin.numbers.items() if name == "integral_gain" or "filter" in name}
     for samples in (3000, 3001, 4003, 4502):
-        on = regression(whole.segment(samples))
+        on = regression(whole.select_strongest(samples))
         left = [
             np.std(
                 on.fit_gains(replace(twin.structure, offset=k), numbers, initial_weighting(on), free=False)[0].residual

@@ -125,7 +125,7 @@ def test_as_many_taps_as_the_velocity_has(seed: int) -> None:
 def test_taps_that_cancel_each_other_are_none() -> None:
     """Where a coarse encoder hides the taps, wild ones would react to its rounding alone."""
     twin = taps_twin(0)
-    task = Task(prepare_loop_record(twin.record), 1.0).segment(4000)
+    task = Task(prepare_loop_record(twin.record), 1.0).select_strongest(4000)
     data = _SearchData(task, replace(regression(task.log), own=True))
     found, weighting = on_own_noise(data.regression, law_of(twin, FREE_TAPS))
     assert sum(abs(value) for value in found.numbers.values()) > 5.0

@@ -13,6 +13,7 @@ import pytest
 
 import jointid
 from jointid.config import json_schema
+from jointid.diagnostics.faults.registry import FAULTS
 from tests.docs.blocks import ROOT, pages
 
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))
@@ -109,6 +110,14 @@ def test_links_of_a_page_that_moves_lead_where_they_did() -> None:
         generated.relinked(text, here, there)
         == "[a](../../timing.md#x) [b](https://x.org/y.md) [c](#z) [d](readme.md) e"
     )
+
+
+def test_the_table_of_faults_has_every_fault() -> None:
+    text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
+    section = text.partition("## Is the loop as declared?")[2].partition("\n\nA wrong drive gain")[0]
+    named = re.findall(r"`(\w+)`", " ".join(row.split("|")[1] for row in re.findall(r"^\|.*", section, re.MULTILINE)))
+    assert {one.name for one in FAULTS} - set(named) == set()
+    assert section.count("\n\n|") == 1, "the table is in pieces"
 
 
 def test_every_page_of_the_documentation_is_in_the_navigation() -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from studies.unknown_timing import TRUE, logged
+from studies.unknown_timing import ARM, TRUE, logged
+from tests.robots_plants import two
 
 
 def test_intervals_hold_the_truth_whichever_the_timing_was():
@@ -14,7 +15,7 @@ def test_intervals_hold_the_truth_whichever_the_timing_was():
     for rate in (30.0, 50.0, 100.0):
         for held in (True, False):
             for seed in range(4):
-                found = ji.identify(logged(rate, held, seed), ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
+                found = ji.identify(logged(rate, held, seed)[0], ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
                 inside += [abs(found[name].value - true) <= 2 * found[name].stderr for name, true in TRUE.items()]
                 errors.append(abs(found["coulomb"].value / TRUE["coulomb"] - 1))
                 assert any("held or sampled" in one for one in found.checks.warnings)
@@ -22,9 +23,21 @@ def test_intervals_hold_the_truth_whichever_the_timing_was():
     assert np.sqrt(np.mean(np.square(errors))) < 0.015  # 4 % with the rows about reversals
 
 
+def test_intervals_of_a_robot_hold_the_truth():
+    inside = []
+    for held in (True, False):
+        for seed in range(4):
+            found = ji.identify(logged(50.0, held, seed, arm=True), ARM, ji.IDIM(), checks=False)
+            part = found.require_robot()
+            away = np.abs(part.values - part.parameters_of(ARM))
+            inside += [*(away <= 2 * part.covariance.std)]
+            assert any("held or sampled" in one for one in found.checks.warnings)
+    assert np.mean(inside) >= 0.85
+
+
 @pytest.mark.parametrize("timing", ["held", "sampled"])
 def test_stated_timing_is_obeyed_and_a_wrong_one_is_said(timing):
-    record = logged(200.0, False, 1, noise=0.002)
+    record = logged(200.0, False, 1, noise=0.002)[0]
     stated = replace(record, torque=replace(record.torque, timing=timing, stated=True))
     found = ji.identify(stated, ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
     said = [one for one in found.checks.warnings if "samples before held" in one]
@@ -32,11 +45,67 @@ def test_stated_timing_is_obeyed_and_a_wrong_one_is_said(timing):
 
 
 def test_validation_reads_a_fresh_record_as_the_estimate_did():
-    fresh = logged(200.0, False, 2, noise=0.002)
-    found = ji.identify(logged(200.0, False, 1, noise=0.002), ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
+    fresh = logged(200.0, False, 2, noise=0.002)[0]
+    found = ji.identify(logged(200.0, False, 1, noise=0.002)[0], ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
     assert found.settings.timing == "sampled"
     errors = [
         ji.validate(found, replace(fresh, torque=replace(fresh.torque, timing=timing, stated=stated))).filtered_error
         for timing, stated in (("held", False), ("sampled", True), ("held", True))
     ]
     assert errors[0] == errors[1] < errors[2]
+
+
+@pytest.mark.parametrize("late", [None, 0.0])
+def test_on_the_drive_side_the_delay_makes_up_for_the_timing(late):
+    """Of a torque that was sampled half a sample, which moves friction and inertia where the delay is kept."""
+    joint, inside, kept = ji.DriveSide(ji.RigidJoint("revolute")), [], []
+    for rate in (50.0, 100.0, 200.0):
+        for seed in range(4):
+            record = logged(rate, False, seed)[0]
+            found = ji.identify(record, joint, ji.DriveSideFit(late), checks=False)
+            inside += [abs(found[name].value - true) <= 2 * found[name].stderr for name, true in TRUE.items()]
+            # It counts from a held torque, of which a sampled one is half a sample late.
+            for delay in (0.0, 0.5 / rate):
+                assert abs(found["log_delay"].value - delay) <= 3 * found["log_delay"].stderr
+            assert any("log_delay, which makes up for" in one for one in found.checks.warnings)
+            stated = replace(record, torque=replace(record.torque, stated=True))
+            wrong = ji.identify(stated, joint, ji.DriveSideFit(0.0), checks=False)
+            kept += [abs(wrong[name].value - true) <= 2 * wrong[name].stderr for name, true in TRUE.items()]
+            assert wrong["log_delay"].value == 0.0 and not wrong["log_delay"].free
+    assert np.mean(inside) >= 0.85
+    assert np.mean(kept) < 0.6
+
+
+def test_a_known_delay_that_counts_from_what_nobody_stated_is_estimated_in_open_loop():
+    record = logged(200.0, False, 1, noise=0.002)[0]
+    found = ji.identify(record, ji.OpenLoop(ji.RigidJoint("revolute")), ji.OpenLoopFit(log_delay=0.0), checks=False)
+    assert found["log_delay"].value == pytest.approx(2.5e-3, abs=5e-4)
+    for name, true in TRUE.items():
+        assert found[name].value == pytest.approx(true, rel=0.05), name
+
+
+@pytest.mark.parametrize("robot", [False, True], ids=["joint", "robot"])
+def test_held_and_sampled_are_one_to_didim(robot):
+    """A controller's output at its stamp is its output until the next one."""
+    if robot:
+        twin = two()
+        loop, asked = twin.loop(), twin.records(2.0, sample_time=5e-3)
+        records = ji.simulate(loop, asked).records(asked)
+    else:
+        joint = ji.RigidJoint("revolute")
+        loop = ji.ClosedLoop(joint, ji.controller.Cascade(position_gain=10.0, velocity_gain=1.0))
+        reference = ji.excitation.trapezoids((0.4, 0.8), acceleration=4.0, travel=0.6, sample_time=0.01)
+        records = [ji.simulated_record(loop, reference, TRUE | {"offset": 0.0}, sample_time=0.01)]
+    noise = np.random.default_rng(1)
+    noisy = [noise.standard_normal(len(one.torque)) * 0.02 * one.torque.values.std() for one in records]
+    values = []
+    for timing, stated in (("held", False), ("sampled", True)):
+        torques = [
+            replace(one.torque, values=one.torque.values + more, timing=timing, stated=stated)
+            for one, more in zip(records, noisy, strict=True)
+        ]
+        read = [replace(one, torque=torque) for one, torque in zip(records, torques, strict=True)]
+        found = ji.identify(read if robot else read[0], loop, checks=False)
+        assert not any("held or sampled" in one for one in found.checks.warnings)
+        values.append([row.value for row in found.params.rows])
+    assert values[0] == values[1]

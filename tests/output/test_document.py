@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 from rich.console import Console
 
-from jointid.apps.cli.terminal import print_document
+from jointid.apps.cli.terminal import print_blocks
 from jointid.common.document import (
     Code,
     Document,
@@ -107,7 +107,7 @@ def test_html_makes_no_tag_of_a_text() -> None:
 def test_a_terminal_gets_colour_and_obeys_no_name() -> None:
     def printed(document: Document) -> str:
         out = io.StringIO()
-        print_document(document, Console(file=out, force_terminal=True, width=100, color_system="standard"))
+        print_blocks(document, Console(file=out, force_terminal=True, width=100, color_system="standard"))
         return out.getvalue()
 
     said = printed(EVERY)

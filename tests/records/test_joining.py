@@ -10,7 +10,7 @@ import pytest
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.common.errors import JointFileError, RecordError
 from jointid.config import load, loads
-from jointid.records.joining import choose_resampling, read_joined
+from jointid.records.joining import choose_resampling, join_files
 from jointid.records.record import Record
 
 JOINT = """[joint]
@@ -87,7 +87,7 @@ def test_the_offset_of_a_shared_channel_is_found_to_a_part_of_a_sample(own: bool
     if not own:  # clocks that have nothing in common
         table = np.loadtxt(tmp_path / "torques.csv", delimiter=",", skiprows=1)
         write(tmp_path / "torques.csv", "t,tau,q", table[:, 0] - 1e5, table[:, 1], table[:, 2])
-    table = read_joined([tmp_path / "positions.csv", tmp_path / "torques.csv"])
+    table = join_files([tmp_path / "positions.csv", tmp_path / "torques.csv"])
     late = table.columns["time of torques"][0] - table.columns["time of positions"][0]
     assert late == pytest.approx(BEGIN, abs=0.01 * RATE)
     assert table.clocks["torques: q"] == "time of torques" and table.clocks["q"] == "time of positions"
@@ -203,6 +203,26 @@ def test_joints_of_a_robot_cover_the_same_instants(tmp_path: Path) -> None:
     assert one.begin == two.begin == pytest.approx(0.3, abs=1e-9)
     at = one.begin + one.torque.time
     assert np.abs(one.torque.values - moment(at)).max() < 3.5 * (RATE / 2 + 1e-4)
+
+
+@pytest.mark.parametrize("late", [0.3, 9.0])
+def test_joints_of_files_of_their_own_begin_together(late: float, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+    write_robot(tmp_path)
+    text = ROBOT.replace('"positions.csv", "torques.csv", "references.csv"', '"one.csv", "two.csv"')
+    text = text.replace('reference = { column = "r{axis}" }\n', "")
+    (tmp_path / "robot.toml").write_text(text.replace("[record]", "[record]\noffsets = [0, 0]"))
+    for number, (name, begin) in enumerate({"one": 0.0, "two": late}.items(), 1):
+        t = begin + np.arange(3000) * RATE
+        write(tmp_path / f"{name}.csv", f"t,q{number},tau{number}", t, angle(t), moment(t))
+    if late > 6.0:
+        with pytest.raises(RecordError, match="another joint begin 9 s later, by their own clocks"):
+            load(tmp_path / "robot.toml").records()
+        return
+    for record in load(tmp_path / "robot.toml").records():
+        assert record.begin == pytest.approx(late) and record.motor_position is not None
+        at = record.begin + record.motor_position.time
+        np.testing.assert_allclose(record.motor_position.values, angle(at), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["joint", "robot"])

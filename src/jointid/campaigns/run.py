@@ -199,7 +199,17 @@ def _vary_robot(case: Case, file: RobotFile, path: Path, _: str) -> tuple[Record
             f"A robot's runs are logged or simulated; received one that is {case.varied.kind}: use [fleet] or "
             "[monte_carlo]."
         )
-    return _simulate_robot(file, file.driving(path), case.varied)
+    driven = file.driving(path)
+    if case.varied.values or case.varied.noise_force:
+        raise MethodError(
+            "A robot's simulated runs have the numbers of its robot file and noise_log, of the joint with the largest "
+            "torque and of the others in proportion; leave values and noise_force out of [monte_carlo]."
+        )
+    run = require_success(simulate(file.loop, driven), f"The simulation of {file.robot.name}")
+    sizes = np.std(run.torque, axis=0)
+    noise = np.random.default_rng([case.varied.seed]).standard_normal(run.torque.shape)
+    torque = run.torque + case.varied.noise_log * noise * sizes / np.max(sizes)
+    return replace(run, torque=torque).records(driven)
 
 
 def _robot_truth(estimate: Estimate) -> Iterator[tuple[str, float]]:
@@ -209,20 +219,6 @@ def _robot_truth(estimate: Estimate) -> Iterator[tuple[str, float]]:
     if values is not None:
         named = zip(estimate.params.rows, map(float, values), strict=True)
         yield from ((row.name, value) for row, value in named if row.of_joint)
-
-
-def _simulate_robot(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:
-    """Records of a simulated run, with noise relative to the torques."""
-    if asked.values or asked.noise_force:
-        raise MethodError(
-            "A robot's simulated runs have the numbers of its robot file and noise_log, of the joint with the largest "
-            "torque and of the others in proportion; leave values and noise_force out of [monte_carlo]."
-        )
-    run = require_success(simulate(file.loop, driven), f"The simulation of {file.robot.name}")
-    sizes = np.std(run.torque, axis=0)
-    noise = np.random.default_rng([asked.seed]).standard_normal(run.torque.shape)
-    torque = run.torque + asked.noise_log * noise * sizes / np.max(sizes)
-    return replace(run, torque=torque).records(driven)
 
 
 _DEATHS = 2  # of workers, after which a case is set aside

@@ -20,7 +20,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 _LONGEST = 60  # characters of a value that a sentence shows
 _GUESSED = 100  # characters of a word that another one may be meant by
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_BETWEEN = 10.0  # seconds between two lines of progress where no bar is drawn
+_FIRST, _BETWEEN = 3.0, 10.0  # seconds to the first line of progress where no bar is drawn, and between two
 _MINUTES, _HOURS = 100.0, 5400.0  # seconds from which a time is said in minutes, and in hours
 _WITHOUT_QUOTES = re.compile(r"\s*([+-]?(\d[\d_]*)?\.?\d+([eE][+-]?\d+)?|true|false)\s*")
 
@@ -46,7 +46,7 @@ class BarListener(Protocol):
 
 
 class Work:
-    """Progress of a piece of work, as a bar or a line every ten seconds.
+    """Progress of a piece of work, as a bar, or a line after three seconds and then every ten.
 
     Args:
         progress: the listener.
@@ -58,7 +58,8 @@ class Work:
     def __init__(self, progress: Progress, what: str, total: float, unit: str) -> None:
         self._progress, self._what, self.total, self._unit = progress, what, total, unit
         self._lock = threading.Lock()
-        self._began = self._reported = time.monotonic()
+        self._began = time.monotonic()
+        self._reported = self._began - _BETWEEN + _FIRST
         self.reach(0.0)
 
     def reach(self, done: float) -> None:
@@ -223,7 +224,7 @@ def missing(expected: str, meaning: str) -> str:
     return f" is missing; expected {expected} ({meaning}): add it."
 
 
-def describe_unknown(key: str, known: Iterable[str]) -> str:
+def describe_unknown_name(key: str, known: Iterable[str]) -> str:
     """Describe an unknown key."""
     keys = list(known)
     return f" is not a known key; expected one of {', '.join(keys)}: {suggest(key, keys, 'leave it out')}"
@@ -251,7 +252,7 @@ def beside_preset(value: object, preset: str) -> str:
     return f' is {format_value(value)} beside preset = "{preset}", which sets it: leave one of them out.'
 
 
-def describe_unexpected(value: object, says: Says, optional: bool) -> str:
+def describe_unexpected_value(value: object, says: Says, optional: bool) -> str:
     """Describe an unexpected value."""
     remedy = "correct it, or leave it out" if optional else "correct it"
     if isinstance(value, int | float) and value < 0 and says.negative:

@@ -135,7 +135,7 @@ class Declared:
             return None
         if self.choices:
             return messages.no_choice(value, self.choices)
-        return messages.describe_unexpected(value, self.says, optional=not self.required)
+        return messages.describe_unexpected_value(value, self.says, optional=not self.required)
 
     def _allows(self, value: Any) -> bool:
         if value is None:

@@ -42,13 +42,16 @@ _BESIDE_LOAD = (
 _KNOWN = " is known, and not identified; give it a value, or change it in {}."
 _BESIDE_FRICTION = (
     " cannot be identified beside {} friction: a constant adds to the Coulomb force forwards and takes as much "
-    'from it backwards, so the two cannot be told apart; give it a value, or set {} = "symmetric".'
+    'from it backwards, so the two cannot be distinguished; give it a value, or set {} = "symmetric".'
 )
 
 
 def find_contradictions(file: FileTable) -> Iterator[Fault]:
     """Yield contradictions between the tables of a joint file."""
-    yield from _joint_faults(file)
+    if not file.is_wrong("drive") and (refused := refusal(lambda: file.joint.drive(file.drive.build()))):
+        yield file.fault(("drive",), refused)
+    if not file.is_wrong("joint"):
+        yield from (file.fault((table,), rest, "refused") for table, rest in _refusals(file))
     yield from _transmission_faults(file)
     yield from _channel_faults(file)
     yield from _method_faults(file)
@@ -211,7 +214,7 @@ def _describe_refused_numbers(controller: Controller, numbers: Mapping[str, floa
     known = (*numbers_of(controller), "period")
     for name in numbers:
         if name not in known:
-            return f".{messages.dot_path([name])}{messages.describe_unknown(name, known)}"
+            return f".{messages.dot_path([name])}{messages.describe_unknown_name(name, known)}"
     return refusal(lambda: with_numbers(controller, numbers))
 
 
@@ -223,14 +226,6 @@ def _free_faults(place: Place, names: Collection[str], file: FileTable) -> Itera
     for name in names:
         if refused := refusal(partial(surrounding, name, controller)):
             yield file.fault(place, refused, "refused")
-
-
-def _joint_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield an impossible drive, gravity or ripple of the joint."""
-    if not file.is_wrong("drive") and (refused := refusal(lambda: file.joint.drive(file.drive.build()))):
-        yield file.fault(("drive",), refused)
-    if not file.is_wrong("joint"):
-        yield from (file.fault((table,), rest, "refused") for table, rest in _refusals(file))
 
 
 def _refusals(file: FileTable) -> Iterator[tuple[str, str]]:
@@ -257,7 +252,7 @@ def _parameter_faults(file: FileTable) -> Iterator[Fault]:
     for name, table in file.parameters.items():
         place = ("parameters", name)
         if name not in known:
-            yield file.fault(place, _describe_unknown(name, file, known), "unknown")
+            yield file.fault(place, _describe_unknown_key(name, file, known), "unknown")
             continue
         # A parameter that is a bare number has no keys.
         keys = table.model_fields_set - {"value"}
@@ -313,7 +308,7 @@ def _open(lower: float) -> float:
     return 0.0 if 0.0 < lower < _NEXT_TO_ZERO else lower
 
 
-def _describe_unknown(name: str, file: FileTable, known: Collection[str]) -> str:
+def _describe_unknown_key(name: str, file: FileTable, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
     joint = file.joint
     remedy = messages.suggest(name, known, "leave it out")

@@ -39,7 +39,8 @@ _LARGEST = 2**20  # bytes; a state space of order 100 takes a quarter of it
 _DEEPEST = 256  # points in a key: the parser takes the square of their number
 
 _OF_RECORD = re.compile(r"\s*(\[\s*record\s*\]|\[\[\s*records\s*\]\])")
-_FILE = re.compile(r"""^(\s*file\s*=\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""", re.MULTILINE)
+_TEXT = r"""(?:"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
+_FILE = re.compile(rf"^(\s*files?\s*=\s*)({_TEXT}|\[(?:{_TEXT}|[\s,])*\])", re.MULTILINE)
 _HEADING = r"\s*\[{{1,2}}\s*({0}|\"{0}\"|'{0}')\s*[.\]]"
 
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
@@ -254,7 +255,7 @@ def _number_of(tables: Mapping[str, Any], axis: str) -> int | None:
 def _with_method_of_axis(
     tables: Mapping[str, Any], changes: list[str], number: int, method: str | None
 ) -> tuple[Mapping[str, Any], list[str]]:
-    """Return tables and changes of which [method] is that of one axis; another one has its default settings."""
+    """Return tables and changes with [method] moved to one axis; another method has its default settings."""
     below, tables = f"joints.{number + 1}.", copy.deepcopy(dict(tables))
     changes = [f"{below}{one}" if re.match(r"method[.=]", one) else one for one in changes]
     if method is None:
@@ -369,7 +370,7 @@ def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[
     """Return the lines of a controller, with units and the drive's numbers as comments."""
     law = numbers_of(controller)
 
-    def comment(name: str, value: float) -> str:
+    def name_unit(name: str, value: float) -> str:
         unit = unit_of_number(controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
         there = shown.get(name)
         if there is None or not there.unit:
@@ -380,7 +381,7 @@ def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[
         other = "" if there.name.endswith(name) else f"{there.name} "
         return f"{in_si}{other}{number(there.of(value, law), 4)} {there.unit} in the drive" if value else unit
 
-    units = {f"{name.rpartition('.')[2]} = {value!r}": comment(name, value) for name, value in law.items()}
+    units = {f"{name.rpartition('.')[2]} = {value!r}": name_unit(name, value) for name, value in law.items()}
     return "".join(
         f"{line}{f'  # {units[line]}' if units.get(line) else ''}\n" for line in text.rstrip("\n").split("\n")
     )
@@ -423,13 +424,12 @@ def with_paths(text: str, before: Path, after: Path) -> str:
         return text
     listed = expected.get("records")
     tables = [expected.get("record"), *(listed if isinstance(listed, list) else [])]
-    named = [table for table in tables if isinstance(table, dict) and isinstance(table.get("file"), str)]
-    for table in named:
-        table["file"] = _relocate_path(table["file"], before, after)
+    for table in (table for table in tables if isinstance(table, dict)):
+        table |= {key: _relocate_paths(table[key], before, after) for key in ("file", "files") if key in table}
 
     def relocate(line: re.Match[str]) -> str:
-        file = _relocate_path(tomllib.loads(f"file = {line[2]}")["file"], before, after)
-        return line[1] + json.dumps(file, ensure_ascii=False)
+        named = _relocate_paths(tomllib.loads(f"file = {line[2]}")["file"], before, after)
+        return line[1] + json.dumps(named, ensure_ascii=False)
 
     sections = split_sections(text)
     made = "".join(_FILE.sub(relocate, one, count=1) if _OF_RECORD.match(one) else one for one in sections)
@@ -447,11 +447,12 @@ def with_record(text: str, file: str) -> str:
         JointFileError: the text is no TOML.
     """
     expected, line = parse_toml(text), json.dumps(file, ensure_ascii=False)
-    expected["record"] = {**expected.get("record", {}), "file": file}
+    other = {key: value for key, value in expected.get("record", {}).items() if key not in ("files", "offsets")}
+    expected["record"] = {**other, "file": file}
     sections = split_sections(text)
     for i, one in enumerate(sections):
         if _OF_RECORD.match(one):
-            named, count = _FILE.subn(lambda found: found[1] + line, one, count=1)
+            named, count = _FILE.subn(lambda found: found[1].replace("files", "file") + line, one, count=1)
             heading, _, rest = one.partition("\n")
             sections[i] = named if count else f"{heading}\nfile = {line}\n{rest}"
             break
@@ -466,6 +467,13 @@ def _verify(made: str, expected: Mapping[str, Any]) -> str:
         return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
     except tomllib.TOMLDecodeError:  # two tables of one name, where the old one has no heading; a path of several lines
         return tomli_w.dumps(expected)
+
+
+def _relocate_paths(named: object, before: Path, after: Path) -> object:
+    """Return a path, or a list of them, as seen from another folder; what is neither is unchanged."""
+    if isinstance(named, list):
+        return [_relocate_paths(one, before, after) for one in named]
+    return _relocate_path(named, before, after) if isinstance(named, str) else named
 
 
 def _relocate_path(file: str, before: Path, after: Path) -> str:

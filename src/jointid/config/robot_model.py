@@ -155,8 +155,13 @@ def read_robot(
     _refuse_elements(root, called)
     order = [one.get("name", "") for one in root.iter("joint")]
     stripped = _filter_tree(root, kept)
-    _refuse_infinite(stripped, called)
-    remarks = (*_drop_repeated(stripped), *_forget_impossible(stripped))
+    for one in stripped.iter():
+        for name, value in one.items():
+            if name not in _WORDS and _NO_NUMBER.search(value):
+                raise JointFileError(
+                    f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
+                )
+    remarks = (*_drop_repeats(stripped), *_forget_impossible(stripped))
     _give_masses(stripped)
     mujoco = extra("mujoco", "robots", "A robot's model")
     try:
@@ -366,16 +371,6 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
         raise JointFileError(dict.fromkeys(faults))
 
 
-def _refuse_infinite(root: ET.Element, called: str) -> None:
-    """Refuse numbers that are none, or not finite."""
-    for one in root.iter():
-        for name, value in one.items():
-            if name not in _WORDS and _NO_NUMBER.search(value):
-                raise JointFileError(
-                    f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
-                )
-
-
 def _geoms(body: ET.Element) -> Iterator[ET.Element]:
     """Yield the shapes of a body, also those in its frames."""
     yield from body.findall("geom")
@@ -397,7 +392,7 @@ def _filter_tree(element: ET.Element, allowed: Mapping[str, tuple[str, ...]]) ->
     return found
 
 
-def _drop_repeated(root: ET.Element) -> Iterator[str]:
+def _drop_repeats(root: ET.Element) -> Iterator[str]:
     """Drop all but the first of elements that an element has once; yield a remark on each."""
     for parent, once in _ONCE.items():
         for one in root.iter(parent):
@@ -447,10 +442,10 @@ def _impossible(inertial: ET.Element) -> str | None:
         return None
     xx, yy, zz, xy, xz, yz = np.append(values, np.zeros(6 - values.size))
     low, middle, high = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    beyond = high - low - middle
-    if max(-low, beyond) > _ROUNDED * abs(high):
+    excess = high - low - middle
+    if max(-low, excess) > _ROUNDED * abs(high):
         return f"principal moments of inertia of {low:.4g}, {middle:.4g}, {high:.4g} kg m2"
-    if moments is not None and (more := max(_NOTHING - low, beyond + 1e-12 * high)) > 0.0:
+    if moments is not None and (more := max(_NOTHING - low, excess + 1e-12 * high)) > 0.0:
         for name, value in zip(("ixx", "iyy", "izz"), (xx, yy, zz), strict=True):
             moments.set(name, repr(float(value + more)))
     return None

@@ -20,7 +20,7 @@ from jointid.records.columns import Column
 from jointid.records.drives import Drive
 from jointid.records.formats import Csv, format_of, read_table
 from jointid.records.formats import Table as RecordedTable
-from jointid.records.joining import choose_resampling, read_joined
+from jointid.records.joining import choose_resampling, join_files
 from jointid.records.record import Channel, Injection
 from jointid.records.resampling import Resampling
 
@@ -82,7 +82,7 @@ class Source:
         if not self.files or Path(path) != folder / self.files[0]:
             return read_table(path, **self.options)
         paths = [folder / file for file in self.files]
-        return read_joined(
+        return join_files(
             paths,
             offsets=self.offsets,
             time=self.time,

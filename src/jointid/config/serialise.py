@@ -18,7 +18,7 @@ from jointid.config.quantities import Stated
 from jointid.config.schema import FILTERINGS
 from jointid.estimation.methods.registry import Method, method_of
 from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
-from jointid.models.disturbances import Drift, Effect
+from jointid.models.disturbances import Drift
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity, PositionHarmonics
@@ -137,11 +137,7 @@ def method_table(method: Method, model: str) -> dict[str, Any]:
         raise JointFileError(str(error)) from error
     words = {one.name: one.setting.none for one in settings_of(made) if one.setting.none}
     given = {name: word for name, word in words.items() if getattr(method, name) is None}
-    return {"name": method.name, **settings(method, "effects"), **given, **_effects(getattr(method, "effects", ()))}
-
-
-def _effects(effects: tuple[Effect, ...]) -> dict[str, Any]:
-    """Return the keys of [method] for a method's effects."""
+    effects = getattr(method, "effects", ())
     found: dict[str, Any] = {}
     for effect in effects:
         match effect:
@@ -154,7 +150,7 @@ def _effects(effects: tuple[Effect, ...]) -> dict[str, Any]:
                     "A joint file has words for one PositionHarmonics, then one Drift, both on the motor's side; "
                     f"received {', '.join(map(repr, effects))}."
                 )
-    return found
+    return {"name": method.name, **settings(method, "effects"), **given, **found}
 
 
 def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | float:

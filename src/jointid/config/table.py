@@ -110,7 +110,9 @@ class Table(BaseModel):
                 near = messages.nearest(key, cls.model_fields)
                 if near is not None and near not in raw and near not in found:
                     meant = near
-                    faults.append(fault_at((*path, key), messages.describe_unknown(key, cls.model_fields), "unknown"))
+                    faults.append(
+                        fault_at((*path, key), messages.describe_unknown_name(key, cls.model_fields), "unknown")
+                    )
             field = cls.model_fields.get(meant)
             below = [] if field is None or get_origin(field.annotation) in (dict, list) else _tables(field)
             found[meant] = value
@@ -171,7 +173,7 @@ class Table(BaseModel):
             return place, error["ctx"]["code"], error["ctx"]["rest"]
         field = cls.model_fields.get(str(key))
         if field is None:
-            rest = cls.ambiguous.get(str(key)) or messages.describe_unknown(str(key), cls.model_fields)
+            rest = cls.ambiguous.get(str(key)) or messages.describe_unknown_name(str(key), cls.model_fields)
             return (key,), "unknown", rest
         if error["type"].startswith("union_tag"):
             deciding = cls.decided_by[str(key)]
@@ -236,7 +238,7 @@ def _describe_value(field: FieldInfo, value: object, short: bool) -> str:
     if _tables(field) and says not in field.metadata:
         return messages.no_table(value)
     expected = f"{says.expected}, or a table" if short else says.expected
-    return messages.describe_unexpected(
+    return messages.describe_unexpected_value(
         value, Says(expected, says.negative), optional=not (short or field.is_required())
     )
 
@@ -404,13 +406,9 @@ def _default(same: Sequence[Declared]) -> Any:
         return ...
     if same[0].factory is not None:
         return same[0].factory
-    return _plain(same[0].default)
-
-
-def _plain(value: Any) -> Any:
-    """Return a default as TOML writes it; None where TOML cannot."""
+    value = same[0].default
     if isinstance(value, float) and not math.isfinite(value):
-        return None
+        return None  # which TOML cannot write
     if isinstance(value, tuple):
         return list(value)
     return str(value) if isinstance(value, str) else value

@@ -40,9 +40,9 @@ class Task:
     log: LoopRecord
     gain: float
 
-    def segment(self, samples: int) -> Task:
+    def select_strongest(self, samples: int) -> Task:
         """Restrict the task to the samples with the strongest reference acceleration."""
-        return Task(self.log.segment(samples), self.gain)
+        return Task(self.log.select_strongest(samples), self.gain)
 
     def controller(self, structure: Structure, numbers: Mapping[str, float]) -> Controller:
         """Return a law."""

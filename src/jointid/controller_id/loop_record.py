@@ -63,7 +63,7 @@ class LoopRecord:
         """(samples,) 1 where the residual counts and no limit acts, else 0."""
         return self.kept * _below_limit(self.torque, self.plateau)
 
-    def segment(self, samples: int) -> LoopRecord:
+    def select_strongest(self, samples: int) -> LoopRecord:
         """Select the samples with the strongest reference acceleration."""
         if samples >= self.samples:
             return self

@@ -187,7 +187,7 @@ def search(task: Task, progress: Progress = ignore_progress) -> tuple[FittedLaw,
     so far, no rivals, and False.
     """
     channel = task.log.record.reference_velocity is not None
-    stretch = task.segment(_SEGMENT)
+    stretch = task.select_strongest(_SEGMENT)
     seconds = _expect_seconds(task, stretch)
     progress(
         f"learning the controller from {task.log.samples} samples; this takes some "

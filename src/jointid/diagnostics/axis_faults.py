@@ -120,7 +120,6 @@ def find_axis_faults(
         tested = score_signatures(residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed))
         tests = [_of_axis(one, keys) for one in tested]
         first = [*first, *tests] if len(first) < n else first
-        basis = _basis_of(own)
         rest = residual - basis @ (basis.T @ residual)
         likely = ((_shape_of(one, k, open_ones), one) for k, one in tests if one.p_value <= level)
         best = next(
@@ -137,6 +136,7 @@ def find_axis_faults(
         (taken, test), axis = best, best[0].axis
         found[axis].append(Finding(test, None, (), {}))
         own = np.column_stack([own, taken.column])
+        basis = _basis_of(own)
         kin = {test.name, test.fault.kin} - {""}
         open_ones = [o for o in open_ones if o.axis != axis or not kin & {o.fault.name, o.fault.kin}]
     faults = tuple(
@@ -224,10 +224,10 @@ def _strongest_coupling(residual: FloatArray, basis: FloatArray, shapes: Sequenc
     error = residual[rows]
     if error.size < _FEWEST_ROWS or not np.any(error):
         return None
-    groups: dict[str, list[FloatArray]] = {}
-    for one in shapes:
-        apart = one.column - basis @ (basis.T @ one.column)
-        groups.setdefault(one.fault.phrase, []).append(apart[rows])
+    groups, basis = dict[str, list[FloatArray]](), basis[rows]  # outside its rows the column of an axis is 0
+    columns = np.array([one.column[rows] for one in shapes]).reshape(-1, error.size)
+    for one, apart in zip(shapes, columns - columns @ basis @ basis.T, strict=True):
+        groups.setdefault(one.fault.phrase, []).append(apart)
     found = {phrase: coupling(error, np.column_stack(columns)) for phrase, columns in groups.items()}
     seen = {phrase: one for phrase, one in found.items() if one.seen}
     if not seen:

@@ -22,7 +22,7 @@ class Told(StrEnum):
 
     TOLD = "told"
     ROUGHLY = "roughly"
-    NOT = "not told from 0"
+    NOT = "not significant"
     REFUSED = "refused"
     FIXED = "fixed"
 

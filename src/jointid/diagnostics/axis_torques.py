@@ -6,6 +6,7 @@ through the filter of the torques.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -26,6 +27,7 @@ from jointid.estimation.robots.simulated import SimulatedRobot, problem_of
 from jointid.estimation.unknown_timing import read_as
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.records.signals.position_noise import find_noise_limit
 from jointid.simulation.robots import simulation_of
 
 
@@ -118,7 +120,7 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
     return _torques(
         robot.names, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values), nominal),
         seen, path, (q, v, a), motion.torque, thin,
-        rows.W.reshape(len(robot), -1, rows.W.shape[1]), linear=True,
+        rows.W.reshape(len(robot), -1, rows.W.shape[1]), linear=True, raw=motion.raw,
     )  # fmt: skip
 
 
@@ -127,12 +129,10 @@ def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence
     problem = problem_of(part.setup, records, part.parameters, filtering)
     problem = replace(problem, parameters=part.parameters)  # those of the record are among them already
     measured = problem.by_joint(problem.decimate(problem.measured))
-    error = problem.error_of(numbers)
-    assert error is not None  # it was identified from these records
-    predicted = measured - problem.by_joint(error)
     values = part.values[: len(part.parameters.places)]
-    slopes = problem.linearise(part.parameters.to_search_variables(values))[1]
-    slopes = slopes / problem.weights(len(slopes))[:, np.newaxis]
+    error, slopes = problem.linearise(part.parameters.to_search_variables(values))
+    weights = problem.weights(error.size)
+    predicted, slopes = measured - problem.by_joint(error / weights), slopes / weights[:, np.newaxis]
 
     def thin(columns: FloatArray, of: RobotLoopProblem | RobotDriveSideProblem = problem) -> FloatArray:
         rows = of.decimate_each(list(np.moveaxis(columns, 1, 0)))
@@ -142,7 +142,7 @@ def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence
         moved = simulation_of(problem.simulate(numbers)).motion
         motion = moved.position, moved.velocity, moved.acceleration
         q, v, a = (one[:, numbers.rotors] for one in motion)
-        seen, whole = np.ones(measured.shape, dtype=np.bool_), thin
+        seen, whole, raw = np.ones(measured.shape, dtype=np.bool_), thin, None
     else:
         coupling = robot.coupling.T
         q, v, a = (one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a))
@@ -150,11 +150,11 @@ def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence
             problem.motion.whole_rows,
             replace(problem.motion, moving=np.ones_like(problem.motion.moving)),
         )
-        whole = partial(thin, of=replace(problem, motion=everywhere))
+        whole, raw = partial(thin, of=replace(problem, motion=everywhere)), problem.motion.raw
     return _torques(
         robot.names, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
         whole(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
-        -slopes.reshape(len(robot), -1, slopes.shape[1]),
+        -slopes.reshape(len(robot), -1, slopes.shape[1]), raw=raw,
     )  # fmt: skip
 
 
@@ -171,18 +171,20 @@ def _torques(
     own: FloatArray,
     *,
     linear: bool = False,
+    raw: FloatArray | None = None,
 ) -> AxisTorques:
     """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are.
 
-    The path is positions and velocities of the rows, (n, rows, 2).
+    The path is positions and velocities of the rows, (n, rows, 2); `raw` the positions, (samples, n), if these were
+    measured.
     """
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     q, v, a = motion
-    raw = _shapes(axes, q, v, a, torque, sample_time)
-    columns = thin(np.stack([np.column_stack([one.column for one in all_of]) for all_of in raw], axis=1))
+    found = _shapes(axes, q, v, a, torque, sample_time, raw)
+    columns = thin(np.stack([np.column_stack([one.column for one in all_of]) for all_of in found], axis=1))
     shapes = tuple(
-        tuple(replace(one, column=columns[k, :, i]) for i, one in enumerate(all_of)) for k, all_of in enumerate(raw)
+        tuple(replace(one, column=columns[k, :, i]) for i, one in enumerate(all_of)) for k, all_of in enumerate(found)
     )
     step = sample_time * filtering.decimation
     measured, predicted, nominal = torques
@@ -193,13 +195,20 @@ def _torques(
 
 
 def _shapes(
-    axes: Sequence[str], q: FloatArray, v: FloatArray, a: FloatArray, torque: FloatArray, sample_time: float
+    axes: Sequence[str],
+    q: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    torque: FloatArray,
+    sample_time: float,
+    raw: FloatArray | None,
 ) -> list[list[FaultSignature]]:
-    """Return what each fault adds to the torque of each axis along its motion, raw: as many columns of every axis."""
+    """Return the raw signatures of all faults along the motion of each axis, as many for every axis."""
     along = dict.fromkeys(fault.along for fault in FAULTS if fault.along is not None)
     found = []
     for k in range(len(axes)):
         others = {name: (v[:, i], a[:, i]) for i, name in enumerate(axes) if i != k}
-        motion = AxisMotion(q[:, k], v[:, k], a[:, k], torque[:, k], sample_time, others)
+        limit = math.inf if raw is None else find_noise_limit([raw[:, k]], sample_time, derivative=4)
+        motion = AxisMotion(q[:, k], v[:, k], a[:, k], torque[:, k], sample_time, limit, others)
         found.append([one for signatures in along for one in signatures(motion)])
     return found

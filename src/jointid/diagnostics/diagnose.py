@@ -85,29 +85,26 @@ def diagnose(
             raise MethodError("The estimate of a joint is diagnosed on its own record; give that one alone.")
         if controllers or feed_forward != "none":
             raise MethodError("The arguments controllers and feed_forward are for a robot; leave them out for a joint.")
-        return diagnose_joint(estimate, record, _solve_again(estimate, record), tests, shown)[0]
+        if estimate.settings.loop is None:
+            raise MethodError(
+                "IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller."
+            )
+        for p in estimate.params.rows:
+            if p.value is None:
+                raise MethodError(
+                    f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose "
+                    "parameters are identifiable from this record."
+                )
+        another = (
+            f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
+            "record it was identified from."
+        )
+        return diagnose_joint(estimate, record, rebuild_problem(estimate, record, another), tests, shown)[0]
     if not isinstance(record, Sequence):
         raise MethodError("The estimate of a robot is diagnosed on the record of each joint; give them in order.")
     if tests is not None or shown:
         raise MethodError("The arguments tests and shown are for a joint; leave them out for a robot.")
     return diagnose_robot(estimate, record, controllers, feed_forward)
-
-
-def _solve_again(estimate: Estimate, record: Record) -> Solved:
-    """Return the problem of a joint's estimate and its solution."""
-    if estimate.settings.loop is None:
-        raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
-    for p in estimate.params.rows:
-        if p.value is None:
-            raise MethodError(
-                f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose parameters "
-                "are identifiable from this record."
-            )
-    another = (
-        f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
-        "record it was identified from."
-    )
-    return rebuild_problem(estimate, record, another)
 
 
 def diagnose_joint(

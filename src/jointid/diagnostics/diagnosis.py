@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from jointid.common.document import Block, Document, Documented, Heading, Listing, Paragraph, Table
 from jointid.common.messages import Message
-from jointid.common.text import join, number, pluralise
+from jointid.common.text import join, number, pluralise, sentence
 from jointid.diagnostics.axis_parameters import AxisParameter, Told
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults.findings import AxisFaults
@@ -89,7 +89,7 @@ class AxisDiagnosis:
 
     @property
     def judged(self) -> bool:
-        """False if much is left of a record that is too short to tell noise from a fault of the model."""
+        """False if the residual is large and the record too short to tell noise from a fault of the model."""
         return self.left < _LEFT or self.whiteness is not None
 
     @property
@@ -130,41 +130,41 @@ class AxisDiagnosis:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Faults of the axis, each with its remedy."""
+        """Faults of the axis, each with its remedy, begun with the axis' name."""
         found = [self._describe_law(), self._describe_rest()]
         if self.faults.findings or self.faults.undecided is not None:
-            found += [f"{self.subject}{one}" for one in self.faults.sentences]
+            found += self.faults.sentences
         elif not self.explained:
             found.append(self._describe_unexplained_part())
         elif self.coloured:
             follows = f"; it follows {self.follows[0]}" if self.follows is not None and self._one_thing else ""
-            left = f"{self.subject}the model leaves {100 * self.left:.3g} % of the torque, which is"
+            left = f"the model leaves {100 * self.left:.3g} % of the torque, which is"
             found.append(
                 f"{left} little, but no white noise{follows}."
                 if self.left < _LEFT
                 else f"{left} no white noise, but does not repeat with the motion, like coloured noise of the log."
             )
         found += [
-            f"{self.subject}the spring is refused, at least {number(one.at_least, 3)} {one.unit}; declare the joint "
-            "rigid, or excite its mode, as with a multisine on top of the motion."
+            f"the spring is refused, at least {number(one.at_least, 3)} {one.unit}; declare the joint rigid, or excite "
+            "its mode, as with a multisine on top of the motion."
             for one in self.parameters
             if one.known is Told.REFUSED and one.at_least is not None
         ]
-        return tuple(filter(None, found))
+        return tuple(f"{self.subject}{sentence(one)}" for one in found if one)
 
     def _describe_rest(self) -> str:
         if self.moving >= _RESTS:
             return ""
         return (
-            f"{self.subject}the axis moves in {100 * self.moving:.0f} % of the record; its friction and inertia are "
-            "told while it moves: let it move throughout."
+            f"the axis moves in {100 * self.moving:.0f} % of the record; its friction and inertia are "
+            "determined only while it moves: let it move throughout."
         )
 
     def _describe_unexplained_part(self) -> str:
-        said = f"{self.subject}the model leaves {100 * self.left:.3g} % of the torque, and that is no noise"
+        said = f"the model leaves {100 * self.left:.3g} % of the torque, and that is no noise"
         if self.follows is None or not self._one_thing:
             return (
-                f"{said}. It follows no single thing that is looked for: check geometry, gears and couplings of the "
+                f"{said}. It follows none of the tested signals: check geometry, gears and couplings of the "
                 "model, and do not rely on this joint's intervals."
             )
         what, share = self.follows
@@ -179,7 +179,7 @@ class AxisDiagnosis:
         if law is None or self.law_holds or law.left_in_time > _BEYOND_NOISE * max(law.noise, OF_LAW):
             return ""
         share = f"{100 * law.left:.3g} % of the torque"
-        said = f"{self.subject}along the logged position the declared controller leaves {share}"
+        said = f"along the logged position the declared controller leaves {share}"
         if law.late and law.noise < _OF_ANY_LAW:
             when = f"{1e3 * abs(law.late):.3g} ms {'later' if law.late > 0.0 else 'earlier'}"
             return (
@@ -229,7 +229,7 @@ class Diagnosis(Documented):
 
     @property
     def reasons(self) -> tuple[Message, ...]:
-        """The faults found, and what was tested where none was, of all axes."""
+        """The faults found on all axes, or the tests that found none."""
         return tuple(reason for one in self.axes for reason in one.faults.reasons)
 
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
@@ -252,10 +252,21 @@ class Diagnosis(Documented):
         """A clause on the controllers that cannot be tested; "" without any."""
         if not self.untested:
             return ""
+        several = len(self.untested) > 1
         return (
-            f"the controller of {join(self.untested)} was not checked, which needs a declared controller, a motor "
-            "position and a reference"
+            f"the controller{'s' * several} of {join(self.untested)} {'were' if several else 'was'} not checked, which "
+            "needs a declared controller, a motor position and a reference"
         )
+
+    def describe_laws(self, *, holds: bool) -> str:
+        """Return the clause on the controllers that make the logged torques, or do not; "" without any."""
+        names = [one.name for one in self.axes if one.law_holds is holds]
+        if not names:
+            return ""
+        several = len(names) > 1
+        which = "s" * several + ("" if holds and len(names) == len(self.axes) else self._of(names))
+        verb = ("make" if several else "makes") if holds else f"{'do' if several else 'does'} not make"
+        return f"the declared controller{which} {verb} the logged torque{'s' * several} of the logged positions"
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -290,7 +301,7 @@ class Diagnosis(Documented):
         seen = [(one.name, one.law, one.left) for one in self.axes if one.other_law and one.law is not None]
         if not seen:
             return []
-        names = self._of([name for name, _, _ in seen])
+        names, several = self._of([name for name, _, _ in seen]), len(seen) > 1
         declared, free, model = (
             ", ".join(f"{100 * value:.2g}" for value in values)
             for values in zip(*((law.left, law.noise, left) for _, law, left in seen), strict=True)
@@ -299,12 +310,13 @@ class Diagnosis(Documented):
         why = (
             "Where no law does, something else is added to the torque, or the log is too slow to see the law"
             if any_law
-            else "The drives run another law, or are given a feed-forward"
+            else f"The {'drives run' if several else 'drive runs'} another law, or a feed-forward is added"
         )
+        leaves = f"s{names} leave" if several else f"{names} leaves"
         return [
-            f"Along the logged positions the declared controllers{names} leave {declared} % of the torque, any "
-            f"linear law of the last samples {free} %, and the model {model} %. {why}: declare it, log it as "
-            "injected, or identify by idim, which needs no controller."
+            f"Along the logged position{'s' * several} the declared controller{leaves} {declared} % of the torque, any "
+            f"linear law of the last samples {free} %, and the model {model} %. {why}: declare it, log it as injected, "
+            "or identify by idim, which needs no controller."
         ]
 
     def _of(self, names: Sequence[str]) -> str:
@@ -347,26 +359,18 @@ class Diagnosis(Documented):
             yield f"A fault{self._of(faulty)} was found, see below."
         elif tested and all(one.faults.of_loop and one.law_holds is not False for one in tested):
             yield "Loop and log are as declared, as far as this record shows."
-        wrong = [one.name for one in self.axes if one.law_holds is False]
-        held = [one.name for one in self.axes if one.law_holds]
-        several, untested = len(self.axes) > 1, f"; {self.untested_clause}" if self.untested else ""
-        plural, makes = ("s", "make") if several else ("", "makes")
-        if wrong:
-            yield (
-                f"The declared controller{self._of(wrong)} does not make the logged torque of the logged positions: "
-                f"unless these are noisy or rounded, do not rely on DIDIM with it{untested}."
-            )
-        elif self.untested:
-            yield f"The declared controller{self._of(held)} makes the logged torque of the logged positions{untested}."
-        elif held:
-            yield f"The declared controller{plural} {makes} the logged torque{plural} of the logged positions."
+        untested = f"; {self.untested_clause}" if self.untested else ""
+        if wrong := self.describe_laws(holds=False):
+            yield sentence(f"{wrong}: unless these are rounded coarsely, do not rely on DIDIM there{untested}")
+        elif held := self.describe_laws(holds=True):
+            yield sentence(f"{held}{untested}")
         elif not any(one.faults.of_loop for one in self.axes):
             why = (
                 "is not seen apart from the model: no motor position and reference were logged"
                 if self.method == "didim"
                 else "is not asked: the file declares none, or the record has no reference"
             )
-            yield f"Whether the controllers are as declared {why}."
+            yield f"Whether the {'controllers are' if len(self.axes) > 1 else 'controller is'} as declared {why}."
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the answer, a table of the axes, and what to do.
@@ -374,7 +378,7 @@ class Diagnosis(Documented):
         Args:
             details: whether undetermined parameters and all tests are listed in full.
         """
-        header: tuple[str, ...] = ("joint", "left, %", "white", "told", "roughly", "not told")
+        header: tuple[str, ...] = ("joint", "left, %", "white", "known", "roughly", "unknown")
         if any(one.law for one in self.axes):
             header = (*header, "controller leaves, %", "any law, %")
         rows = tuple(_row(one)[: len(header)] for one in self.axes)
@@ -400,7 +404,7 @@ class Diagnosis(Documented):
             unknown = tuple(
                 f"{one.subject}{', '.join(one.names(Told.NOT))}" for one in self.axes if one.names(Told.NOT)
             )
-            blocks += [Heading("Not told from 0"), Listing(unknown)] if unknown else []
+            blocks += [Heading("Not significant"), Listing(unknown)] if unknown else []
         return Document(f"{self.name}: what the record tells of {pluralise(len(self.axes), 'joint')}", tuple(blocks))
 
     def _tests(self, details: bool) -> tuple[Table, ...]:

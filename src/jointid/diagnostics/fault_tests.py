@@ -180,7 +180,7 @@ def fit_whitener(residual: FloatArray) -> Filter:
 
 def _fitted_share(basis: FloatArray) -> FloatArray:
     """Return the share of a residual at each frequency, (rows // 2 + 1,), that orthonormal columns fit."""
-    taken = np.sum([smoothed_spectrum(column, column.size)[0] for column in basis.T], axis=0)
+    taken = smoothed_spectrum(basis, len(basis))[0]
     return np.concatenate([taken[:1], taken])
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message, Progress, ignore_progress
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
@@ -39,6 +40,7 @@ from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, skip_test
 
 
+@one_thread()
 def identify(
     record: Record | Sequence[Record] | Sequence[Sequence[Record]] | LongRecord,
     model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
@@ -161,7 +163,7 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     whole = all(p.value is not None for p in fit.params.rows)
     if whole:
         try:
-            # DIDIM is told of torque and reference alone: its checks do not read the motor's position either.
+            # DIDIM reads torque and reference alone: its checks do not read the motor's position either.
             found, state = diagnose_joint(fit, record.without("motor_position"), (problem, x), shown=shown)
             check = found.axes[0].faults
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
@@ -219,13 +221,11 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         )
     none = "no motor position and reference of a declared controller were logged"
     loop = skip_test(Subject.LOOP, found.untested_clause or none, found.untested)
-    wrong = [joint.name for joint in found.axes if joint.law_holds is False]
     if all(joint.law_holds for joint in found.axes):
-        said = "the declared controllers make the logged torques of the logged positions"
+        said = found.describe_laws(holds=True)
         loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
-    elif wrong:
-        said = f"the declared controller of {join(wrong)} does not make the logged torque of the logged positions"
-        said = "; ".join(filter(None, (said, found.untested_clause)))
+    elif wrong := found.describe_laws(holds=False):
+        said = "; ".join(filter(None, (wrong, found.untested_clause)))
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))

@@ -12,7 +12,9 @@ law, delay and the gain of the log are tested before a joint is identified.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from jointid.models.controllers import INJECTED, POSITION, respond, run
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.resampling import at_period
+from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
 
 MEMORY = 0.3
@@ -117,7 +120,8 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     """Compare the logged torque with that of the law for the motor's position; None without a position.
 
     The initial value of the integral and a constant torque are free. The position between two samples of the log is
-    interpolated linearly.
+    interpolated linearly. Torques are compared up to the frequency that the noise of the position allows: a law
+    differentiates that noise, and a controller that is as declared has not seen it.
     """
     torque = record.torque
     if record.motor_position is None or record.reference is None or torque is None:
@@ -126,10 +130,12 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
         made = _simulate_law(record, prepare(loop, record))
     except JointidError:
         return None
-    count = min(torque.values.size, len(made))
-    logged, made = torque.values[:count], made[:count]
-    if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(logged) == 0 or np.ptp(made[:, 0]) == 0:
+    position, count = record.motor_position, min(torque.values.size, len(made))
+    limit = find_noise_limit([position.values], position.sample_time)
+    see = partial(lowpass_below_noise, limit=limit, sample_time=torque.sample_time)
+    if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(torque.values) == 0 or np.ptp(made[:, 0]) == 0:
         return None
+    logged, made = see(torque.values[:count]), see(made[:count])
     shifts = np.arange(-_LATEST * _PARTS, _LATEST * _PARTS + 1) / _PARTS
     at = np.arange(count)
     inside = slice(_BORDER, count - _BORDER)
@@ -140,7 +146,7 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
         fits.append((rest, float(weights[0])))
     left, gain = fits[int(np.argmin(np.abs(shifts)))]
     best = int(np.argmin([one[0] for one in fits]))
-    noise = _regress_on_past(record, logged)
+    noise = _regress_on_past(record, logged, see)
     late = _interpolate_minimum(shifts, np.array([one[0] ** 2 for one in fits]), best) * torque.sample_time
     if fits[best][0] > _BETTER * left:
         return LawOnPosition(left, gain, 0.0, left, noise)
@@ -161,15 +167,15 @@ def _simulate_law(record: Record, experiment: LoopInput) -> FloatArray:
     return to_log(experiment, np.column_stack(columns))
 
 
-def _regress_on_past(record: Record, logged: FloatArray) -> float:
-    """Return the residual share of a torque regressed on the last samples of reference and position."""
+def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArray], FloatArray]) -> float:
+    """Return the residual share of a torque, filtered by `see`, regressed on the last samples of all signals."""
     time = np.arange(logged.size) * record.torque.sample_time if record.torque is not None else np.arange(0.0)
     seen = {name: np.interp(time, one.time, one.values) for name, one in record.items()}
     r, q = seen["reference"], seen["motor_position"]
     columns = [np.cumsum(r - q), np.ones(r.size)]
     for signal in (r - q, np.gradient(q), *(seen[n] for n in ("reference_velocity", "injected") if n in seen)):
         columns += [np.concatenate([np.full(lag, signal[0]), signal[: signal.size - lag]]) for lag in range(_LAGS)]
-    return _regress(logged, np.column_stack(columns))[0]
+    return _regress(logged, see(np.column_stack(columns)))[0]
 
 
 def _regress(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:

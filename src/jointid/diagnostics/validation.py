@@ -505,7 +505,7 @@ def _predict_joint(identified: IdentifiedJoint, record: Record) -> _Predicted:
     if identified.loop is not None:
         return _simulate_loop(identified, identified.loop, record)
     if identified.method in ("drive_side", "open_loop"):
-        return _simulate_prescribed(identified, record)
+        return _simulate_along_motion(identified, record)
     assert record.torque is not None
     joint, filtering, effects = identified.joint, identified.filtering, identified.effects
     if joint.model == "flexible" and not any(isinstance(one, EncoderOffset) for one in effects):
@@ -560,7 +560,7 @@ def _simulate_loop(identified: IdentifiedJoint, loop: ClosedLoop, record: Record
     )  # fmt: skip
 
 
-def _simulate_prescribed(identified: IdentifiedJoint, record: Record) -> _Predicted:
+def _simulate_along_motion(identified: IdentifiedJoint, record: Record) -> _Predicted:
     """Predict the torque along the motor's motion, or the motor's motion under the torque, with the log's own delay."""
     joint, filtering, values = identified.joint, identified.filtering, identified.values
     free: DriveSideProblem | OpenLoopProblem
@@ -568,7 +568,7 @@ def _simulate_prescribed(identified: IdentifiedJoint, record: Record) -> _Predic
         log = LOG_DELAY.fix(-identified.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
         free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, log)
     else:
-        free = position_problem(record, OpenLoop(joint), filtering, joint.parameters, -identified.delay)
+        free = position_problem(record, OpenLoop(joint), filtering, joint.parameters, LOG_DELAY.fix(-identified.delay))
     problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
     found = solve(problem, _SEARCH, problem.vector({})) if problem.free else None
     x = np.zeros(0) if found is None else found.x

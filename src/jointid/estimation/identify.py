@@ -80,13 +80,12 @@ def fit(
         if asked is not None:
             progress(asked)
 
-        def of_one(records: Sequence[Record]) -> FitResult:
+        def fit_single(records: Sequence[Record]) -> FitResult:
             return identify_record(
                 records[0], model, method, filtering=filtering, parameters=parameters, progress=progress
             )
 
-        idim = isinstance(method, IDIM) or (method is None and isinstance(model, Joint))
-        found = fit_unstated_timing([record], of_one) if idim else of_one([record])
+        found = fit_unstated_timing([record], fit_single)
         return found if asked is None else replace(found, before=(asked, *found.before))
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
@@ -115,16 +114,18 @@ def fit_robot(
         method.require_settings_of("robot")
     if isinstance(method, IDIM) and method.effects:
         raise MethodError("IDIM.effects are of a joint, and this is a robot; leave them out.")
-    if isinstance(model, RobotDriveSide) and isinstance(method, DriveSideFit | None):
-        return identify_simulated_robot(model, records, method, filtering=filtering, known=known, progress=progress)
-    if isinstance(model, RobotLoop) and isinstance(method, DIDIM | None):
-        return identify_simulated_robot(model, records, method, filtering=filtering, known=known, progress=progress)
-    if isinstance(model, Robot | RobotLoop) and isinstance(method, IDIM | None):
-        return fit_unstated_timing(
-            [record for log in each_log(records) for record in log],
-            lambda read: identify_robot(model, in_logs(read, records), method, filtering=filtering, known=known),
+
+    def of_logs(read: Sequence[Record]) -> FitResult:
+        logs = in_logs(read, records)
+        if isinstance(model, RobotDriveSide) and isinstance(method, DriveSideFit | None):
+            return identify_simulated_robot(model, logs, method, filtering=filtering, known=known, progress=progress)
+        if isinstance(model, RobotLoop) and isinstance(method, DIDIM | None):
+            return identify_simulated_robot(model, logs, method, filtering=filtering, known=known, progress=progress)
+        if isinstance(model, Robot | RobotLoop) and isinstance(method, IDIM | None):
+            return identify_robot(model, logs, method, filtering=filtering, known=known)
+        raise MethodError(
+            f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
+            "RobotLoop, or DriveSideFit for a RobotDriveSide."
         )
-    raise MethodError(
-        f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
-        "RobotLoop, or DriveSideFit for a RobotDriveSide."
-    )
+
+    return fit_unstated_timing([record for log in each_log(records) for record in log], of_logs)

@@ -209,7 +209,7 @@ class StreamingGaussNewton:
             return LogSolution(x, residual, J, status, stop, tuple(trace), used, found=found, passes=passes)
 
         for number in range(1, self.passes + 1):
-            found = _pass_down(problem, x, every, before)
+            found = _pass_to_windows(problem, x, every, before)
             whole += every == 1
             if found is None:
                 assert before is not None
@@ -245,7 +245,7 @@ def _rounding(sums: Sums) -> float:
     return _ROUNDING**2 * sums.size / sums.rows
 
 
-def _pass_down(problem: LogProblem, x: FloatArray, every: int, before: _Before | None) -> Pass | None:
+def _pass_to_windows(problem: LogProblem, x: FloatArray, every: int, before: _Before | None) -> Pass | None:
     """Return a pass; None where a step led uphill, or to what cannot be simulated.
 
     Raises:

@@ -1,10 +1,15 @@
 """A torque whose timing nobody stated: both readings are fitted, and the answer covers what the record leaves open.
 
-A torque held from its stamp and one sampled at it differ by half a sample, which moves friction and inertia. The
-residual power of least squares is nearly a parabola in the shift. Three shifts, held, sampled and averaged, give its
-minimum. The reading that is nearer to it is taken. Each interval is widened by the change of its parameter up to the
-minimum, and by the change for two deviations of the minimum. A stated timing is obeyed; where the minimum lies nearer
-to another reading by more than three deviations, the answer says so.
+**IDIM.** A torque held from its stamp and one sampled at it differ by half a sample. That moves friction and inertia.
+The residual power of least squares is nearly a parabola in the shift. Three shifts, held, sampled and averaged, give
+its minimum. The reading that is nearer to it is taken. Each interval is widened by the change of its parameter up to
+the minimum, and by the change for two deviations of the minimum. A stated timing is obeyed; where the minimum lies
+nearer to another reading by more than three deviations, the answer says so.
+
+**The drive side and the open loop.** The log's delay is a parameter, and another reading changes it by half a sample
+and nothing else. So it is estimated, also where it was given, and its own interval covers half a sample.
+
+**DIDIM.** A controller's output is the same at its stamp and until its next period. Both readings are one.
 """
 
 from __future__ import annotations
@@ -17,11 +22,17 @@ import numpy as np
 
 from jointid.common.errors import JointidError
 from jointid.common.text import number
+from jointid.estimation.problems.base import LOG_DELAY
 from jointid.estimation.result.assemble import FitResult
 from jointid.records.record import Record, Timing
 
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
 _CONTRADICTED = 1.5  # times two deviations: a stated timing that is farther from the minimum than halfway to another
+_WITH_LOG_DELAY = ("drive_side", "open_loop")
+_DELAY_SAID = (
+    "nobody stated whether the torque is held or sampled: log_delay, which makes up for the difference, is estimated, "
+    "counts from a held torque, and its interval covers half a sample; state timing of its channel"
+)
 _READINGS = (Timing.HELD, Timing.SAMPLED, Timing.AVERAGED)
 
 Logs: TypeAlias = Sequence[Record]
@@ -44,7 +55,7 @@ def read_timing(answer: Mapping[str, Any]) -> Timing | None:
 
 
 def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:
-    """Return the fit by the reading of the torque that leaves less, with intervals that cover the other as needed.
+    """Return the fit by the torque's timing with the smaller residual; intervals cover the other as needed.
 
     Args:
         records: of one log, or of the joints of a robot.
@@ -54,7 +65,11 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
     stated = all(torque.stated for torque in torques)
     read = {torque.timing for torque in torques if stated or not torque.stated}
     first = fit(records)
-    if len(read) != 1 or (stated and first.fit.simulations):  # instruments are simulated, minutes for a robot
+    if first.settings.method in _WITH_LOG_DELAY and not stated:
+        return _widen(first, {LOG_DELAY.name: 0.25 * first.data.sample_time}, _DELAY_SAID)  # half in two deviations
+    if (
+        first.settings.method != "idim" or len(read) != 1 or (stated and first.fit.simulations)
+    ):  # instruments are simulated, minutes for a robot
         return first
     own = read.pop()
 
@@ -75,33 +90,30 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
         "averaged 1)"
     )
     if stated:
-        if abs(best - _READINGS.index(own)) <= 0.5 + _CONTRADICTED * spread:
-            return first
         said = f"the torque is stated as {own}, and {where}; check timing of its channel, and the delay"
-        return replace(first, checks=replace(first.checks, warnings=(said, *first.checks.warnings)))
+        agrees = abs(best - _READINGS.index(own)) <= 0.5 + _CONTRADICTED * spread
+        return first if agrees else _widen(first, {}, said)
     at = int(abs(best - 1.0) < abs(best))
     away = abs(best - at) + min(spread, 1.0)
     chosen, (held, sampled) = fits[at], ({row.name: row for row in one.params.rows} for one in fits[:2])
 
-    def widen(name: str, value: float | None, stderr: float | None) -> float | None:
-        a, b = held[name].value, sampled[name].value
-        if stderr is None or value is None or a is None or b is None:
-            return stderr
-        return float(np.hypot(stderr, 0.5 * away * abs(b - a)))
-
-    rows = tuple(replace(row, stderr=widen(row.name, row.value, row.stderr)) for row in chosen.params.rows)
-    part = chosen.robot
-    if part is not None:  # what is made of all its parameters, as bodies and a payload, has the same errors
-        std = np.array([row.stderr or 0.0 for row in rows])
-        part = replace(part, covariance=replace(part.covariance, std=std))
+    by = {name: 0.5 * away * abs((sampled[name].value or 0.0) - (row.value or 0.0)) for name, row in held.items()}
     said = (
         f"nobody stated whether the torque is held or sampled: it is read as {_READINGS[at]}, and {where}; the "
         "intervals cover that; state timing of its channel"
     )
-    return replace(
-        chosen,
-        settings=replace(chosen.settings, timing=_READINGS[at]),
-        params=replace(chosen.params, rows=rows),
-        robot=part,
-        checks=replace(chosen.checks, warnings=(said, *chosen.checks.warnings)),
+    return _widen(replace(chosen, settings=replace(chosen.settings, timing=_READINGS[at])), by, said)
+
+
+def _widen(found: FitResult, by: Mapping[str, float], said: str) -> FitResult:
+    """Return a fit with these further deviations of parameters, by name, and the reason as its first warning."""
+    rows = tuple(
+        row if row.stderr is None else replace(row, stderr=float(np.hypot(row.stderr, by.get(row.name, 0.0))))
+        for row in found.params.rows
     )
+    part = found.robot
+    if part is not None:  # what is made of all its parameters, as bodies and a payload, has the same errors
+        std = np.hypot(part.covariance.std, [by.get(name, 0.0) for name in part.names])
+        part = replace(part, covariance=replace(part.covariance, std=std))
+    checks = replace(found.checks, warnings=(said, *found.checks.warnings))
+    return replace(found, params=replace(found.params, rows=rows), robot=part, checks=checks)

@@ -68,7 +68,7 @@ class AxisLimits:
 
 
 def find_excess(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
-    """Factors by which limits are exceeded; of a position 1 plus the distance beyond it."""
+    """Factors by which limits are exceeded; of a position 1 plus the distance past it."""
     over = {name: found[name] / limit for name, limit in limits.given.items() if name in found}
     for name, sign in (("lower", -1.0), ("upper", 1.0)):
         if name in limits.stated and name in found:

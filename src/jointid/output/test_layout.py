@@ -48,10 +48,10 @@ class FileLayout:
         """Return the columns of a test by their names."""
         found: dict[str, FloatArray] = {}
         for file, record in zip(self.files, records, strict=True):
-            found |= self._named(file, record).columns_to_write(record)
+            found |= self._add_columns(file, record).columns_to_write(record)
         return found
 
-    def _named(self, file: JointFile, record: Record) -> JointFile:
+    def _add_columns(self, file: JointFile, record: Record) -> JointFile:
         """Return the file with a column of every channel, and with the clock of the test."""
         columns = dict(file.columns)
         for name in record.channels:
@@ -69,7 +69,7 @@ class FileLayout:
         torque = Channel(small, joint.force_unit, 1e-3, Timing.HELD)
         said: dict[str, tuple[float, str]] = {}
         for name, record in (("reference", Record(reference=position)), ("torque", Record(torque=torque))):
-            named = self._named(file, record)
+            named = self._add_columns(file, record)
             named = replace(named, source=replace(named.source, sample_time=None))
             values = list(named.columns_to_write(record).values())[1]  # behind the time
             side, columns = file.drive.side(name, named.columns.get(name)), dict(named.columns)

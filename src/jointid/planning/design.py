@@ -20,7 +20,7 @@ from jointid.models.robots.robot import Robot
 from jointid.planning.designed import Design
 from jointid.planning.joint_tests import JointTests, joint_tests
 from jointid.planning.predict import Noise
-from jointid.planning.robot_tests import FirstRecord, RobotTests, as_identified, first_record, robot_tests
+from jointid.planning.robot_tests import FirstRecord, RobotTests, combine_with_nominal, first_record, robot_tests
 from jointid.planning.search import choose, look
 from jointid.records.record import Record, Tap
 from jointid.records.signals.filtering import Filtering
@@ -196,7 +196,7 @@ def _read_robot(
     part, first = model.require_robot(), first_record(model, records)
     if model.settings.method == "didim" and isinstance(part.setup, RobotLoop):
         loop = loop or part.setup
-    robot = as_identified(part)
+    robot = combine_with_nominal(part)
     if loop is not None and robot.flexible != loop.robot.flexible:
         robot = loop.robot  # IDIM knows no springs
     return robot, None if loop is None else replace(loop, robot=robot), first

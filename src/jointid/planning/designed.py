@@ -399,7 +399,7 @@ def _columns(axes: Sequence[DesignedAxis], records: Sequence[Record]) -> dict[st
 
 
 def _sigma(std: float) -> str:
-    return number(2 * float(std), 2) if math.isfinite(std) else "not told"
+    return number(2 * float(std), 2) if math.isfinite(std) else "not determined"
 
 
 def _times(samples: int, sample_time: float) -> FloatArray:

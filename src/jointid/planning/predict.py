@@ -145,7 +145,6 @@ def planned_record(
     at: InjectionPoint = InjectionPoint.AFTER_LIMIT,
     in_torque: bool = True,
     tap: Tap | str = Tap.COMMAND,
-    name: str = "test",
 ) -> Record:
     """Return a test as a record without torque, as the drive is to play it.
 
@@ -157,7 +156,6 @@ def planned_record(
         at: where it is added; see `Injection`.
         in_torque: whether the logged torque will contain it.
         tap: where the torque will be logged.
-        name: of the test.
     """
     unit, position = loop.joint.force_unit, POSITION_UNIT[loop.joint.kind]
     added = None if injected is None else Injection(Channel(injected, unit, sample_time, Timing.HELD), at, in_torque)
@@ -165,7 +163,7 @@ def planned_record(
     if "reference_velocity" in loop.controller.channels:
         velocity = Channel(np.gradient(reference, sample_time), f"{position}/s", sample_time)
     commanded = Channel(reference, position, sample_time)
-    return Record(reference=commanded, reference_velocity=velocity, injected=added, tap=Tap(tap), name=name)
+    return Record(reference=commanded, reference_velocity=velocity, injected=added, tap=Tap(tap), name="test")
 
 
 def predict_test(
@@ -179,7 +177,6 @@ def predict_test(
     motor_encoder: float | None = None,
     load_encoder: float | None = None,
     runs: int = RUNS,
-    seed: int = 0,
 ) -> PredictedTest:
     """Predict the intervals of a test.
 
@@ -193,7 +190,6 @@ def predict_test(
         motor_encoder: steps of an encoder on the motor, m or rad, read beside the torque.
         load_encoder: of one on the load.
         runs: of the loop with noise.
-        seed: of them.
 
     Raises:
         MethodError: the loop cannot be simulated, or the torque does not depend on a parameter.
@@ -208,14 +204,14 @@ def predict_test(
         raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
     J = problem.filter(columns)
     _require_identifiable(problem, J)
-    matrix = _scatter(problem, x, J, noise, runs, seed)
+    matrix = _scatter(problem, x, J, noise, runs)
     steps = [step for step in (motor_encoder, load_encoder) if step is not None]
     if steps:
         if noise.left is None:
-            added = _errors(problem, x, noise, 1, seed)[0]
+            added = _errors(problem, x, noise, 1)[0]
         else:
             size = float(np.sqrt(np.mean(noise.left**2)))
-            added = size * np.random.default_rng(seed).standard_normal(problem.measured.size)
+            added = size * np.random.default_rng(0).standard_normal(problem.measured.size)
         disturbed = replace(problem, measured=problem.measured + added)
         # A residual does not tell its source: a force in the loop gives the wider intervals.
         source: Literal["loop", "log"] = "log" if noise.left is None and noise.log > noise.force else "loop"
@@ -366,9 +362,7 @@ def _require_identifiable(problem: ClosedLoopProblem, J: FloatArray) -> None:
         )
 
 
-def _scatter(
-    problem: ClosedLoopProblem, x: FloatArray, J: FloatArray, noise: Noise, runs: int, seed: int
-) -> FloatArray:
+def _scatter(problem: ClosedLoopProblem, x: FloatArray, J: FloatArray, noise: Noise, runs: int) -> FloatArray:
     """Return the covariance of all free parameters, (free, free)."""
     matrix = np.zeros((x.size, x.size))
     if noise.left is not None:
@@ -381,11 +375,11 @@ def _scatter(
     norms[norms == 0.0] = 1.0
     inverse = np.linalg.pinv((J / norms).T @ (J / norms))
     weights = (J / norms) @ inverse.T / norms  # (rows, free): what an error of the torque does to each parameter
-    moved = np.array([problem.filter(one) @ weights for one in _errors(problem, x, noise, runs, seed)])
+    moved = np.array([problem.filter(one) @ weights for one in _errors(problem, x, noise, runs)])
     return np.asarray(matrix + moved.T @ moved / len(moved))
 
 
-def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, seed: int) -> list[FloatArray]:
+def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, seed: int = 0) -> list[FloatArray]:
     """Noise in the logged torque for each run, raw, (samples,) each."""
     experiment, quiet = problem.experiment, problem.torque(x)
 

@@ -180,11 +180,11 @@ class RobotTests:
             except JointidError:
                 return Tried(plan, ASTRAY, tuple({} for _ in self.limits), math.inf)
             covariance, names, values = found.covariance, found.joint, found.values
-            reached = self._reached(record, found)
+            reached = self._find_maxima(record, found)
         else:
             q, v, a = plan.play(np.linspace(0.0, plan.motions.period, _INSTANTS, endpoint=False))
             columns = self.model.columns(q, v, a)
-            covariance = _covariance(self._weighted(columns), self.samples / _INSTANTS)
+            covariance = _covariance(self._divide_by_noise(columns), self.samples / _INSTANTS)
             names, values = self.model.names, dict(zip(self.model.names, self.model.values, strict=True))
             step = plan.motions.period / _INSTANTS
             reached = _maxima(q, v, a, step, columns @ self.model.values, self.noise_sizes, {})
@@ -195,7 +195,7 @@ class RobotTests:
 
     def take(self, motion: Sequence[Record]) -> Tried:
         """Evaluate a motion of one's own, or that of a past record."""
-        return Tried(None, 0.0, self._reached(motion, self._predict(motion)), 0.0)
+        return Tried(None, 0.0, self._find_maxima(motion, self._predict(motion)), 0.0)
 
     def predict(self, test: Sequence[Record], longer: Sequence[Record] | None) -> dict[str, PredictedTest]:
         """Predict the first record's motion and the new one."""
@@ -207,7 +207,7 @@ class RobotTests:
 
     def axes(self, test: Sequence[Record], tried: Tried, proposed: PredictedTest) -> tuple[DesignedAxis, ...]:
         """Return the loads of each joint in the test."""
-        q = self.played(test)[0]
+        q = self.differentiate_references(test)[0]
         modes = _modes(self.robot, q)
         return tuple(
             DesignedAxis(
@@ -228,19 +228,19 @@ class RobotTests:
             return f"white, {100 * NOISE:g} % of each joint's usual torque"
         return f"white, as stated: {', '.join(number(float(one), 3) for one in self.noise_sizes)}"
 
-    def played(self, test: Sequence[Record]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def differentiate_references(self, test: Sequence[Record]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return positions, velocities and accelerations of the joints along references."""
         shafts = [one.reference for one in test if one.reference is not None]
         q = np.column_stack([one.values for one in shafts]) @ np.linalg.inv(self.robot.coupling).T
         v = np.gradient(q, shafts[0].sample_time, axis=0)
         return q, v, np.gradient(v, shafts[0].sample_time, axis=0)
 
-    def _weighted(self, columns: FloatArray) -> FloatArray:
+    def _divide_by_noise(self, columns: FloatArray) -> FloatArray:
         return (columns / self.noise_sizes[:, np.newaxis]).reshape(-1, columns.shape[2])
 
-    def _reached(self, test: Sequence[Record], found: PredictedTest) -> tuple[Mapping[str, float], ...]:
+    def _find_maxima(self, test: Sequence[Record], found: PredictedTest) -> tuple[Mapping[str, float], ...]:
         assert test[0].reference is not None
-        step, motion, more = test[0].reference.sample_time, self.played(test), dict[str, FloatArray]()
+        step, motion, more = test[0].reference.sample_time, self.differentiate_references(test), dict[str, FloatArray]()
         if isinstance(run := found.motion, RobotSimulation):
             speeds = (motion[1], run.motor_velocity, run.link_velocity)
             more["speed"] = np.max([np.abs(one).max(axis=0) for one in speeds], axis=0)
@@ -254,9 +254,9 @@ class RobotTests:
         """Predict a test, by the equations of a rigid robot or, under its controllers, simulated."""
         run = None
         if self.loop is None:
-            model, (q, v, a) = self.model, motion or self.played(test)
+            model, (q, v, a) = self.model, motion or self.differentiate_references(test)
             columns = model.columns(q, v, a)
-            covariance, torque = _covariance(self._weighted(columns)), columns @ model.values
+            covariance, torque = _covariance(self._divide_by_noise(columns)), columns @ model.values
             names, units, values = model.names, model.units, model.values
         else:
             driven = tuple(test)
@@ -318,7 +318,9 @@ def robot_tests(
         noise is None and first is not None, first, filtering, feed_forward, noise is None and first is None,
     )  # fmt: skip
     if tests.assumed:
-        usual = _usual(tests, seed) if motion is None else _share_of(model.torque(*tests.played(motion)))
+        usual = (
+            _usual(tests, seed) if motion is None else _share_of(model.torque(*tests.differentiate_references(motion)))
+        )
         tests = replace(tests, noise_sizes=usual)
     return tests
 
@@ -435,7 +437,7 @@ def _usual(tests: RobotTests, seed: int) -> FloatArray:
 
 
 def _share_of(torques: FloatArray) -> FloatArray:
-    """Return the noise that belongs to torques of that size, (..., n)."""
+    """Return the noise of torques by their size, (..., n)."""
     return np.asarray(NOISE * np.sqrt(np.mean(torques**2, axis=tuple(range(torques.ndim - 1)))))
 
 
@@ -491,7 +493,7 @@ def _by_simulation(
     return names, tuple(units[name] for name in names), values, covariance, run
 
 
-def as_identified(part: IdentifiedRobot) -> Robot:
+def combine_with_nominal(part: IdentifiedRobot) -> Robot:
     """Return the robot near the nominal one with what an estimate found: bodies, rotors, friction and springs.
 
     What the records hardly determine keeps its nominal value: with n the nominal parameters, P the squares of what they
@@ -506,8 +508,8 @@ def as_identified(part: IdentifiedRobot) -> Robot:
     least = np.concatenate([np.full(10 * len(prior), -np.inf), np.zeros(len(prior)), sums.least])
     x = np.concatenate([standard_values(prior), sums.others])
     nominal = A @ x
-    told = np.where(np.abs(sums.values) > _TOLD * sums.covariance.std, sums.values, 0.0)
-    wide = nominal**2 + told**2 + 1e-30
+    significant = np.where(np.abs(sums.values) > _TOLD * sums.covariance.std, sums.values, 0.0)
+    wide = nominal**2 + significant**2 + 1e-30
     scale = np.sqrt(wide)
     shares = sums.covariance.matrix / np.outer(scale, scale)
     moved = scale * np.linalg.solve(np.eye(scale.size) + shares, (sums.values - nominal) / scale)

@@ -110,10 +110,10 @@ class Tried:
 
 def worst_excess(limits: Sequence[AxisLimits], reached: Sequence[Mapping[str, float]], margin: float) -> float:
     """Return the largest factor by which a share of the limits is exceeded; 0 where none is."""
-    beyond = ("lower", "upper")  # a position has no share
+    ends = ("lower", "upper")  # a position has no share
     factors = [0.0]
     for one, found in zip(limits, reached, strict=True):
-        asked = {name: size if name in beyond else size / margin for name, size in found.items()}
+        asked = {name: size if name in ends else size / margin for name, size in found.items()}
         factors += find_excess(one, asked).values()
     return max(factors)
 

@@ -76,7 +76,7 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
 
 
 def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
-    """Faults of a position that travels far beyond the limits of its joint.
+    """Faults of a position that travels far outside the limits of its joint.
 
     Args:
         position: of the joint, behind its gear.
@@ -222,7 +222,7 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, 
 
 
 def _unit_hint(ratio: float, name: str, other_name: str, declared: str, *, geared: bool) -> str:
-    """Suggest the unit, or the gear that is not declared, that explains the ratio of two signals."""
+    """Suggest the unit or the undeclared gear behind the ratio of two signals."""
     for entry in map(unit, units_of(unit(declared).dimension)):
         for suspect, factor in ((name, 1 / entry.factor), (other_name, entry.factor)):
             if factor != 1 and abs(ratio / factor - 1) < _RATIO_TOLERANCE:

@@ -31,7 +31,7 @@ _RATE_TOLERANCE = 1e-3
 _NEAR = 0.05  # of a mean period over stamps with jumps or gaps
 _LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has no end
 _JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
-_BRIDGED = 3  # samples missing in a row, that resampling bridges unless it is told otherwise
+_BRIDGED = 3  # samples missing in a row that resampling bridges by default
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
 
 
@@ -123,7 +123,7 @@ def _stamped_clock(
 def cut_table(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None, cut: Cut, *, repaired: bool
 ) -> tuple[Table, list[str]]:
-    """Leave out whole rows that are repeated, and what is outside of a cut; return remarks on the former.
+    """Leave out repeated whole rows and samples outside of a cut; return remarks on the former.
 
     Each column is cut by its clock. Rows are left out only if `repaired`, and where every repeated stamp is of one.
     """

@@ -194,8 +194,8 @@ def finite_faults(
     return faults
 
 
-def find_filled(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
-    """Return the rows, (samples,), in which a column has a number, where others are empty; None if those are a fault.
+def find_rows_with_number(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
+    """Return the rows, (samples,), with a number in a column but not in others; None if those are a fault.
 
     Args:
         values: the column, (samples,), with NaN where it is empty.

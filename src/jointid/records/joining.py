@@ -45,7 +45,7 @@ class _Part:
         return {name: values for name, values in every if np.isfinite(values).all() and np.ptp(values) > 0}
 
 
-def read_joined(
+def join_files(
     paths: Sequence[str | os.PathLike[str]],
     *,
     offsets: Sequence[float] = (),

@@ -31,7 +31,7 @@ from jointid.records.columns import (
     Column,
     Wrap,
     fill_forward,
-    find_filled,
+    find_rows_with_number,
     find_wrap,
     finite_faults,
     known_units,
@@ -189,7 +189,7 @@ class RecordReader:
         return cut_table(table, self.time, self.time_unit, self.sample_time, self.cut, repaired=stamped)
 
     def _late(self, table: Table, clocks: Clocks, found: Mapping[str, Column]) -> float:
-        """Seconds from the first sample of a table whose columns have several clocks to that of these channels."""
+        """Seconds from the first sample of a table to that of these channels, for columns with several clocks."""
         used = [stamps[0] for c in found.values() if (stamps := clocks.clock_of(c).stamps) is not None]
         every = [table.columns[n][0] * seconds_of(table, n, self.time_unit) for n in set(clocks.columns.values())]
         late = float(min(used) - min(every)) if used and every else 0.0
@@ -286,7 +286,7 @@ class _Columns:
         self, found: Mapping[str, Column], *, resampled: bool
     ) -> tuple[_Columns, dict[str, NDArray[np.bool_]]]:
         """Fill the empty rows of channels that are logged more seldom than others; return the rows with a number."""
-        sought = {n: find_filled(self.table.columns[c.column], resampled=resampled) for n, c in found.items()}
+        sought = {n: find_rows_with_number(self.table.columns[c.column], resampled=resampled) for n, c in found.items()}
         rows = {n: filled for n, filled in sought.items() if filled is not None}
         whole = {found[n].column: fill_forward(self.table.columns[found[n].column], rows[n]) for n in rows}
         return replace(self, table=replace(self.table, columns={**self.table.columns, **whole})), rows

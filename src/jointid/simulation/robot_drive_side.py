@@ -213,6 +213,12 @@ def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlac
     return found[:, :parts].transpose(1, 0, 2)
 
 
+def moves_links(place: NumberPlace, numbers: RobotNumbers) -> bool:
+    """Test whether a number changes how the links move: those of the motors do not, nor any without a spring."""
+    of_motor = place.of is NumberOf.MASS and place.row in numbers.rotors
+    return not of_motor and place.of is not NumberOf.LOG and bool(np.any(numbers.flexible))
+
+
 def _timing(n: int, step: float) -> Clock:
     """Return the clock of controllers that each act in one part of a step."""
     return Clock(np.array([step]), np.zeros((n, 1), dtype=np.int64), np.ones(n, dtype=np.int64))

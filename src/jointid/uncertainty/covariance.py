@@ -77,7 +77,7 @@ class Covariance:
         weighted = np.asarray(weights) * self.std
         return math.sqrt(max(float(weighted @ self.correlation @ weighted), 0.0))
 
-    def with_fixed(self, count: int) -> Covariance:
+    def append_constants(self, count: int) -> Covariance:
         """Return the covariance with `count` more parameters that are fixed: without deviation or correlation."""
         size = self.std.size
         correlation = np.eye(size + count)
@@ -211,15 +211,17 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
 
 
 def smoothed_spectrum(signal: FloatArray, degrees: int) -> tuple[FloatArray, FloatArray]:
-    """Smoothed spectrum of a signal with `degrees` of freedom, and multiplicities.
+    """Smoothed spectrum of a signal with `degrees` of freedom, or the sum of those of columns, and multiplicities.
 
     Both are (samples // 2,), without the mean. The periodogram is averaged over sqrt(samples) neighbours.
     """
-    periodogram = np.abs(np.fft.rfft(signal)[1:]) ** 2 / degrees
-    half = min(max(math.isqrt(signal.size) // 2, 1), periodogram.size - 1)
+    rows = len(signal)
+    each = (np.abs(np.fft.rfft(column)[1:]) ** 2 for column in signal.reshape(rows, -1).T)
+    periodogram = sum(each, np.zeros(rows // 2)) / degrees
+    half = min(max(math.isqrt(rows) // 2, 1), periodogram.size - 1)
     padded = np.pad(periodogram, half, "reflect")
     both = np.full(periodogram.size, 2.0)
-    both[-1] = 2.0 if signal.size % 2 else 1.0
+    both[-1] = 2.0 if rows % 2 else 1.0
     return np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), "valid"), both
 
 

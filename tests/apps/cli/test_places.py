@@ -56,6 +56,7 @@ COMMANDS = (
     "diagnose friction joint.toml --json record.csv",
     "examine joint.toml --json record.csv",
     "payload joint.toml --without record.csv --with other.csv --json other.csv",
+    "payload joint.toml --estimate other.csv --with record.csv --json other.csv",
     "design joint.toml --json record.csv",
 )
 

@@ -42,15 +42,18 @@ def test_a_rate_and_the_time_left_are_of_what_was_done() -> None:
     assert [describe_time(s) for s in (0.2, 99.0, 300.0, 7200.0)] == ["1 s", "99 s", "5 min", "2.0 h"]
 
 
-def test_where_no_bar_is_drawn_a_line_comes_every_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_no_bar_is_drawn_a_line_comes_after_three_seconds_and_then_every_ten(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     seconds = count()
     monkeypatch.setattr("time.monotonic", lambda: float(next(seconds)))
     said: list[str] = []
     assert list(follow(range(35), said.append, "bootstrapping", 35, "draws")) == list(range(35))
-    assert len(said) == 3
-    assert said[0] == "bootstrapping: 9 of 35 draws, 29 s left, 0.9/s"
-    list(follow(range(9), said.append, "short", 9, "draws"))
-    assert len(said) == 3
+    assert len(said) == 4
+    assert said[0] == "bootstrapping: 2 of 35 draws, 50 s left, 0.67/s"
+    assert said[1].startswith("bootstrapping: 12 of 35 draws")
+    list(follow(range(2), said.append, "short", 2, "draws"))
+    assert len(said) == 4
 
 
 def test_work_of_unknown_length_tells_what_is_done_and_how_fast() -> None:

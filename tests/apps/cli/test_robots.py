@@ -228,6 +228,19 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for setting in ("method.estimator=robust", 'method.fixed={"joint6.rotor_inertia"=0.3}'):
         with pytest.raises(MethodError, match=r"gains are searched with all parameters free"):
             run("payload", joint, *records, "--mass", "3", "--set", setting)
+    saved = tmp_path / "saved.json"
+    run("identify", joint, "--json", saved)
+    run("payload", joint, "--estimate", saved, *records[2:], "--json", found)
+    alone = json.loads(found.read_text(encoding="utf-8"))["parameters"]["mass"]
+    assert alone["value"] == pytest.approx(mass["by_difference"], rel=1e-3)
+    assert 0.5 < alone["std"] / mass["by_difference_std"] < 1.5
+    for given, message in (
+        ((*records, "--estimate", saved), "and received both"),
+        (records[2:], "and received neither"),
+        (("--estimate", saved, *records[2:], "--mass", "3"), "found from two records; give --without"),
+    ):
+        with pytest.raises(MethodError, match=message):
+            run("payload", joint, *given)
     # The file says torques, so a payload of the known mass finds that they are.
     changes = "--set", "method.estimator=weighted", "--set", "method.fixed={}"
     run("payload", joint, *records, "--mass", "3", "--json", found, *changes)

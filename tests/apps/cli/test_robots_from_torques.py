@@ -292,7 +292,8 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
     run("validate", joint, "--set", 'record.file="one.csv"', "--set", near, "--record", two_)
     assert "nominal model" in capsys.readouterr().out
     capsys.readouterr()
-    run("identify", joint, "--record", one, "--set", near, "--set", "method.log_delay=0.0")
+    stated = "record.channels.torque.timing=held"
+    run("identify", joint, "--record", one, "--set", near, "--set", "method.log_delay=0.0", "--set", stated)
     assert "log_delay" not in capsys.readouterr().out
     with pytest.raises(MethodError, match="This robot does not tell all of a payload"):
         run("payload", joint, "--without", one, "--with", two_)

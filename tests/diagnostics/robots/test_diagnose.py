@@ -22,7 +22,7 @@ from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.simulation.synthesis import simulate
 from jointid.uncertainty.verdict import Status, Subject
-from tests.estimation.robots.twin import arm, axis_errors, identified, motion, records_of
+from tests.estimation.robots.twin import SAMPLE_TIME, arm, axis_errors, identified, motion, records_of
 from tests.robots_plants import two
 
 
@@ -63,6 +63,16 @@ def logged_torque(records: Sequence[Record], joint: int, of: Callable[[FloatArra
     return (*records[:joint], other, *records[joint + 1 :])
 
 
+def with_noise(records: Sequence[Record], seed: int, size: float) -> tuple[Record, ...]:
+    """Return records with white noise on the positions, of a deviation in rad."""
+    rng, found = np.random.default_rng([seed, 7]), []
+    for one in records:
+        q = one.motor_position
+        assert q is not None
+        found.append(replace(one, motor_position=replace(q, values=q.values + size * rng.normal(size=len(q)))))
+    return tuple(found)
+
+
 LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "log_gain": lambda torque: 0.8 * torque,
     "torque_sign": lambda torque: -torque,
@@ -99,7 +109,7 @@ def test_torques_that_are_exchanged_are_named_at_both_joints() -> None:
     records[1], records[2] = replace(second, torque=third.torque), replace(third, torque=second.torque)
     found = diagnose_robot(identified(arm(3), records), records)
     assert named(found) == [("joint2", "swapped_channels"), ("joint3", "swapped_channels")]
-    assert any("joint2: this is the torque of joint3" in one for one in found.sentences)
+    assert any("joint2: This is the torque of joint3" in one for one in found.sentences)
 
 
 def test_a_friction_that_grows_with_the_load_is_named() -> None:
@@ -159,7 +169,7 @@ def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     follows = found.axes[3].follows
     assert follows is not None and follows[0] == STRIBECK.phrase
     assert named(found) == [("joint4", "stribeck")]
-    (said,) = (one for one in found.sentences if one.startswith("joint4: towards standstill, below some 0."))
+    (said,) = (one for one in found.sentences if one.startswith("joint4: Towards standstill, below some 0."))
     assert 'declare the joint with friction = "stribeck" or "asymmetric-stribeck" and stribeck_speed = 0.' in said
 
 
@@ -209,6 +219,28 @@ def test_controllers_that_make_the_torque_hold_and_others_do_not() -> None:
     halved = [replace(one, torque=replace(one.torque, values=0.5 * one.torque.values)) for one in records if one.torque]
     half = asked(loop, halved, loop.controllers)
     assert any("0.5 times the law's: correct torque_constant" in one for one in half.sentences)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(one, marks=pytest.mark.slow) for one in range(3, 20))])
+def test_noise_of_the_positions_is_neither_a_bent_gear_nor_another_law(seed: int) -> None:
+    loop = two().loop()
+    records = with_noise(logged_by(loop, two().records(6.0, seed + 1)), seed, (1e-5, 3e-6, 5e-5)[seed % 3])
+    found = asked(loop, records, loop.controllers)
+    assert named(found) == [] and found.as_declared
+    assert not any("controller" in one for one in found.sentences)
+
+
+def test_another_law_and_a_bent_gear_are_named_in_spite_of_noise() -> None:
+    loop = two().loop()
+    first, second = loop.controllers
+    for size in (1e-5, 5e-5):
+        records = with_noise(logged_by(loop), 1, size)
+        stiffer = asked(loop, records, (first, replace(second, position_gain=1.3 * second.position_gain)))  # type: ignore[type-var, attr-defined]
+        assert [one.law_holds for one in stiffer.axes] == [True, False]
+    records = records_of(arm(), 2, noise=0.02)
+    bend = np.gradient(np.gradient(motion(2)[2][:, 1], SAMPLE_TIME), SAMPLE_TIME)
+    bent = with_noise(with_torque(records, 1, 0.02 * bend), 1, 3e-6)
+    assert named(diagnose_robot(identified(arm(), bent), bent)) == [("joint2", "compliance")]
 
 
 @pytest.mark.parametrize("kind", ["gravity", "inverse-model"])

@@ -16,7 +16,7 @@ from jointid.estimation.robots.payload import payload_difference, payload_of_bot
 from jointid.models.robots.inertial import (
     MassProperties,
     from_log_cholesky,
-    is_consistent,
+    is_physical,
     log_cholesky,
     pseudo_inertia,
 )
@@ -53,7 +53,7 @@ def test_log_cholesky_parameters_say_the_same_and_have_these_derivatives() -> No
 def test_bodies_fit_the_estimate_and_can_be() -> None:
     estimate = identified(wrong_model(), records_of(ARM, 2, noise=0.5))
     found = consistent_robot(estimate)
-    assert all(is_consistent(link.inertial) for link in found.robot.links)
+    assert all(is_physical(link.inertial) for link in found.robot.links)
     assert found.misfit < 1.0 and found.least_inertia > 0
     part = estimate.robot
     assert isinstance(part, InverseModelRobot)
@@ -112,7 +112,7 @@ def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
     estimate = identified(replace(twin.loop(), robot=model), records)
     found = consistent_robot(estimate)
     assert found.misfit < 0.2 and found.least_inertia > 0.0
-    assert all(is_consistent(link.inertial) for link in found.robot.links)
+    assert all(is_physical(link.inertial) for link in found.robot.links)
     held_out = validate(estimate, other)
     assert [a.body_error for a in held_out.axes] == pytest.approx([a.filtered_error for a in held_out.axes], rel=0.05)
     assert held_out.bodies_better and held_out.better

@@ -53,7 +53,7 @@ def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
     assert found.rows["mass"]["by_difference"] == pytest.approx(3.0, rel=0.01)
     assert found.rows["mass"]["verdict"] == "known"
-    assert found.rows["inertia yz"]["verdict"] == "not told from 0"
+    assert found.rows["inertia yz"]["verdict"] == "not significant"
     assert found.agrees
     said = found.summary()
     assert "The difference of two estimates says the same." in " ".join(said.split())
@@ -160,6 +160,8 @@ def test_what_is_not_told_of_a_payload_is_said() -> None:
     for same_friction in (True, False):  # of few rows, too
         with pytest.raises(MethodError, match="does not tell all of a payload"):
             payload_of_torques(estimate, estimate, same_friction=same_friction)
+    with pytest.raises(MethodError, match="by didim, and the record with it is identified by idim; expected one"):
+        identify_payload(twin.robot, estimate, other)
     part = replace(estimate.require_robot(), springs=(SpringVerdict("elbow", False, None, None, 10.0),))
     hidden = replace(estimate, robot=part)
     with pytest.raises(MethodError, match=r"does not show the spring of elbow, .* leave this spring out"):

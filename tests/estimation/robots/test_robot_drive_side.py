@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -81,8 +82,9 @@ def assert_springs(found: FlexibleRobotFit, twin: Twin, within: float) -> None:
 
 
 def test_springs_come_back_with_their_intervals() -> None:
-    twin = two((12.0, 18.0))
-    found = identified(twin, logged(twin))
+    twin, said = two((12.0, 18.0)), list[str]()
+    found = identified(twin, logged(twin), progress=said.append)
+    assert re.fullmatch(r"searching 2 springs takes about \d+ (s|min)", said[0])
     assert found.fit.converged
     assert_springs(found, twin, 0.02)
     assert inside(found, twin) > 0.85
@@ -100,6 +102,21 @@ def test_a_log_that_is_late_is_told_from_damping(late: int) -> None:
     given = identified(twin, records, frequencies=hertz(twin), delay=late * 1e-3)
     assert "log_delay" not in given.fit.names
     assert inside(given, twin) > 0.85
+
+
+def test_a_known_delay_that_counts_from_a_timing_that_nobody_stated_is_searched() -> None:
+    """By half a sample for a sampled torque, which a robot's answer covers, and springs do not notice."""
+    twin = two((12.0, 18.0))
+    unstated = [replace(one, torque=replace(one.torque, stated=False)) for one in logged(twin) if one.torque]
+    settings = ji.DriveSideFit(log_delay=1.5e-3, frequencies=hertz(twin))
+    found = ji.identify(unstated, ji.robots.RobotDriveSide(blank(twin.robot)), settings, checks=False)
+    row = found.params["log_delay"]
+    assert row.free and row.value is not None and row.stderr is not None
+    assert abs(row.value) < 2e-5
+    assert row.stderr >= 0.25e-3
+    assert any("log_delay, which makes up for" in one for one in found.checks.warnings)
+    deviations = dict(zip(found.require_robot().names, found.require_robot().covariance.std, strict=True))
+    assert deviations["log_delay"] == row.stderr
 
 
 @pytest.mark.slow

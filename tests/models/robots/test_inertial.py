@@ -11,7 +11,7 @@ from jointid.models.robots.inertial import (
     MassProperties,
     change_frame,
     inertial_of,
-    is_consistent,
+    is_physical,
     mass_properties,
     pseudo_inertia,
 )
@@ -49,12 +49,12 @@ def test_a_body_seen_from_another_frame() -> None:
 def test_moments_of_a_body_keep_the_triangle_inequality(inertia: tuple[float, ...], possible: bool) -> None:
     turn = Rotation.random(random_state=5).as_matrix()
     body = MassProperties(3.0, np.array([0.1, -0.2, 0.3]), turn @ np.diag(inertia) @ turn.T)
-    assert is_consistent(body.inertial) is possible
+    assert is_physical(body.inertial) is possible
 
 
 def test_masses_that_are_none() -> None:
-    assert is_consistent(np.zeros(10))
-    assert not is_consistent(np.array([0.0, 1.0, *np.zeros(8)]))
-    assert not is_consistent(-random_body(np.random.default_rng(1)))
+    assert is_physical(np.zeros(10))
+    assert not is_physical(np.array([0.0, 1.0, *np.zeros(8)]))
+    assert not is_physical(-random_body(np.random.default_rng(1)))
     with pytest.raises(MethodError, match="no centre of mass"):
         mass_properties(np.zeros(10))

@@ -35,7 +35,7 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     assert "at least 1234" in text.replace(" ", " ")
     assert "| joint1.stiffness | at least" in text
     assert "| joint1.damping | -" in text
-    assert "joint1: the spring is refused" in text
+    assert "joint1: The spring is refused" in text
     assert "It was not held against a record that it has not seen" in text
     answer = json.loads(told.answer())
     assert answer["estimate"]["schema"] == "jointid.estimate/1" and answer["validation"] is None

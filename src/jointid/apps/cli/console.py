@@ -149,9 +149,9 @@ def show(result: object = "", *, details: bool = False) -> None:
 
     clear_bars()
     if isinstance(result, Documented) and sys.stdout.isatty():
-        from jointid.apps.cli.terminal import print_document
+        from jointid.apps.cli.terminal import print_blocks
 
-        print_document(result.to_document(details=details))
+        print_blocks(result.to_document(details=details))
         return
     text = result.summary(details=details) if isinstance(result, Documented) else str(result)
     print(printable(text))  # noqa: T201

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def diagnosis(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     """Ask what an estimate is worth, axis by axis: what its record tells, and whether loops and models are as declared.
 
-    Of each axis: which parameters are told, what is left of the torque and what that follows, whether the declared
+    Of each axis: which parameters it determines, what is left of the torque and what that follows, whether the declared
     controller makes the logged torque, and which faults of loop, log and mechanics the record shows.
 
     Args:

@@ -223,8 +223,9 @@ def payload(
     robot: Path,
     /,
     *,
-    without: Path,
     with_: Annotated[Path, Parameter(name="--with")],
+    without: Path | None = None,
+    estimate: Path | None = None,
     mass: float | None = None,
     changes: Changes = (),
     json: Path | None = None,
@@ -240,8 +241,9 @@ def payload(
 
     Args:
         robot: the robot file (TOML), which has the table [robot].
-        without: the record without the payload.
-        with_: the record with it, of the same or another motion.
+        with_: the record with the payload.
+        without: the record without it, of the same or another motion.
+        estimate: instead of the record without it what identify --json wrote of the robot.
         mass: of the payload as it was weighed, kg.
         changes: a key of the robot file and its value, as method.estimator=robust; may be given several times.
         json: also write the answer as JSON to this file.
@@ -249,22 +251,31 @@ def payload(
     """
     from jointid import IDIM, identify_payload
     from jointid.config.robot_file import RobotFile
+    from jointid.output.json import read_choices, read_identified
     from jointid.robots import identify_drive_gains
 
     outputs = Outputs({"--json": json})
     outputs.spare("--without", without)
     outputs.spare("--with", with_)
+    outputs.spare("--estimate", estimate)
     options = Options(changes=changes, quiet=quiet)
-    file = options.load(robot, outputs)
+    if (without is None) == (estimate is None):
+        raise MethodError(
+            "A payload is weighed against the robot without it; expected either --without RECORD or --estimate FILE, "
+            f"of identify --json, and received {'neither' if without is None else 'both'}."
+        )
+    file = options.load(robot, outputs, **({} if estimate is None else read_choices(estimate)))
     if not isinstance(file, RobotFile):
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
     if mass is None:
-        empty, loaded = file.record(without), file.record(with_)
+        empty = file.record(without) if estimate is None else read_identified(estimate, file.setup)
         found = identify_payload(
-            file.setup, empty, loaded, file.method, filtering=file.filtering, progress=options.progress
+            file.setup, empty, file.record(with_), file.method, filtering=file.filtering, progress=options.progress
         )
         deliver(found, json)
         return
+    if estimate is not None:
+        raise MethodError("The drives' gains are found from two records; give --without RECORD instead of --estimate.")
     if not isinstance(file.method, IDIM):
         raise MethodError(
             "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "

@@ -35,7 +35,13 @@ class Outputs:
         pictures, self._folders = _drop_missing(figures), _drop_missing(folders)
         self._files = _drop_missing(files) | pictures
         for path in self._files.values():
-            _require_place(path)
+            if not path.absolute().parent.is_dir():
+                raise RecordError(f"{path} cannot be written, because there is no folder {path.parent}; make it first.")
+            if path.is_dir():
+                raise RecordError(f"{path} cannot be written, because it is a folder; name a file in it.")
+            if path.exists() and not os.access(path, os.W_OK):
+                raise RecordError(f"{path} cannot be written, because it is read-only; name another file.")
+            require_room(path)
         for path in self._folders.values():
             require_room(path)
         for path in pictures.values():
@@ -72,16 +78,6 @@ class Outputs:
 
 def _drop_missing(paths: Mapping[str, Path | None] | None) -> dict[str, Path]:
     return {option: path for option, path in (paths or {}).items() if path is not None}
-
-
-def _require_place(path: Path) -> None:
-    if not path.absolute().parent.is_dir():
-        raise RecordError(f"{path} cannot be written, because there is no folder {path.parent}; make it first.")
-    if path.is_dir():
-        raise RecordError(f"{path} cannot be written, because it is a folder; name a file in it.")
-    if path.exists() and not os.access(path, os.W_OK):
-        raise RecordError(f"{path} cannot be written, because it is read-only; name another file.")
-    require_room(path)
 
 
 def _each_file(paths: Iterable[Path | None]) -> Iterable[Path]:

@@ -89,7 +89,7 @@ def report(
     asked = {"axis": options.axis, **choices, "plan": plan, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
     if isinstance(file, JointFile):
-        _refuse_saved(estimate)
+        _refuse_saved_estimate(estimate)
         if plan is not None:
             require_goal(file, plan)
     else:
@@ -104,7 +104,7 @@ def report(
     if estimate is None or isinstance(file, JointFile):
         record, found = options.identify(file, judged=True)
     else:
-        record, found = file.record(options.record, judged=True), _saved_or_identified(file, estimate)
+        record, found = file.record(options.record, judged=True), _read_or_identify(file, estimate)
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
     tuning = None if no_tuning else Aside(partial(tune_to_limit, found, file.axes[0].drive, file.declared_numbers))
     stated = Report.of(
@@ -138,7 +138,7 @@ def _deliver_report(stated: Report, checks: Sequence[Validation], json: Path | N
     return [] if json is None else [json]
 
 
-def _refuse_saved(estimate: Path | None) -> None:
+def _refuse_saved_estimate(estimate: Path | None) -> None:
     """Raise a `MethodError` if a saved estimate is given for the report of a joint."""
     if estimate is not None:
         raise MethodError(
@@ -209,7 +209,7 @@ def validate(
                 "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
                 "record that the robot file names."
             )
-        found = run(_saved_or_identified(file, estimate, options.progress), file.record(options.record))
+        found = run(_read_or_identify(file, estimate, options.progress), file.record(options.record))
     else:
         estimate = _require_estimate(estimate)
         identified = answers.read_identified(estimate, file.joint, file.loop)
@@ -288,7 +288,7 @@ def export(
     language = find_language(format or out.suffix.lower()).name
     if not isinstance(file, JointFile):
         _refuse_options("A robot is written as bodies behind their gears", {"--side": side, "--fixed": fixed})
-        exported = run(_saved_or_identified(file, estimate), language, **settings)
+        exported = run(_read_or_identify(file, estimate), language, **settings)
         exported.save(out)
         show(exported.note)
         for one in exported.lost:
@@ -304,7 +304,7 @@ def export(
     show(f"Written: {out}")
 
 
-def _saved_or_identified(file: RobotFile, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
+def _read_or_identify(file: RobotFile, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
     """Return a robot's estimate: from its file, or else from the record that the robot file names."""
     from jointid.output.json import read_identified
 

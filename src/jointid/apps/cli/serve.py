@@ -56,7 +56,13 @@ def serve(
         if open_:
             import webbrowser
 
-            webbrowser.open(_write_redirect(folder, address).as_uri())
+            # Others on the machine see how a browser is started, and must not see the token there.
+            path = folder.absolute() / "open.html"
+            path.unlink(missing_ok=True)
+            text = f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url={address}">\n'
+            with open(path, "x", encoding="utf-8", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
+                file.write(text)
+            webbrowser.open(path.as_uri())
 
     run_page(folder, host, port, announce)
 
@@ -81,19 +87,6 @@ def run_page(folder: Path, host: str, port: int, announce: Callable[[str], None]
         shown = f"[{host}]" if ":" in host else host
         announce(f"http://{shown}:{listening.getsockname()[1]}/{token}/")
         run(build_application(folder, token, host), listening)
-
-
-def _write_redirect(folder: Path, address: str) -> Path:
-    """Write a file that leads a browser to the page, and return it.
-
-    Other users of the machine see the words with which a browser is started, and must not see the token among them.
-    """
-    path = folder.absolute() / "open.html"
-    path.unlink(missing_ok=True)
-    text = f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url={address}">\n'
-    with open(path, "x", encoding="utf-8", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
-        file.write(text)
-    return path
 
 
 def _listen(host: str, port: int) -> socket.socket:

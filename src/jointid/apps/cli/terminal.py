@@ -20,7 +20,7 @@ from jointid.common.text import printable
 _MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow")}
 
 
-def print_document(document: Document, console: Console | None = None) -> None:
+def print_blocks(document: Document, console: Console | None = None) -> None:
     """Print a document; names of files are plain text to it, whatever they hold."""
     console = console or Console()
     blocks = [Padding(_render(block), (1, 0, 0, 0)) for block in document.blocks]
@@ -29,7 +29,14 @@ def print_document(document: Document, console: Console | None = None) -> None:
 
 def _render(block: Block) -> RenderableType:
     if isinstance(block, Table):
-        return _table(block)
+        # Unfolded, or a narrow terminal would cut numbers.
+        title = _text(block.caption, "bold") if block.caption else None
+        grid = Grid(title=title, title_justify="left", box=None, pad_edge=False, header_style="dim")
+        for i, name in enumerate(block.header):
+            grid.add_column(_text(name), justify="left" if i in block.words else "right", no_wrap=i not in block.words)
+        for row in block.rows:
+            grid.add_row(*map(_text, row))
+        return grid
     if isinstance(block, Facts | Verdicts):
         return _pairs(block)
     if isinstance(block, Listing):
@@ -38,17 +45,6 @@ def _render(block: Block) -> RenderableType:
         return _text(f"{block.caption}\n{block.text}".lstrip())
     assert isinstance(block, Heading | Paragraph | Picture)
     return _text(block.text, "bold" if isinstance(block, Heading) else "")
-
-
-def _table(block: Table) -> Grid:
-    # Unfolded, or a narrow terminal would cut numbers.
-    title = _text(block.caption, "bold") if block.caption else None
-    grid = Grid(title=title, title_justify="left", box=None, pad_edge=False, header_style="dim")
-    for i, name in enumerate(block.header):
-        grid.add_column(_text(name), justify="left" if i in block.words else "right", no_wrap=i not in block.words)
-    for row in block.rows:
-        grid.add_row(*map(_text, row))
-    return grid
 
 
 def _pairs(block: Facts | Verdicts) -> Grid:

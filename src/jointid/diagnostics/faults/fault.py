@@ -161,13 +161,17 @@ class FaultSignature:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisMotion:
-    """Motion and torque of one axis, (samples,) each, and velocity and acceleration of the other axes by name."""
+    """Motion and torque of one axis, (samples,) each, and velocity and acceleration of the other axes by name.
+
+    The limit, Hz, is that of the noise of a measured position on its fourth derivative; see `find_noise_limit`.
+    """
 
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
     torque: FloatArray
     sample_time: float
+    limit: float
     others: Mapping[str, tuple[FloatArray, FloatArray]]
 
 

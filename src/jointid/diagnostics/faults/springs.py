@@ -15,6 +15,7 @@ from jointid.diagnostics.faults.trials import Trial, list_trials, search
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import FlexibleJoint, springs_beside
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
+from jointid.records.signals.position_noise import lowpass_below_noise
 from jointid.simulation.closed_loop import Simulation, in_threads
 from jointid.uncertainty.verdict import Reason
 
@@ -110,9 +111,12 @@ SECOND_MODE = Fault(
 
 
 def _along_bend(motion: AxisMotion) -> Iterator[FaultSignature]:
-    """Yield the second derivative of the acceleration, which a spring adds to a rigid joint's torque."""
-    change = np.gradient(np.gradient(motion.acceleration, motion.sample_time), motion.sample_time)
-    yield FaultSignature(COMPLIANCE, change)
+    """Yield the second derivative of the acceleration, which a spring adds to a rigid joint's torque.
+
+    Above the limit that derivative is noise of the position, as is a part of the residual, which it then follows.
+    """
+    seen = lowpass_below_noise(motion.acceleration, motion.limit, motion.sample_time)
+    yield FaultSignature(COMPLIANCE, np.gradient(np.gradient(seen, motion.sample_time), motion.sample_time))
 
 
 COMPLIANCE = Fault(

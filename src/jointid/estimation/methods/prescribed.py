@@ -34,7 +34,13 @@ from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS
 from jointid.estimation.problems.base import LOG_DELAY, log_delay
 from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.inverse_model import noise_limit_of
-from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem, position_problem
+from jointid.estimation.problems.prescribed import (
+    CURRENT_LAG,
+    DriveSideProblem,
+    motion_problem,
+    position_problem,
+    weights_of,
+)
 from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_prescribed_result
@@ -43,8 +49,8 @@ from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Multistart, Solution, Step, Watch, solve
-from jointid.uncertainty.covariance import Covariance, sandwich, with_bands
+from jointid.solvers.solve import Multistart, Step, Watch, solve
+from jointid.uncertainty.covariance import sandwich, with_bands
 
 _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
 _LOWEST = 0.05  # ... from this share of the cut-off up to it
@@ -103,9 +109,9 @@ class DriveSideFit(Method):
         default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
     )
 
-    def surroundings(self, sample_time: float) -> tuple[Parameter, ...]:
-        """Return the parameters of the log, free where they are to be estimated."""
-        delay = log_delay(self.log_delay, sample_time)
+    def surroundings(self, sample_time: float, *, stated: bool = True) -> tuple[Parameter, ...]:
+        """Return the parameters of the log, free where they are to be estimated; see `log_delay`."""
+        delay = log_delay(self.log_delay, sample_time, stated=stated)
         lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
         return delay, lag if self.current_lag is None else CURRENT_LAG.fix(self.current_lag)
 
@@ -122,13 +128,16 @@ class DriveSideFit(Method):
         record, setup = task.record, DriveSide(task.joint)
         record.require(setup.channels, "Drive-side identification")
         assert record.torque is not None
-        around = self.surroundings(record.torque.sample_time)
+        around = self.surroundings(record.torque.sample_time, stated=record.torque.stated)
         problem = motion_problem(record, setup, task.filtering, task.parameters, around)
+        if task.joint.model == "rigid" and _linear(problem, None)[0] == math.inf:
+            # Of a light joint in noise the reversals may be all that tells of its inertia.
+            problem = replace(problem, weights=weights_of(problem.motion))
         starts, simulations = grid_starts(problem, self)
         solver = Multistart(LevenbergMarquardt(self.tolerance))
         solution = solve(problem, solver, np.array(starts), _report_steps(task.progress))
         verdict = judge_endogeneity(record, problem, solution, self.instruments, task.progress)
-        resting = 1 - float(np.mean(problem.weights))
+        resting = 1 - float(np.mean(weights_of(problem.motion)))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
         limit = noise_limit_of(record, task.joint, ("motor_position",))
         noise = describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model)
@@ -223,12 +232,6 @@ def _vector(problem: DriveSideProblem, found: Mapping[str, float]) -> FloatArray
     return problem.vector({**found, **given})
 
 
-def _covariance_of(solution: Solution) -> Covariance:
-    """Return the covariance of a least-squares estimate, by rows and by bands of frequency."""
-    J, error = solution.jacobian, solution.residual
-    return with_bands(sandwich(J, J, error), J, J, error)
-
-
 def _report_steps(progress: Progress) -> Watch:
     """Return a listener that reports the residual of every step."""
     numbers = itertools.count(1)
@@ -268,8 +271,11 @@ class OpenLoopFit(Method):
             RecordError: a channel is missing, or at another rate.
             MethodError: no start gives a joint with positive inertias.
         """
-        setup = OpenLoop(task.joint)
-        problem = position_problem(task.record, setup, task.filtering, task.parameters, self.log_delay, self.highpass)
+        setup, torque = OpenLoop(task.joint), task.record.torque
+        task.record.require(setup.channels, "Open-loop identification")
+        assert torque is not None
+        delay = log_delay(self.log_delay, torque.sample_time, stated=torque.stated)
+        problem = position_problem(task.record, setup, task.filtering, task.parameters, delay, self.highpass)
         task.progress("identifying the drive side for a start")
         first = DriveSideFit(log_delay=self.log_delay, frequency=self.frequency, instruments="never").identify(task)
         found = {p.name: p.value for p in first.params.rows if p.value is not None}
@@ -277,12 +283,13 @@ class OpenLoopFit(Method):
         start, solver = problem.vector({**found, **given}), LevenbergMarquardt(self.tolerance)
         solution = solve(problem, solver, start, _report_steps(task.progress))
         drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
+        J, error = solution.jacobian, solution.residual
         return build_prescribed_result(
             task.record,
             problem,
             solution.x,
             solution,
-            _covariance_of(solution),
+            with_bands(sandwich(J, J, error), J, J, error),
             ("torque", "motor_position"),
             ("open_loop", "open loop by least squares"),
             earlier=first.simulations,

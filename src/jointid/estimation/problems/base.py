@@ -62,6 +62,7 @@ EVEN = np.ones(1)
 """Taps of rows of equal weight."""
 
 _MOST_LATE = 20.0  # samples that the log may be late, or early
+_LEFT_OPEN = 2.0  # samples: an averaged torque acts one sooner than a held one
 _INITIAL = {p.name: p for p in INITIAL_STATE}
 _PARTS = ("integral_gain", "time_constant")  # numbers that are a part of the law: at 0 it is not there
 _POSITIVE = ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency")
@@ -100,11 +101,14 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
     return Parameter(name, symbol, quantity, start=value, lower=lower, upper=upper)
 
 
-def log_delay(known: float | None, sample_time: float) -> Parameter:
-    """Return the log's delay as it is known, in seconds; where it is None free, within twenty samples."""
-    late = _MOST_LATE * sample_time
-    free = replace(LOG_DELAY, free=True, lower=-late, upper=late)
-    return free if known is None else free.fix(known)
+def log_delay(known: float | None, sample_time: float, *, stated: bool = True) -> Parameter:
+    """Return the log's delay as it is known, in seconds; where it is None free, within twenty samples.
+
+    It counts from when the torque acts. Where nobody stated the torque's timing, a known delay is free within two.
+    """
+    late, start = sample_time * (_MOST_LATE if known is None else _LEFT_OPEN), known or 0.0
+    free = replace(LOG_DELAY, free=True, start=start, lower=start - late, upper=start + late)
+    return free if known is None or not stated else free.fix(known)
 
 
 def _range(symbol: str, value: float, period: float | None) -> tuple[float, float]:

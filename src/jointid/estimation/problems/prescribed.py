@@ -4,7 +4,7 @@ The drive side: the motor's motion comes from the record, filtered; the torque i
 (`simulation.prescribed`) and seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away,
 where these are free. Both act on the prediction. On the measurement they would let a fit shrink both sides to nothing.
 While the motor rests, its friction takes what it must and the torque says nothing; these samples have no weight, on
-both sides alike and before the filter, which would smear them.
+both sides alike and before the filter, which would smear them. Nor have those about reversals of a rigid joint.
 
 The open loop: nothing holds the motor, so every small force that the model lacks drifts away as the double integral of
 itself: what a position says slower than ``highpass`` is not of the joint, and is taken off both sides by one filter.
@@ -19,10 +19,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.base import FAILED, INITIAL_STATE, LOG_DELAY, RecordProblem, log_delay
+from jointid.estimation.problems.base import FAILED, INITIAL_STATE, LOG_DELAY, RecordProblem
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import torque_and_positions
-from jointid.estimation.problems.rest import moving_weights
+from jointid.estimation.problems.rest import moving_weights, steady_weights
 from jointid.models.joints import Joint
 from jointid.records.record import Channel, Record, Tap
 from jointid.records.signals.filtering import Filtering, differentiate, lowpass, window_parts, window_torque
@@ -105,7 +105,7 @@ class DriveSideProblem(PrescribedProblem):
 
     Attributes:
         motion: of the motor, prescribed.
-        weights: (samples,) 0 where the motor rests, else 1.
+        weights: (samples,) 0 where the motor rests, or as a rigid joint turns round, else 1.
         leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
         sample_time: seconds.
     """
@@ -189,6 +189,9 @@ def motion_problem(
     assert filtering.position_cutoff is not None
     smooth = lowpass(position, filtering.position_cutoff, sample_time)
     motion = _from_rest(prescribed_motion(smooth, sample_time))
+    weights = weights_of(motion)
+    if setup.joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
+        weights = steady_weights(motion.velocity[::PARTS], filtering.position_cutoff, sample_time)[1]
     given = {p.name: p for p in surroundings}
     around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
     return DriveSideProblem(
@@ -197,7 +200,7 @@ def motion_problem(
         filtering,
         setup.joint,
         motion,
-        weights_of(motion),
+        weights,
         record.tap is not Tap.MEASURED,
         sample_time,
     )
@@ -276,7 +279,7 @@ def position_problem(
     setup: OpenLoop,
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
-    delay: float | None = None,
+    delay: Parameter,
     highpass: float | None = None,
 ) -> OpenLoopProblem:
     """Return the problem of reproducing a record's motor position from its torque.
@@ -286,7 +289,7 @@ def position_problem(
         setup: the joint.
         filtering: of the positions.
         parameters: of the joint.
-        delay: seconds by which the log shows the torque later than it acts; free when None.
+        delay: by which the log shows the torque later than it acts; see `log_delay`.
         highpass: Hz, below which the position is drift; 3 % of the cut-off when None.
 
     Raises:
@@ -306,7 +309,7 @@ def position_problem(
         for p in parameters
     )
     return OpenLoopProblem(
-        (*parameters, *_first_state(position, filtering, period), log_delay(delay, period)),
+        (*parameters, *_first_state(position, filtering, period), delay),
         _fast(position, highpass, period),
         filtering,
         setup.joint,

@@ -96,10 +96,6 @@ def answer_of(estimate: EstimateParts) -> Answer:
         asked = next(iter([*free, *(row for row in rows if row.free), *rows]))
     if asked.value is None:
         return Answer(_undetermined_message(estimate, asked), _refusal_message(estimate))
-    return Answer(_value(estimate, asked), _trust(estimate, asked))
-
-
-def _value(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     assert asked.value is not None
     if asked.at_bound is not None:
         shown = f"{number(asked.at_bound)} {asked.unit}, at its bound"
@@ -110,7 +106,7 @@ def _value(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     shown = _with_pieces(estimate, asked, shown)
     mode = _mode(estimate)
     words = f"{_in_words(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
-    return Message(Found.VALUE, words, _values(asked, mode))
+    return Answer(Message(Found.VALUE, words, _values(asked, mode)), _trust(estimate, asked))
 
 
 def _with_pieces(estimate: EstimateParts, asked: EstimatedParameter, shown: str) -> str:

@@ -369,7 +369,7 @@ def build_prescribed_result(
         *([] if solution.converged else [NOT_CONVERGED]),
         *([] if simulated else [NOT_SIMULATED]),
         *(
-            f"{p.name} is not told by this record: it may be anything within its bounds"
+            f"{p.name} is not determined by this record: it may be anything within its bounds"
             for p, std in zip(problem.free, covariance.std, strict=True)
             if simulated and (p.name in idle or 2 * std > p.upper - p.lower)
         ),

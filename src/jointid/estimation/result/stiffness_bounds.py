@@ -222,7 +222,7 @@ def profile_modes(
     wide = replace(problem, filtering=band).all_free()
     made = ModeProfile(wide, names, (low, high), start)
     made.stiff = made.fit(start, _SHARE, high, _HELD)
-    made.threshold = _threshold(made)
+    made.threshold = _compute_cost_limit(made)
     last = made.stiff
     for mode in np.geomspace(high, low, _STEPS)[1:]:
         last = made.fit({**last.at, "ratio": max(last.at["ratio"], _DAMPED)}, None, float(mode), _HELD)
@@ -236,7 +236,9 @@ def profile_modes(
     for point in dips if thorough else ():
         beside = {**point.at, "ratio": _DAMPED, "share": _LARGE if point.at["share"] < _BETWEEN else _SMALL}
         ends.append(made.fit(beside, None, None, _SEEK))
-    own = _describe(found)
+    whole = found["motor_inertia"] + found["load_inertia"]
+    ratio = min(damping_ratio(found), MOST_DAMPED)
+    own = {"inertia": whole, "ratio": ratio, "share": found["load_inertia"] / whole, "mode": frequency_of(found)}
     if low < own["mode"] < high:
         ends.append(made.fit(start | {n: found[n] for n in names} | own, None, None, _FREE))
     for end in sorted(ends, key=lambda end: end.cost):
@@ -253,13 +255,6 @@ def damping_ratio(values: Mapping[str, float]) -> float:
     return values["damping"] / size if size > 0 else 0.0
 
 
-def _describe(values: Mapping[str, float]) -> dict[str, float]:
-    """Return inertia, ratio, share and mode of a flexible joint."""
-    whole = values["motor_inertia"] + values["load_inertia"]
-    ratio = min(damping_ratio(values), MOST_DAMPED)
-    return {"inertia": whole, "ratio": ratio, "share": values["load_inertia"] / whole, "mode": frequency_of(values)}
-
-
 def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float]) -> dict[str, float]:
     """Return values of a flexible joint's parameters from those of a rigid one, all friction on the motor's side.
 
@@ -273,7 +268,7 @@ def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float
     return values
 
 
-def _threshold(made: ModeProfile) -> float:
+def _compute_cost_limit(made: ModeProfile) -> float:
     """Return the chi-square threshold on the cost, scaled for the autocorrelation of the residual.
 
     The ratio of the compliance's robust deviation to that of a white residual is taken where the spring is stiff, and

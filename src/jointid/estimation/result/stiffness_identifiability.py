@@ -44,8 +44,8 @@ from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import Solution
-from jointid.uncertainty.model_tests import BoundaryTest, flexible_against_rigid
-from jointid.uncertainty.position_dependent_error import Cells, Uncertainty, uncertainty
+from jointid.uncertainty.model_tests import flexible_against_rigid
+from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 from jointid.uncertainty.profile import Profiling, profile_compliance
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 
@@ -89,7 +89,13 @@ def visible(
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
     reasons, said, made = _doubts(problem, x, J, known, error, together), "", None
     if not reasons:
-        test = _test_spring(problem, x, rigid, at.x, error, slopes, where)
+        remains = problem.residual(x)
+        left = float(remains @ remains)
+        # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
+        springs = _springs(with_linear_spring(problem), rigid.values(at.x), error) or [(remains - error)[:, np.newaxis]]
+        # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
+        fitted = left if left < _FAR * float(error @ error) else None
+        test = flexible_against_rigid(error, slopes, springs, where, fitted)
         runs += len(_TEST_SHARES) * len(_TEST_MODES)
         reasons, said = [] if test.significant else [str(test)], str(test)
         if not reasons and test.gained < _LITTLE:
@@ -114,35 +120,6 @@ def visible(
     stated = zip(names, judged.covariance.std, slopes.T, strict=True)
     std = {name: float(one) for name, one, column in stated if column.any()}
     return Visibility(verdict, values, std, error, bounds, runs)
-
-
-def _test_spring(
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    rigid: ClosedLoopProblem,
-    at: FloatArray,
-    error: FloatArray,
-    J: FloatArray,
-    where: Cells,
-) -> BoundaryTest:
-    """Return the test of the flexible joint against the rigid one.
-
-    Args:
-        problem: of the flexible joint.
-        x: its free parameters.
-        rigid: the problem of the rigid joint.
-        at: its free parameters.
-        error: (rows,) what it leaves.
-        J: (rows, free) its derivatives.
-        where: the cells of its rows.
-    """
-    remains = problem.residual(x)
-    left = float(remains @ remains)
-    # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
-    springs = _springs(with_linear_spring(problem), rigid.values(at), error) or [(remains - error)[:, np.newaxis]]
-    # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
-    fitted = left if left < _FAR * float(error @ error) else None
-    return flexible_against_rigid(error, J, springs, where, fitted)
 
 
 def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, names: Sequence[str]) -> list[str]:

@@ -125,7 +125,15 @@ def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
             yield table
     drift = estimate.checks.drift
     if drift is not None and drift.segments:
-        yield _segments(estimate, drift)
+        free = [p for p in estimate.params.rows if p.free]
+        header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
+        rows = []
+        for s in drift.segments:
+            found = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
+            stated = (found.get(p.name, "not excited") for p in free)
+            rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *stated, f"{100 * s.filtered_error:.2f}"))
+        caption = "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"
+        yield Table(header, tuple(rows), caption, words=())
 
 
 def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, str]]:
@@ -253,19 +261,6 @@ def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> st
     return f"between {count} segments parameters change by more than their intervals allow: {listed}"
 
 
-def _segments(estimate: EstimateParts, drift: DriftTest) -> Table:
-    """Return the table of the segments: each free parameter with two standard errors."""
-    free = [p for p in estimate.params.rows if p.free]
-    header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
-    rows = []
-    for s in drift.segments:
-        found = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
-        stated = (found.get(p.name, "not excited") for p in free)
-        rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *stated, f"{100 * s.filtered_error:.2f}"))
-    caption = "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"
-    return Table(header, tuple(rows), caption, words=())
-
-
 # The tables
 
 
@@ -309,14 +304,11 @@ def remarks(estimate: EstimateParts) -> dict[str, str]:
     return {name: ", ".join(said) for name, said in found.items()}
 
 
-def parameters_table(
-    estimate: EstimateParts, caption: str = "", *, initial: bool = True, letters: bool = False
-) -> Table:
+def parameters_table(estimate: EstimateParts, *, initial: bool = True, letters: bool = False) -> Table:
     """Return every parameter with its interval, and with a transmission what it is on the other side.
 
     Args:
         estimate: whose parameters are shown.
-        caption: of the table.
         initial: whether to show the state at the first sample.
         letters: whether the field's letters stand beside the paper's: "ZZ1, J1".
     """
@@ -335,7 +327,7 @@ def parameters_table(
         words.append(len(header) + 1)
         header, there = (*header, f"{estimate.other.side} side", "unit"), estimate.other_side
         rows = [(*row, format_value(there[i]), there[i].unit) for row, i in zip(rows, shown_rows, strict=True)]
-    return Table(header, tuple(rows), caption, words=tuple(words))
+    return Table(header, tuple(rows), words=tuple(words))
 
 
 def combinations_table(
@@ -487,7 +479,7 @@ def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Blo
     ]
     listed = [(row, nominal) for row, nominal in listed if row.value is not None or row.lower_bound is not None]
     hidden = len(part.names) - len(listed)
-    caption = f"{hidden} more are not told from 0 by this record" if hidden else ""
+    caption = f"{hidden} more are not significant in this record" if hidden else ""
     rows = tuple((row.symbol, *_cells_of_robot(row), number(float(nominal), 4)) for row, nominal in listed)
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
     sums = tuple(

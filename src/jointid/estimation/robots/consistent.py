@@ -23,7 +23,7 @@ from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseu
 from jointid.models.robots.robot import Robot
 from jointid.uncertainty.covariance import Covariance
 
-SPREAD = 0.3
+_SPREAD = 0.3
 """How far the model's bodies may be off, as a share: the standard deviation of logarithms, and of lengths."""
 
 MISFIT = 2.0
@@ -52,13 +52,12 @@ class ConsistentRobot:
     least_inertia: float
 
 
-def consistent_robot(estimate: EstimateParts, prior: Robot | None = None, spread: float = SPREAD) -> ConsistentRobot:
+def consistent_robot(estimate: EstimateParts, prior: Robot | None = None) -> ConsistentRobot:
     """Return the robot nearest to a prior whose parameters are those of an estimate, as far as bodies can.
 
     Args:
         estimate: of a robot, by any method.
         prior: the same tree with masses on all links; without it the model that the estimate began with.
-        spread: how far the prior's bodies may be off, as a share.
 
     Raises:
         MethodError: a link of the prior has no mass, so that there is nothing to be near; or the record does not show
@@ -90,7 +89,7 @@ def consistent_robot(estimate: EstimateParts, prior: Robot | None = None, spread
     def residual(x: FloatArray) -> FloatArray:
         standard, _ = unpack(x)
         off = sums @ np.concatenate([standard, x[11 * n :]]) - stated.values
-        near = np.concatenate([(x[: 10 * n] - theta0) / scales, (x[10 * n : 11 * n] - rotors0) / sizes]) / spread
+        near = np.concatenate([(x[: 10 * n] - theta0) / scales, (x[10 * n : 11 * n] - rotors0) / sizes]) / _SPREAD
         return np.concatenate([whiten @ off, near])
 
     def jacobian(x: FloatArray) -> FloatArray:
@@ -98,7 +97,7 @@ def consistent_robot(estimate: EstimateParts, prior: Robot | None = None, spread
         found = np.zeros((len(whiten) + 11 * n, x.size))
         found[: len(whiten), : 11 * n] = whiten @ stated.of_standard @ slopes
         found[: len(whiten), 11 * n :] = whiten @ stated.of_others
-        found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / spread
+        found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / _SPREAD
         return found
 
     lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), stated.least])
@@ -150,9 +149,9 @@ def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
     return np.asarray(links + coupling.T @ np.diag(robot.of_joints("rotor_inertia")) @ coupling)
 
 
-def least_inertia(robot: Robot, poses: int = _POSES, seed: int = 0) -> float:
+def least_inertia(robot: Robot) -> float:
     """Return the smallest eigenvalue of the mass matrix over random poses: what is not positive cannot be simulated."""
-    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (poses, len(robot)))
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, len(robot)))
     return min(float(np.linalg.eigvalsh(mass_matrix_at(robot, one))[0]) for one in q)
 
 

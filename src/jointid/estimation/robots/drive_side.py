@@ -16,6 +16,7 @@ Noise of the positions is not modelled: what the filter leaves of it pulls the v
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -36,6 +37,7 @@ from jointid.estimation.robots.flexible import (
     require_frequencies,
     require_springs,
     search_springs,
+    tell_time,
 )
 from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems
@@ -51,6 +53,7 @@ from jointid.simulation.robot_drive_side import (
     MotorMotion,
     RobotDriveSideRun,
     differentiate_drive_side,
+    moves_links,
     prescribe_motion,
     run_drive_side,
 )
@@ -65,6 +68,7 @@ _LEAST = 1e-20  # of a torque, squared: what is left without noise
 _BEGINNINGS = 3  # steps to where the links are at the first sample, which the torques depend on nearly in a line
 _MOVES = 0.05  # of the samples: a motor that moves less determines nothing
 _STILL = 20  # samples in a row, from the first on: a motor that rests there
+_LOOKED = 29, 27  # simulations of a search for frequencies, and for each spring
 _SWEEPS = 3  # over the joints, at most, each tried again at all frequencies
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
 _ITERATIONS = 5  # of the robot of rigid joints, which is linear: the second finds nothing left to move
@@ -174,10 +178,12 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
             moved = differentiate_drive_side(run, some)
             return self.decimate_each([self.show_in_log(run, moved[:, j]) for j in range(moved.shape[1])])
 
-        columns = self.in_blocks(of) + self.regressor(run)
-        if _DELAY in self.parameters.places:
-            late = self.decimate(self.show_in_log(run, run.torque, 1) / self.sample_time)
-            columns[:, self.parameters.places.index(_DELAY)] = late
+        places, columns = self.parameters.places, self.regressor(run)
+        moving = [c for c, place in enumerate(places) if moves_links(place, run.numbers)]
+        if moving:
+            columns[:, moving] += self.in_blocks(of, [places[c] for c in moving])
+        if _DELAY in places:
+            columns[:, places.index(_DELAY)] = self.decimate(self.show_in_log(run, run.torque, 1) / self.sample_time)
         return self.by_search_variables(columns, x)
 
     def regressor(self, run: RobotDriveSideRun) -> FloatArray:
@@ -195,14 +201,9 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         return self.motion.decimate_joint(joint, columns)
 
     def show_in_log(self, run: RobotDriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
-        """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them.
-
-        The window takes a signal for constant within a part. What this takes from a curved one is put back.
-        """
+        """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them."""
         late = float(run.numbers.log[0, 0]) / self.sample_time if run.numbers.log.size else 0.0
-        curved = parts.copy()
-        curved[1:-1] -= np.diff(parts, 2, axis=0) / 12.0
-        return window_parts(curved, PARTS, late, order)
+        return window_parts(parts, PARTS, late, order, curved=True)
 
 
 def drive_side_problem(
@@ -211,6 +212,8 @@ def drive_side_problem(
     parameters: RobotParameters,
     filtering: Filtering | None = None,
     delay: float | None = 0.0,
+    *,
+    stated: bool = True,
 ) -> RobotDriveSideProblem:
     """Return the problem of reproducing the torques of a robot's records along its motors' motion.
 
@@ -220,6 +223,7 @@ def drive_side_problem(
         parameters: of the robot.
         filtering: of positions and torques.
         delay: s, by which the log shows the torques late; None to search it.
+        stated: whether the torques' timing is, which a known delay counts from; see `log_delay`.
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
@@ -251,7 +255,7 @@ def drive_side_problem(
     motion = replace(motion, torque=lowpass(motion.torque, cutoff, motion.sample_time))
     prescribed = replace(prescribed, direction=lowpass(parts, cutoff, prescribed.step))
     sigma = np.std(motion.torque, axis=0) + 1e-300
-    parameters = of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time))
+    parameters = of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time, stated=stated))
     return RobotDriveSideProblem(motion.torque, motion.filtering, parameters, sigma, motion, prescribed)
 
 
@@ -268,7 +272,7 @@ def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: 
                     NumberPlace(NumberOf.BESIDE, int(j), column),
                 )
             )
-    log = np.array([[0.0 if delay.free else delay.start]])
+    log = np.array([[delay.start]])
     base = replace(parameters.base, beside=np.zeros((n, 2)), log=log)
     return replace(parameters.add(*more), base=base)
 
@@ -310,7 +314,8 @@ def identify_flexible_drive_side(
     stiff, known = robot.rigid, known or {}
     parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True, whole=False), known)
     logs = each_log(records)
-    parts = [drive_side_problem(robot, log, parameters, filtering, delay) for log in logs]
+    stated = all(record.torque.stated for log in logs for record in log if record.torque is not None)
+    parts = [drive_side_problem(robot, log, parameters, filtering, delay, stated=stated) for log in logs]
     problem = add_problems(parts)
     require_frequencies(frequencies, problem.sample_time)
     of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets, whole=False), known)
@@ -321,7 +326,12 @@ def identify_flexible_drive_side(
         [replace(one, motion=replace(one.motion, moving=np.ones_like(one.motion.moving))) for one in slow_parts]
     )
     x = np.zeros(len(slow.free))
-    rigid = fixed_point(slow, x, slow.run(x), _ITERATIONS, progress)
+    slow_parts[0].roughly().run(x)  # which loads or compiles the simulation
+    began = time.perf_counter()
+    run = slow.run(x)
+    seconds, looks = time.perf_counter() - began, _LOOKED[0] + _LOOKED[1] * sum(robot.flexible)
+    tell_time(problem, seconds, looks, progress)
+    rigid = fixed_point(slow, x, run, _ITERATIONS, progress)
 
     def search(problem: RobotProblem[Any], first: RobotDriveSideProblem) -> FlexibleRobotFit:
         look = SearchOfSprings(first.roughly(), progress)
@@ -333,7 +343,10 @@ def identify_flexible_drive_side(
     if any(one.shown for one in found.springs) or all(one.roughly() is one for one in parts):
         return found
     whole = [replace(one, thorough=True) for one in parts]
-    return search(add_problems(whole), whole[0])
+    problem = add_problems(whole)
+    progress("no spring is seen by the beginning of the record; searching along all of it")
+    tell_time(problem, seconds, looks, progress)
+    return search(problem, whole[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ gyroscopic torques are left out [Spong 1987].
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,7 +31,8 @@ from typing import Any
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, no_choice
+from jointid.common.messages import Progress, describe_time, no_choice
+from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.descents import OFF, UNSEEN, Descents
@@ -49,6 +51,8 @@ from jointid.solvers.solve import Status
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
+_DESCENTS = 36, 46  # simulations that rough descents and all other work along whole records take as long as
+_LOOKED = 8  # simulations before the first descent
 _SHOWN = 4.0  # standard deviations by which a compliance differs from 0
 
 
@@ -116,6 +120,9 @@ def identify_flexible_robot(
         frequency_row(problem.sample_time)
     require_frequencies(frequencies, problem.sample_time)
     rigid = identify_rigid_robot(linear, records, SLOW, offsets=offsets, settled=NEAR, known=known, progress=progress)
+    began = time.perf_counter()
+    problem.simulate(rigid.run.numbers, keep=False)
+    tell_time(problem, time.perf_counter() - began, _LOOKED, progress)
     found = search_springs(
         problem, linear.robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
     )
@@ -155,6 +162,21 @@ def require_frequencies(frequencies: Mapping[str, float] | None, sample_time: fl
                 f"The frequency of {name} is {hertz:g} Hz; expected one above 0 and up to {highest:g} Hz, of which a "
                 "record of this sample time shows something: correct it, or give none at all to have them searched."
             )
+
+
+def tell_time(problem: RobotProblem[Any], seconds: float, looks: int, progress: Progress) -> None:
+    """Report the expected time of a search of springs.
+
+    Args:
+        problem: that is searched.
+        seconds: of one simulation along the whole records.
+        looks: simulations of the rough problem before the first descent, which threads share.
+        progress: receives the time.
+    """
+    rough, whole = _DESCENTS
+    share = len(problem.roughly().poses) / len(problem.poses)
+    expected = seconds * (share * (looks / threads() + rough) + whole)
+    progress(f"searching {int(sum(problem.parameters.base.flexible))} springs takes about {describe_time(expected)}")
 
 
 def search_springs(

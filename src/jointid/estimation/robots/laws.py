@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
 from jointid.common.text import pluralise
 from jointid.estimation.robots.descents import Descents, End
 from jointid.estimation.robots.fit import RobotFit
-from jointid.estimation.robots.numbers import RobotParameters, name_in_robot
+from jointid.estimation.robots.numbers import name_in_robot
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns
 from jointid.estimation.starts.nonlinear_laws import JointMotion, law_starts, name_laws
 from jointid.models.robots.robot import Robot
@@ -61,7 +60,7 @@ def search_laws(
         if joint.linear == joint:
             continue
         laws = replace(robot, joints=(*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :])))
-        problem = _bound(pose(laws), bounds).with_sigma(sigma)
+        problem = _restore_bounds(pose(laws), bounds).with_sigma(sigma)
         given = {
             p.name: known[name].start
             for p in joint.model.parameters
@@ -100,7 +99,7 @@ def search_laws(
     return fit
 
 
-def _bound(problem: RobotProblem[Any], bounds: Mapping[str, Parameter]) -> RobotProblem[Any]:
+def _restore_bounds(problem: RobotProblem[Any], bounds: Mapping[str, Parameter]) -> RobotProblem[Any]:
     """Return the problem with the bounds that the search with linear laws had."""
     parameters = tuple(
         replace(p, lower=bounds[p.name].lower, upper=bounds[p.name].upper) if p.name in bounds else p
@@ -123,15 +122,10 @@ def _descend(descents: Descents, problem: RobotProblem[Any], values: Mapping[str
     """Descend close to the minimum that a start leads to."""
     parameters = problem.parameters
     begin = np.array([values[name] for name in parameters.names])
-    return descents.follow(problem.roughly(), begin, _reach(parameters, begin))
-
-
-def _reach(parameters: RobotParameters, values: FloatArray) -> FloatArray:
-    """Return how far a step may move each parameter, (parameters,)."""
     reach = np.where(parameters.logarithmic, _REACH, np.inf)
     own = {place for place, _ in law_places(parameters.base)}
     for c, place in enumerate(parameters.places):
         damping = place.of is NumberOf.SPRING and place.column == 1
-        if (place in own or damping) and values[c] != 0.0:
-            reach[c] = (_DAMPED if damping else _FACTOR) * abs(values[c])
-    return reach
+        if (place in own or damping) and begin[c] != 0.0:
+            reach[c] = (_DAMPED if damping else _FACTOR) * abs(begin[c])
+    return descents.follow(problem.roughly(), begin, reach)

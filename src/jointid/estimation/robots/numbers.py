@@ -185,7 +185,7 @@ def _of_laws(robot: Robot, numbers: RobotNumbers) -> Iterator[tuple[Parameter, N
 
 
 def joint_of(place: NumberPlace, rotors: IntArray) -> int:
-    """Return the joint of a number that is a robot's, or that carries its link."""
+    """Return the joint of a robot's number, or the joint that carries its link."""
     own = np.flatnonzero(rotors == place.row) if place.of is NumberOf.MASS else np.zeros(0, dtype=np.int64)
     return int(own[0]) if own.size else place.row
 
@@ -293,7 +293,7 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPla
 
 
 def _is_inertia(place: NumberPlace) -> bool:
-    """Return True for a rotor's inertia, which may be the first of a sum that is named after its link."""
+    """Return True for a rotor's inertia, which may be the first of a sum named after its link."""
     return place.of is NumberOf.MASS and place.column == 0
 
 

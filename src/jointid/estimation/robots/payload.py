@@ -37,7 +37,7 @@ from jointid.estimation.robots.regression import base_rows, motions_of_logs, req
 from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_indices
-from jointid.models.robots.inertial import SYMBOLS, is_consistent, mass_properties
+from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -131,7 +131,7 @@ class Payload(Documented):
     @property
     def possible(self) -> bool:
         """True if a body can have the ten parameters as they were found."""
-        return is_consistent(self.payload.inertial)
+        return is_physical(self.payload.inertial)
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the verdict first, then each number both ways; there are no further details."""
@@ -178,12 +178,12 @@ def _verdict(name: str, value: float, std: float) -> str:
         return f"within {1e3 * _TWO * std:.2g} mm"
     if std <= KNOWN * abs(value):
         return "known"
-    return "roughly known" if _TWO * std < abs(value) else "not told from 0"
+    return "roughly known" if _TWO * std < abs(value) else "not significant"
 
 
 def identify_payload(
     model: Robot | RobotLoop | RobotDriveSide,
-    empty: Sequence[Record],
+    empty: Sequence[Record] | EstimateParts,
     loaded: Sequence[Record],
     method: Method | None = None,
     *,
@@ -195,7 +195,8 @@ def identify_payload(
     Args:
         model: the robot's geometry, gravity and coupling for IDIM; the robot under its controllers, whose gains are the
             same with the payload, for DIDIM; or a flexible robot on the drive side.
-        empty: the record of each joint without the payload.
+        empty: the record of each joint without the payload, or the robot's estimate by the same method; by IDIM an
+            estimate leaves the difference of two estimates alone.
         loaded: the record of each joint with it; another motion will do.
         method: as of `jointid.identify`.
         filtering: of positions, torques and rows.
@@ -203,7 +204,7 @@ def identify_payload(
 
     Raises:
         MethodError: the records or the robot do not determine the payload, its mass comes out negative, the method does
-            not fit the model or does not settle, or the estimator is "iv".
+            not fit the model, does not settle or is not that of the estimate, or the estimator is "iv".
         RecordError: as of `jointid.identify`.
     """
     said = "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide"
@@ -213,16 +214,29 @@ def identify_payload(
     if method is not None:
         method.require_settings_of("robot")
     robot = model if isinstance(model, Robot) else model.robot
-    if isinstance(method, IDIM) or (method is None and isinstance(model, Robot)):
-        together = payload_of_both_records(robot, empty, loaded, method, filtering)
+    by_rows = isinstance(method, IDIM) or (method is None and isinstance(model, Robot))
+    name = "idim" if by_rows else "drive_side" if isinstance(model, RobotDriveSide) else "didim"
+    if isinstance(empty, EstimateParts) and empty.settings.method != name:
+        raise MethodError(
+            f"The estimate without the payload is by {empty.settings.method}, and the record with it is identified by "
+            f"{name}; expected one method for both: give the record without the payload."
+        )
+    if by_rows:
+        settings = method if isinstance(method, IDIM) else IDIM()
         # What is fixed is the empty robot's: with the payload it is another number.
-        free = replace(method or IDIM(), fixed={})
+        free = replace(settings, fixed={})
+        if isinstance(empty, EstimateParts):
+            difference = payload_difference(empty, identify_robot(robot, loaded, free, filtering=filtering))
+            return Payload(difference, difference)
+        together = payload_of_both_records(robot, empty, loaded, settings, filtering)
         one, other = (identify_robot(robot, records, free, filtering=filtering) for records in (empty, loaded))
         return Payload(together, payload_difference(one, other))
     offsets = not isinstance(method, DIDIM | DriveSideFit) or method.offsets
     require_full_payload(payload_columns(robot_parameters(robot, offsets=offsets)))
 
-    def identify(records: Sequence[Record], which: str) -> EstimateParts:
+    def identify(records: Sequence[Record] | EstimateParts, which: str) -> EstimateParts:
+        if isinstance(records, EstimateParts):
+            return records
         return fit_robot(
             records, model, method, filtering=filtering, progress=lambda text: progress(f"{which}: {text}")
         )

@@ -103,7 +103,7 @@ class RobotProblem(ABC, Generic[Run]):
 
     @property
     def motion_measured(self) -> bool:
-        """Whether the motors move as measured, so that a force in the loop biases least squares."""
+        """True if the motors move as measured; a force in the loop then biases least squares."""
         return False
 
     @abstractmethod
@@ -268,11 +268,11 @@ class RobotProblem(ABC, Generic[Run]):
         seen = self.filtered_torque
         return _FAILED * seen * self.weights(seen.size)
 
-    def in_blocks(self, of: Callable[[tuple[NumberPlace, ...]], FloatArray]) -> FloatArray:
-        """Return columns of all parameters, (rows, parameters), some at a time in threads."""
-        places = self.parameters.places
+    @staticmethod
+    def in_blocks(of: Callable[[tuple[NumberPlace, ...]], FloatArray], places: Sequence[NumberPlace]) -> FloatArray:
+        """Return columns of parameters, (rows, parameters), some at a time in threads."""
         share = max(math.ceil(len(places) / threads()), _FEWEST)
-        return np.column_stack(in_threads(of, [places[i : i + share] for i in range(0, len(places), share)]))
+        return np.column_stack(in_threads(of, [tuple(places[i : i + share]) for i in range(0, len(places), share)]))
 
     def by_search_variables(self, columns: FloatArray, x: FloatArray) -> FloatArray:
         """Convert derivatives by the parameters, (rows, free), to those by the search variables."""
@@ -321,7 +321,8 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
     def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
         return self.by_search_variables(
-            self.in_blocks(lambda some: self.decimate_each(differentiate_torques(run, some))), x
+            self.in_blocks(lambda some: self.decimate_each(differentiate_torques(run, some)), self.parameters.places),
+            x,
         )
 
     def regressor(self, run: RobotRun) -> FloatArray:

@@ -113,6 +113,7 @@ class RobotMotion:
         sample_time: s.
         filtering: resolved.
         limit: Hz, the highest cut-off that the noise of the positions allows.
+        raw: (samples, n) positions of the motors, as measured.
     """
 
     q: FloatArray
@@ -123,6 +124,7 @@ class RobotMotion:
     sample_time: float
     filtering: Filtering
     limit: float
+    raw: FloatArray
 
     def decimate_columns(self, columns: FloatArray) -> FloatArray:
         """Return columns, (samples, n, columns), decimated: (n instants, columns), joint after joint, 0 at rest."""
@@ -137,7 +139,7 @@ class RobotMotion:
 
     def begin(self, size: int) -> RobotMotion:
         """Return the motion of the first samples."""
-        named = ("q", "v", "a", "torque", "moving")
+        named = ("q", "v", "a", "torque", "moving", "raw")
         return replace(self, **{name: getattr(self, name)[:size] for name in named})
 
     @property
@@ -235,6 +237,7 @@ def motion_of_robot(
         sample_time,
         filtering,
         limit,
+        motors,
     )
 
 

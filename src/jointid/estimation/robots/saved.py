@@ -108,10 +108,17 @@ def _part(
     names, said = tuple(row.name for row in rows), answer["robot"]
     one = answer["parameters"]
     formulas = tuple(str(one[name]["formula"]) for name in names)
+    std = np.array([0.0 if row.stderr is None else row.stderr for row in rows])
+    correlation, free = np.eye(len(rows)), [i for i, row in enumerate(rows) if row.free]
+    if answer["correlation"] is not None:
+        found: FloatArray = np.array(answer["correlation"], dtype=np.float64)
+        if found.shape != (len(free), len(free)) or not np.all(np.isfinite(found)):
+            raise ValueError
+        correlation[np.ix_(free, free)] = found
     common: dict[str, Any] = {
         "names": names,
         "values": np.array([row.value for row in rows], dtype=np.float64),
-        "covariance": _covariance(answer, rows),
+        "covariance": Covariance(std, correlation, 0),
         "nominal": np.array([_finite(one[name]["nominal"]) for name in names]),
         "nominal_errors": np.array([np.inf if e is None else _finite(e) for e in said["nominal_left"]]),
         "formulas": formulas,
@@ -167,18 +174,6 @@ def _require_same(names: Sequence[str], formulas: Sequence[str], own: Sequence[s
         weights = [list(map(float, _NUMBER.findall(text))) for text in (stated, formula)]
         if not alike or not np.allclose(weights[0], weights[1], rtol=_DIGITS):
             raise RecordError(f"there {name} is {stated}, and of this robot {formula}")
-
-
-def _covariance(answer: dict[str, Any], rows: Sequence[EstimatedParameter]) -> Covariance:
-    """Return the covariance of all parameters; of a document without correlation the errors are independent."""
-    std = np.array([0.0 if row.stderr is None else row.stderr for row in rows])
-    correlation, free = np.eye(len(rows)), [i for i, row in enumerate(rows) if row.free]
-    if answer["correlation"] is not None:
-        found: FloatArray = np.array(answer["correlation"], dtype=np.float64)
-        if found.shape != (len(free), len(free)) or not np.all(np.isfinite(found)):
-            raise ValueError
-        correlation[np.ix_(free, free)] = found
-    return Covariance(std, correlation, 0)
 
 
 def _row(name: str, one: dict[str, Any]) -> EstimatedParameter:

@@ -179,7 +179,7 @@ def identify_simulated_robot(
         setup=model,
         names=(*fit.names, *(one.name for one in parameters.fixed)),
         values=np.array([*fit.values, *(one.start for one in parameters.fixed)], dtype=np.float64),
-        covariance=fit.covariance.with_fixed(len(parameters.fixed)),
+        covariance=fit.covariance.append_constants(len(parameters.fixed)),
         nominal=parameters.group_all(RobotNumbers.of(robot)),
         nominal_errors=errors_of(problem, nominal),
         formulas=(*parameters.formulas(robot), *(one.symbol for one in parameters.fixed)),

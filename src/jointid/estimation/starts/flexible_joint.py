@@ -270,7 +270,8 @@ def _solve_row(seen: FloatArray, step: float, band: float) -> Iterator[dict[str,
     for frequency in np.geomspace(_SLOWEST * band, _FASTEST * band, _COUNT):
         W, R = (_columns(seen[:, i], float(frequency), step)[inside] for i in (0, 1))
         for kind, Z in enumerate((W, R)):
-            x = _by_instruments(Z, W, torque)
+            of_Z, of_W = (np.maximum(np.linalg.norm(M, axis=0), 1e-300) for M in (Z, W))
+            x = np.asarray(np.linalg.lstsq((Z / of_Z).T @ (W / of_W), (Z / of_Z).T @ torque)[0] / of_W)
             if x[0] > 0 and x[1] > 0:
                 found[kind].append((float(np.linalg.norm(torque - W @ x)), _values(x, float(frequency))))
     ranked = [sorted(kind, key=lambda one: one[0])[:_KEPT] for kind in found]
@@ -298,12 +299,6 @@ def _columns(position: FloatArray, frequency: float, step: float) -> FloatArray:
             np.ones(position.size),
         ]
     )
-
-
-def _by_instruments(Z: FloatArray, W: FloatArray, torque: FloatArray) -> FloatArray:
-    """Return the solution of ``Z' (torque - W x) = 0``, (parameters,)."""
-    of_Z, of_W = (np.maximum(np.linalg.norm(M, axis=0), 1e-300) for M in (Z, W))
-    return np.asarray(np.linalg.lstsq((Z / of_Z).T @ (W / of_W), (Z / of_Z).T @ torque)[0] / of_W)
 
 
 def _values(x: FloatArray, frequency: float) -> dict[str, float]:

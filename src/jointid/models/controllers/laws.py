@@ -97,7 +97,16 @@ class Cascade(DiagramController):
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
-        diagram = self._diagram(self.period or sample_time)
+        period = self.period or sample_time
+        phases = (self.position_period or period) / period
+        whole = abs(phases - round(phases)) <= _WHOLE * phases
+        if not (whole and 1 <= round(phases) <= _SLOWEST):
+            raise MethodError(
+                f"The position loop's period is a multiple of the controller's, up to {_SLOWEST} times; received "
+                f"{self.position_period or period:g} s beside {period:g} s: correct one of them."
+            )
+        first = math.ceil(self.position_offset / period - _DRIFT)
+        diagram = Diagram(period, round(phases), first % round(phases))
         position = diagram.input(POSITION)
         command = diagram.hold((self._reference(diagram) - position) * self.position_gain + self._feed_forward(diagram))
         if self.velocity_limit < math.inf:
@@ -116,17 +125,6 @@ class Cascade(DiagramController):
                 )
             diagram.follow(state, integral + into)
         return self._lower(diagram, output, limit)
-
-    def _diagram(self, period: float) -> Diagram:
-        phases = (self.position_period or period) / period
-        whole = abs(phases - round(phases)) <= _WHOLE * phases
-        if not (whole and 1 <= round(phases) <= _SLOWEST):
-            raise MethodError(
-                f"The position loop's period is a multiple of the controller's, up to {_SLOWEST} times; received "
-                f"{self.position_period or period:g} s beside {period:g} s: correct one of them."
-            )
-        first = math.ceil(self.position_offset / period - _DRIFT)
-        return Diagram(period, round(phases), first % round(phases))
 
     def _feed_forward(self, diagram: Diagram) -> BlockSignal:
         if not self.velocity_feedforward:

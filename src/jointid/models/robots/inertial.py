@@ -88,7 +88,7 @@ def inertial_of(pseudo: FloatArray) -> FloatArray:
     return np.array([pseudo[3, 3], *pseudo[:3, 3], *inertia[_UPPER]])
 
 
-def is_consistent(inertial: FloatArray) -> bool:
+def is_physical(inertial: FloatArray) -> bool:
     """True if a body can have these ten parameters, (10,): its mass is positive, its second moments not negative.
 
     Thin bodies, rods and plates, count; so does a link without any mass.

@@ -388,7 +388,7 @@ class Robot:
         return replace(self, joints=tuple(joint.rigid for joint in self.joints))
 
     def axis_inertia(self, number: int) -> float:
-        """Return the inertia of all links that a joint moves, about its axis, with the joints beyond it at 0.
+        """Return the inertia of all links that a joint moves, about its axis, with the joints after it at 0.
 
         Args:
             number: of the joint, from 0.

@@ -406,7 +406,7 @@ def interval(p: EstimatedParameter) -> str:
     if not p.free:
         return f"{text.number(p.value)} {p.unit} (kept fixed)"
     known = "no interval" if p.deviation is None else f"+- {text.number(2 * p.deviation, 2)}, 2 sigma"
-    return f"{text.number(p.value)} {p.unit} ({known}{'' if p.identifiable else '; not told by the record'})"
+    return f"{text.number(p.value)} {p.unit} ({known}{'' if p.identifiable else '; not determined by the record'})"
 
 
 def friction_left_out(model: JointModel) -> tuple[str, ...]:

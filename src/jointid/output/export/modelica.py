@@ -178,7 +178,7 @@ def _spring_variables(model: JointModel) -> Iterator[str]:
         for word, value, unit in zip(_OF_A_PIECE, piece, units, strict=True):
             yield f'  parameter Real spring_{i}_{word}(unit="{unit}") = {number(value)};'
     if _names_spring(model):
-        yield f'  Real windup(unit="{position}") "of the load beyond the motor";'
+        yield f'  Real windup(unit="{position}") "of the load against the motor";'
         yield f'  Real spring(unit="{force}") "between motor and load";'
     if isinstance(model.spring, HystereticSpring):
         yield f'  Real slider(unit="{force}", start=0, fixed=true) "beside the spring";'

@@ -13,7 +13,7 @@ from jointid.common.errors import MethodError
 from jointid.common.text import join
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import MISFIT, consistent_robot
-from jointid.models.robots.inertial import is_consistent, mass_properties
+from jointid.models.robots.inertial import is_physical, mass_properties
 from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.output.export.joint_model import number
 from jointid.output.export.robots import format_xml, require_timestep
@@ -51,7 +51,7 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
             f"Bodies near those of the model that fit the estimate to {found.misfit:.2g} of its deviations, rms; the "
             f"mass matrix is positive in 1000 random poses, {found.least_inertia:.3g} at the least."
         )
-    impossible = [link.name for link in model.links if not is_consistent(link.inertial)]
+    impossible = [link.name for link in model.links if not is_physical(link.inertial)]
     if impossible:
         raise MethodError(
             f"No body can have the inertial parameters of {', '.join(impossible)}; write the consistent robot of an "

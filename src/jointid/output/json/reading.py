@@ -45,7 +45,7 @@ def read_identified(path: str | Path, system: RobotSystem) -> Estimate: ...
 def read_identified(
     path: str | Path, system: Joint | RobotSystem, loop: ClosedLoop | None = None
 ) -> IdentifiedJoint | Estimate:
-    """Return what was identified, from the JSON file of its estimate: it predicts torques as the estimate does.
+    """Return the identified joint or robot of an estimate's JSON file; it predicts torques as the estimate does.
 
     Args:
         path: what `Estimate.save` or `identify --json` wrote.
@@ -69,7 +69,9 @@ def read_identified(
             f"{path} was identified with {_gear_text(stated)}, and this joint has {_gear_text(declared)}; correct "
             "[transmission], or identify with this joint file first."
         )
-    if own := _parameters_of_records(answer, joint):
+    found, several = answer.get("parameters"), isinstance(answer.get("records"), list)
+    stated = found if several and isinstance(found, dict) else None
+    if own := [p.name for p in joint.parameters if stated is not None and p.name not in stated]:
         raise RecordError(
             f"{path} has {', '.join(own)} of each of its records, so it predicts no torque of another; identify these "
             "records without own."
@@ -124,13 +126,6 @@ def read_covariance(path: str | Path, names: Sequence[str]) -> FloatArray:
     return np.asarray(together * np.outer(std, std))
 
 
-def _parameters_of_records(answer: Json, joint: Joint) -> list[str]:
-    """Return the parameters of the joint that each of several records has by itself."""
-    found, records = answer.get("parameters"), answer.get("records")
-    lacking = isinstance(records, list) and isinstance(found, dict)
-    return [p.name for p in joint.parameters if p.name not in found] if lacking else []  # type: ignore[operator]
-
-
 def _refused_parameters(answer: Json, joint: Joint) -> list[str]:
     """Return the parameters of the joint that an answer has without a value."""
     found = answer.get("parameters")
@@ -159,14 +154,10 @@ def read_choices(path: str | Path) -> dict[str, str]:
         if not isinstance(method, str) or method not in tuple(METHODS):
             raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
         return {"method": method}
-    return {"friction": _friction_of(answer, path)}
-
-
-def _friction_of(answer: Json, path: str | Path) -> str:
     friction = answer.get("friction")
     if not isinstance(friction, str) or friction not in FRICTIONS:
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
-    return friction
+    return {"friction": friction}
 
 
 def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:

@@ -44,7 +44,7 @@ def page(document: Document) -> str:
     headings = [block for block in document.blocks if isinstance(block, Heading) and block.level == 2]
     anchors = _anchors([block.text for block in headings])
     links = dict(zip(map(id, headings), anchors, strict=True))
-    return _environment().get_template("page.html").render(
+    return _load_templates().get_template("page.html").render(
         title=document.title,
         blocks=[block_html(block, links.get(id(block), "")) for block in document.blocks],  # escaped
         contents=list(zip((block.text for block in headings), anchors, strict=True)) if len(headings) >= _FEW else [],
@@ -69,12 +69,12 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
 
 def require_extra(*, plots: bool) -> None:
     """Raise an `ExtraError` if no page, with or without plots, can be written: before anything runs."""
-    _environment()
+    _load_templates()
     if plots:
         script()
 
 
-def _environment() -> Environment:
+def _load_templates() -> Environment:
     jinja2 = extra("jinja2", "report", PURPOSE)
     from markupsafe import Markup
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -22,8 +22,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import interval, join, number, sentence
 from jointid.diagnostics.axis_parameters import AxisParameter, Told
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.faults.fault import FaultTest, Measure
-from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.faults.fault import Measure
 from jointid.diagnostics.report_data import ReportData, Spectra, estimate_spectra
 from jointid.diagnostics.validation import Prediction, Validation, axes_table
 from jointid.estimation.result.estimate import Estimate
@@ -57,11 +56,21 @@ def report_blocks(
         blocks = tuned.to_document().blocks
         blocks = tuple(replace(block, level=3) if isinstance(block, Heading) else block for block in blocks)
         tuning = [Heading("Tuning in full"), *blocks, *picture("tuning")]
+    estimate = given.estimate
+    found: list[Block] = [Heading("Checks in full"), *verdicts_in_full(estimate)]
+    said = "Combinations: sums and differences of both sides, then the singular directions, best known first"
+    known = combinations_table(estimate, said, directions=True)
+    found += [] if known is None else [Heading("Known together"), known]
+    bounds = bounds_table(estimate, "With 95 % confidence, for a mode damped by up to 15 %")
+    if bounds is not None:
+        found += [Heading("Lower bound of the stiffness"), bounds, *picture("bounds")]
+        if given.stiffness_test is not None:
+            found += [Heading("Tests that would show the stiffness", 3), Paragraph(str(given.stiffness_test))]
     return (
         *summary_blocks(given, tuned, design, picture),
         Heading("Appendix"),
         Paragraph("What stands behind the summary: every check, picture and setting, and how to repeat it."),
-        *_checks(given, picture),
+        *found,
         *_section("Residual", picture("residual"), bands_table(given.estimate, "The residual by frequency")),
         *_section("Spectra", picture("spectra"), _modes_table(given)),
         *_section("Frequency response", picture("response")),
@@ -74,21 +83,6 @@ def report_blocks(
         *next_test_in_full(design, picture),
         *_settings(given, repetition),
     )
-
-
-def _checks(given: ReportData, picture: Callable[[str], list[Block]]) -> list[Block]:
-    """Return the checks in full, sums and differences, and the bounds of a refused stiffness."""
-    estimate = given.estimate
-    found: list[Block] = [Heading("Checks in full"), *verdicts_in_full(estimate)]
-    said = "Combinations: sums and differences of both sides, then the singular directions, best known first"
-    known = combinations_table(estimate, said, directions=True)
-    found += [] if known is None else [Heading("Known together"), known]
-    bounds = bounds_table(estimate, "With 95 % confidence, for a mode damped by up to 15 %")
-    if bounds is not None:
-        found += [Heading("Lower bound of the stiffness"), bounds, *picture("bounds")]
-        if given.stiffness_test is not None:
-            found += [Heading("Tests that would show the stiffness", 3), Paragraph(str(given.stiffness_test))]
-    return found
 
 
 def _section(title: str, shown: list[Block], *more: Table | None) -> list[Block]:
@@ -208,23 +202,18 @@ def _suspects_table(given: ReportData) -> Table | None:
         )
     rows = []
     for test in given.faults.tests:
-        scale, unit = _scale(test, given.faults)
+        of_declared = (100.0 / abs(test.declared), "%") if test.declared else (1.0, "")
+        scale, unit = {
+            Measure.TIME: (1e3, "ms"),
+            Measure.TORQUE: (1.0, given.faults.units["torque"]),
+            Measure.SHARE: (100.0, "%"),
+            Measure.DECLARED: of_declared,
+        }[test.fault.measure]
         found = "named above" if test.name in named else "likely" if test.p_value <= given.faults.level else "nothing"
         size = f"{scale * test.size:+.3g} ± {number(2 * scale * test.std, 2)}"
         rows.append((test.title, size, unit, p_value(test.p_value), found))
     header = ("suspect", "more than declared", "unit", "p", "found")
     return Table(header, tuple(rows), caption, words=(0, 2, 4))
-
-
-def _scale(test: FaultTest, check: AxisFaults) -> tuple[float, str]:
-    """Return the factor and the unit in which the size of a fault is read."""
-    of_declared = (100.0 / abs(test.declared), "%") if test.declared else (1.0, "")
-    return {
-        Measure.TIME: (1e3, "ms"),
-        Measure.TORQUE: (1.0, check.units["torque"]),
-        Measure.SHARE: (100.0, "%"),
-        Measure.DECLARED: of_declared,
-    }[test.fault.measure]
 
 
 def _channels_table(given: ReportData) -> Table:
@@ -341,7 +330,7 @@ def _parameters(found: Diagnosis) -> Iterator[Block]:
     """Yield a table of each joint's parameters."""
     stated = sum(one.known is Told.TOLD for joint in found.axes for one in joint.parameters)
     whole = sum(len(joint.asked) for joint in found.axes)
-    yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
+    yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. Do not use values that are not significant.")
     header = ("symbol", "parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
     for joint in found.axes:
         if joint.parameters:

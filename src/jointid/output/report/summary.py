@@ -39,7 +39,14 @@ def summary_blocks(
     answer = estimate.answer
     yield Heading("Result")
     yield Paragraph(str(answer), lead=True, tone=_TONES[Trust(answer.trust.code)])
-    yield Paragraph(_source(estimate))
+    data, settings = estimate.data, estimate.settings
+    channels = join([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
+    title = method_of(settings.method).title
+    gear = settings.joint.transmission
+    side = "" if gear is None else f" The transmission is {gear}."
+    yield Paragraph(
+        f"{settings.joint.model.capitalize()} joint, identified by {title} from {channels} of {data.record}.{side}"
+    )
     yield from map(Paragraph, _results(estimate))
     yield Heading("Parameters")
     yield parameters_table(estimate, initial=False, letters=True)
@@ -71,16 +78,6 @@ def next_test_in_full(design: Design | None, picture: Callable[[str], list[Block
         return ()
     tables = (block for block in design.to_document().blocks if not isinstance(block, Paragraph))
     return (Heading("The next test in full"), *[*tables][1:], *picture("test"))
-
-
-def _source(estimate: Estimate) -> str:
-    """Return the model, the method, the channels and the side of the values."""
-    data, settings = estimate.data, estimate.settings
-    channels = join([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
-    title = method_of(settings.method).title
-    gear = settings.joint.transmission
-    side = "" if gear is None else f" The transmission is {gear}."
-    return f"{settings.joint.model.capitalize()} joint, identified by {title} from {channels} of {data.record}.{side}"
 
 
 def _results(estimate: Estimate) -> Iterator[str]:
@@ -146,6 +143,6 @@ def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
             rows.append((v.subject.question, v.good, reasons))
         yield Verdicts(tuple(rows))
     else:
-        yield Paragraph("This method has no checks beyond the fit.")
+        yield Paragraph("This method has no checks but the fit.")
     if estimate.checks.tests:
         yield Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.checks.tests))

@@ -22,7 +22,7 @@ from jointid.records.formats.reader_process import MEMORY, read_apart, read_bloc
 from jointid.records.formats.rosbag import RosBag
 from jointid.records.formats.table import Block, Format, Holds, NotStreamedError, Streamed, Table, format_size
 from jointid.records.formats.tdms import Tdms
-from jointid.records.formats.text import is_packed
+from jointid.records.formats.text import is_gzip
 
 __all__ = [
     "FORMATS", "Block", "Csv", "Format", "Hdf5", "Holds", "Json", "Matlab", "Npy", "Npz", "Parquet", "RosBag",
@@ -45,7 +45,7 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     """
     is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
-    packed = is_packed(path) and not is_folder
+    packed = is_gzip(path) and not is_folder
     suffix = path.suffixes[-2] if packed and len(path.suffixes) > 1 else path.suffix
     for entry in FORMATS:
         if suffix.lower() in entry.suffixes and not is_folder and (not packed or isinstance(entry, _TEXTS)):
@@ -109,7 +109,7 @@ def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> I
     """Yield tables of `rows` rows, or one table without `read_blocks` support."""
     try:
         # All rows of a text determine its dialect if they fit into memory.
-        is_text = isinstance(format_of(path), Csv) and Path(path).is_file() and not is_packed(Path(path))
+        is_text = isinstance(format_of(path), Csv) and Path(path).is_file() and not is_gzip(Path(path))
         is_short_text = is_text and Path(path).stat().st_size < _LONG
         blocks = iter(()) if is_short_text else read_blocks(path, rows, **options)
         first = next(blocks, None)
@@ -127,7 +127,7 @@ def _is_harmless(reader: Format, path: Path) -> bool:
 
     Rows of NumPy files are at known offsets; short text takes a few hundred times its bytes.
     """
-    is_short = path.stat().st_size <= _SHORT and not is_packed(path)
+    is_short = path.stat().st_size <= _SHORT and not is_gzip(path)
     return isinstance(reader, Npy) or (isinstance(reader, Csv) and is_short)
 
 
@@ -169,7 +169,7 @@ def write_table(path: str | os.PathLike[str], table: Table, **options: object) -
     """
     path = Path(path)
     writer = format_of(path, **options)
-    if is_packed(path):
+    if is_gzip(path):
         raise RecordError(f"{path.name} would be packed by gzip, which is not written; write {path.stem}, and pack it.")
     if isinstance(writer, RosBag) and not path.suffix and path.exists():
         raise RecordError(f"{path} is already there, and a bag is not written over; name another folder.")

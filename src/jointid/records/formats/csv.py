@@ -43,8 +43,8 @@ from jointid.records.formats.text import (
     TextFile,
     build_text,
     exceeds,
-    is_comment,
     is_number,
+    is_remark,
     kinds_of,
     point_rows,
     read_lines,
@@ -91,16 +91,16 @@ class Layout:
         """Parse the first `count` lines, which may include the end of the file."""
         rows = [self.open_row(row) for row in lines[:count]] if self.closed else lines[:count]
         if self.numbers is not None:
-            return self._read_mixed(rows, ends)
+            return self._read_cells(rows, ends)
         mark = None if self.dialect.delimiter == BLANKS else self.dialect.delimiter
         try:
             plain = point_rows(rows, self.dialect.decimal)
             values = np.loadtxt(plain, dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
         except (ValueError, TypeError):  # quotes, an empty cell or a fault: only the slow way can tell
-            return self._read_mixed(rows, ends)
+            return self._read_cells(rows, ends)
         return Table(dict(zip(self.names, values.T, strict=True)), source=self.file, passed=self.passed)
 
-    def _read_mixed(self, rows: Sequence[Line], ends: bool) -> Table:
+    def _read_cells(self, rows: Sequence[Line], ends: bool) -> Table:
         """Parse cell by cell."""
         numbers = range(len(self.names)) if self.numbers is None else self.numbers
         values, instants = np.empty((len(rows), len(numbers))), {place: list[str]() for place in self.stamps}
@@ -255,7 +255,7 @@ class Csv:
                 "convert it to NPY."
             )
         layout = self._layout(text)
-        found = chain(text.lines[layout.start :], (line for line in lines if not is_comment(line.text)))
+        found = chain(text.lines[layout.start :], (line for line in lines if not is_remark(line.text)))
         block = list(islice(found, rows))
         while block:
             following = list(islice(found, rows))
@@ -425,7 +425,7 @@ def _write_header(table: Table, delimiter: str) -> list[str]:
     names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
     if not any(names):
         return []
-    special = [is_comment(name) or any(mark in name for mark in f',;|"\t{delimiter}') for name in names]
+    special = [is_remark(name) or any(mark in name for mark in f',;|"\t{delimiter}') for name in names]
     line = delimiter.join(
         f'"{n.replace(chr(34), chr(34) * 2)}"' if s else n for n, s in zip(names, special, strict=True)
     )

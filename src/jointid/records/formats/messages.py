@@ -246,12 +246,12 @@ def message_types(name: str, text: str) -> dict[str, Definition]:
         definition = own.get(kind) or FIELDDEFS.get(kind)
         if definition is None or kind in found:
             continue
-        found[kind] = tuple(_parse_field(key, *described) for key, described in definition[1])
+        found[kind] = tuple(_parse_member(key, *described) for key, described in definition[1])
         wanted += [field.type for field in found[kind] if "/" in field.type]
     return found
 
 
-def _parse_field(name: str, shape: Any, described: Any) -> Field:
+def _parse_member(name: str, shape: Any, described: Any) -> Field:
     if shape.name in ("BASE", "NAME"):
         return Field(described[0] if shape.name == "BASE" else described, name, None)
     (_, inner), length = described

@@ -182,21 +182,12 @@ def read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what Python's parser says of a damaged header on the side
-        return _read_header(file)
-
-
-def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read shape, column-major flag and element type.
-
-    Raises:
-        ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError: invalid header.
-    """
-    version = np.lib.format.read_magic(file)
-    if version not in _VERSIONS:
-        raise ValueError(f"its version is {version[0]}.{version[1]}")
-    if version == (1, 0):
-        return np.lib.format.read_array_header_1_0(file, _HEADER)
-    shape, by_column, dtype = np.lib.format.read_array_header_2_0(file, _HEADER)
-    if version == (3, 0) and dtype.names:  # as 2.0, but for names in UTF-8
-        dtype.names = tuple(name.encode("latin-1").decode() for name in dtype.names)
-    return shape, by_column, dtype
+        version = np.lib.format.read_magic(file)
+        if version not in _VERSIONS:
+            raise ValueError(f"its version is {version[0]}.{version[1]}")
+        if version == (1, 0):
+            return np.lib.format.read_array_header_1_0(file, _HEADER)
+        shape, by_column, dtype = np.lib.format.read_array_header_2_0(file, _HEADER)
+        if version == (3, 0) and dtype.names:  # as 2.0, but for names in UTF-8
+            dtype.names = tuple(name.encode("latin-1").decode() for name in dtype.names)
+        return shape, by_column, dtype

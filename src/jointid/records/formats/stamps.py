@@ -55,9 +55,9 @@ class Stamps:
 
     @classmethod
     def of(cls, cells: Sequence[str]) -> Stamps:
-        """Return the column that begins with these cells, of which one is filled.
+        """Return the column that begins with these cells; at least one is filled.
 
-        A day and a month are told apart by the shorter time that the record then takes.
+        Day and month are in the order that gives the record the shorter duration.
 
         Raises:
             ValueError: a cell is no instant.
@@ -85,10 +85,10 @@ class Stamps:
         counts = self._counts(cells)
         return np.array([np.nan if count is None else (count - self.origin) / _SECOND for count in counts])
 
-    def after(self, cell: str, begun: float) -> Stamps:
-        """Return the column for rows that begin with this cell, no earlier than `begun` [s]."""
+    def after(self, cell: str, start: float) -> Stamps:
+        """Return the column for rows from this cell on, no earlier than `start` [s]."""
         count = _count(cell, self.day_first) - self.origin
-        late = round(begun * _SECOND) - count
+        late = round(start * _SECOND) - count
         periods = -(-late // self.period) if self.period and late > 0 else 0
         return replace(self, origin=self.origin - periods * self.period)
 

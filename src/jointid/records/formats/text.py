@@ -64,24 +64,24 @@ class TextFile:
         return self.lines[index - 1] if index else self.comment
 
 
-def is_packed(path: Path) -> bool:
+def is_gzip(path: Path) -> bool:
     """Test for a text packed by gzip."""
     return path.suffix.lower() == ".gz"
 
 
 def open_text(path: Path) -> IO[bytes]:
     """Open the bytes of a text, unpacked."""
-    return gzip.open(path) if is_packed(path) else path.open("rb")  # type: ignore[return-value]
+    return gzip.open(path) if is_gzip(path) else path.open("rb")  # type: ignore[return-value]
 
 
-def is_comment(text: str) -> bool:
+def is_remark(text: str) -> bool:
     """Test for a comment."""
     return text.lstrip().startswith((*_COMMENTS, _SPREADSHEET))
 
 
 def exceeds(path: Path, size: int) -> bool:
     """Test for a text of more than `size` bytes, unpacked."""
-    if not is_packed(path):
+    if not is_gzip(path):
         return path.stat().st_size > size
     with _explain_packing(path), open_text(path) as file:
         left = size
@@ -133,7 +133,7 @@ def _explain_packing(path: Path) -> Iterator[None]:
 
 def build_text(name: str, filled: list[Line]) -> TextFile:
     """Build a text from non-empty lines."""
-    lines = [line for line in filled if not is_comment(line.text)]
+    lines = [line for line in filled if not is_remark(line.text)]
     above = [line for line in filled if not lines or line.number < lines[0].number][-1:]
     comments = [Line(n, line.lstrip(" \t#%/")) for n, line in above if not line.startswith(_SPREADSHEET)]
     return TextFile(name, lines, comments[0] if comments else None)
@@ -277,7 +277,7 @@ def sniff(lines: Sequence[str], delimiter: str | None, decimal: str | None) -> l
         fits.extend(Fit(dialect, rows, width) for width, rows in widths.most_common(1))
     best = _prefer_blanks(fits, max(fits, key=lambda fit: (fit.rows, fit.width > 1), default=None))
     if best is None or 2 * best.rows < len(lines[-_SAMPLE:]):
-        mixed = [fit for dialect in dialects for fit in _fit_mixed(lines[-_SAMPLE:], dialect)]
+        mixed = [fit for dialect in dialects for fit in _fit_cells(lines[-_SAMPLE:], dialect)]
         chosen = _prefer_blanks(mixed, max(mixed, key=_count_read, default=None))
         if chosen is not None and (best is None or chosen.rows > 2 * best.rows):
             return [chosen]
@@ -305,7 +305,7 @@ def _count_read(fit: Fit) -> int:
     return fit.rows * sum(kind in (Kind.NUMBER, Kind.STAMP) for kind in fit.kinds or ())
 
 
-def _fit_mixed(lines: Sequence[str], dialect: Dialect) -> Iterator[Fit]:
+def _fit_cells(lines: Sequence[str], dialect: Dialect) -> Iterator[Fit]:
     """Yield the fit of rows that also hold instants or words."""
     if dialect.delimiter == dialect.decimal or not lines:
         return

@@ -330,7 +330,7 @@ def _window_weights(parts: int, late: float, order: int) -> tuple[FloatArray, in
     return np.diff(before), first
 
 
-def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0) -> FloatArray:
+def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *, curved: bool = False) -> FloatArray:
     """Apply the window of `window_torque` to signals that are constant over parts.
 
     Args:
@@ -338,16 +338,20 @@ def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0) -
         parts: per sample.
         late: lag in samples, not necessarily whole or positive.
         order: of the derivative by `late`, 0 to 2.
+        curved: whether to put back what a mean over each part takes from a curved signal.
 
     Returns:
-        The signals, or their derivatives, (samples, columns); exact, and smooth in `late`.
+        The signals, or their derivatives, (samples, columns), each contiguous; exact, and smooth in `late`.
     """
     weights, first = _window_weights(parts, late, order)
-    last = first + weights.size
-    size, before = len(columns) // parts + 1, max(-first, 0)
-    padded = np.pad(columns, ((before, max(last, 0)), (0, 0)), mode="edge")
-    seen = np.zeros((size, columns.shape[1]))
-    for cell, weight in zip(range(first, last), weights, strict=True):
-        begin = cell + before
-        seen += weight * padded[begin : begin + (size - 1) * parts + 1 : parts]
-    return seen
+    if curved:
+        weights, first = np.convolve(weights, (-1 / 12, 7 / 6, -1 / 12)), first - 1
+    cells, before, behind = len(columns), max(-first, 0), max(first + weights.size, 0)
+    padded = np.empty((columns.shape[1], before + cells + behind))
+    padded[:, before : before + cells] = columns.T
+    padded[:, :before], padded[:, before + cells :] = columns[:1].T, columns[-1:].T
+    seen = np.empty((columns.shape[1], cells // parts + 1))
+    for row, out in zip(padded[:, first + before :], seen, strict=True):
+        each = (np.correlate(row[k::parts], weights[k::parts], "valid")[: out.size] for k in range(parts))
+        out[:] = sum(each)
+    return seen.T

@@ -1,0 +1,39 @@
+"""The remedy of every fault names commands and laws that exist."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from jointid.apps.cli.app import app
+from jointid.diagnostics.faults.fault import Fault, FaultTest
+from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
+from jointid.diagnostics.faults.registry import FAULTS
+from jointid.models.controllers import PD
+from jointid.models.friction import FRICTIONS
+from jointid.models.springs import SPRINGS
+
+GROUPS = ("diagnose", "data", "campaign")
+LAWS = (*SPRINGS, *FRICTIONS)
+UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
+
+
+def told(fault: Fault, *, of_loop: bool) -> str:
+    """Return the sentence on a fault of a joint that can have every law."""
+    test = FaultTest(fault, (), 1.0, 0.1, 0.01, 10.0, 1e-9, 0.5)
+    law = OtherLaw((fault,), "the drive runs another law", "that law", PD(position_gain=1.0, derivative_gain=1.0))
+    finding = Finding(test, 1.1, (), {}, law)
+    return " ".join(AxisFaults((finding,), (test,), 0.05, {}, UNITS, laws=LAWS, of_loop=of_loop).sentences)
+
+
+@pytest.mark.parametrize("of_loop", [True, False])
+@pytest.mark.parametrize("fault", [one for one in FAULTS if one.describe], ids=str)
+def test_commands_and_laws_of_a_remedy_are_those_of_the_program(fault: Fault, of_loop: bool) -> None:
+    said = told(fault, of_loop=of_loop) + fault.doubt
+    for command, question in re.findall(r"jointid ([a-z-]+)(?: ([a-z-]+))?", said):
+        words = [command, question] if command in GROUPS else [command]
+        assert list(app.parse_commands(words)[0]) == words
+        app.parse_args([*words, "joint.toml"], exit_on_error=False, print_error=False)
+    for law in re.findall(r'(?:spring|friction) = "([\w-]+)"', said):
+        assert law in LAWS
