@@ -155,7 +155,8 @@ def test_idim_gives_a_robot_without_springs_the_friction_of_both_sides() -> None
 
 
 def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:
-    estimate = identified(ARM, records_of(ARM, 4, noise=15.0))
+    robot = arm(3)
+    estimate = identified(robot, records_of(robot, 4, noise=15.0))
     part = estimate.require_robot()
     spoilt = replace(estimate, robot=replace(part, values=part.values - 3 * part.covariance.std))
     found = consistent_robot(spoilt)
@@ -168,8 +169,9 @@ def test_the_least_inertia_sees_a_matrix_that_is_not_positive() -> None:
 
 
 def test_a_prior_without_masses_is_refused() -> None:
-    estimate = identified(ARM, records_of(ARM, 2))
-    bare = replace(ARM, links=(replace(ARM.links[0], inertial=np.zeros(10)), *ARM.links[1:]))
+    robot = arm(3)
+    estimate = identified(robot, records_of(robot, 2))
+    bare = replace(robot, links=(replace(robot.links[0], inertial=np.zeros(10)), *robot.links[1:]))
     with pytest.raises(MethodError, match="no mass of link1; expected one on every link"):
         consistent_robot(estimate, bare)
 
