@@ -1,4 +1,4 @@
-"""Diagnosis of an estimate, axis by axis: what its record tells, and whether its loops and models are as declared.
+"""Diagnosis of an estimate, axis by axis: what its record determines, and whether its loops and models are as declared.
 
 Of each axis: the part of its torque that the estimate leaves, whether that is noise, and what it correlates with; the
 parameters that the record tells; the controller's torque along the logged motor position; and the faults that were
@@ -289,8 +289,8 @@ class Diagnosis(Documented):
                 unknown.append(f"{one.name and f'of {one.name} '}{', '.join(names[:_MOST_NAMES])}{more}")
         if unknown:
             found.append(
-                f"The record does not tell from 0: {'; '.join(unknown)}. On motions like this one 0 does as well; for "
-                "others move more: jointid design plans a motion that tells them."
+                f"These parameters are not significant: {'; '.join(unknown)}. On motions like this one, 0 predicts as "
+                "well. Other motions need them: jointid design plans one that determines them."
             )
         return tuple(found)
 
@@ -341,14 +341,14 @@ class Diagnosis(Documented):
         elif coloured:
             every = "the" if alone else "every joint's"
             first = (
-                f"The model leaves little of {every} torque, but what it leaves{self._of(coloured)} is no white noise."
+                f"The model leaves little of {every} torque, but its residual{self._of(coloured)} is not white."
                 if all(one.left < _LEFT for one in self.axes if one.coloured)
-                else "What the model leaves of the torque is no white noise, but does not repeat with the motion."
+                else "The residual of the torque is not white, but does not repeat with the motion."
             )
         count = sum(len(one.asked) for one in self.axes)
         stated = sum(len(one.names(Told.TOLD)) for one in self.axes)
         return " ".join(
-            filter(None, (first, *self._loops(), f"The record tells {stated} of {count} parameters to a tenth."))
+            filter(None, (first, *self._loops(), f"The record determines {stated} of {count} parameters within 10 %."))
         )
 
     def _loops(self) -> Iterator[str]:
@@ -382,7 +382,7 @@ class Diagnosis(Documented):
         if any(one.law for one in self.axes):
             header = (*header, "controller leaves, %", "any law, %")
         rows = tuple(_row(one)[: len(header)] for one in self.axes)
-        caption = "left of each joint's filtered torque, and parameters by how well the record tells them"
+        caption = "residual of each joint's filtered torque, and how many parameters the record determines"
         motion = tuple(
             (
                 one.name or "joint",
@@ -405,7 +405,7 @@ class Diagnosis(Documented):
                 f"{one.subject}{', '.join(one.names(Told.NOT))}" for one in self.axes if one.names(Told.NOT)
             )
             blocks += [Heading("Not significant"), Listing(unknown)] if unknown else []
-        return Document(f"{self.name}: what the record tells of {pluralise(len(self.axes), 'joint')}", tuple(blocks))
+        return Document(f"{self.name}: diagnosis of {pluralise(len(self.axes), 'joint')}", tuple(blocks))
 
     def _tests(self, details: bool) -> tuple[Table, ...]:
         """Return the table of the tests, or of the significant ones where there are many."""
