@@ -28,7 +28,7 @@ from jointid.estimation.result.assemble import FitResult
 from jointid.records.record import Record, Timing
 
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
-_FLAT = 1e-6  # of the costs: less is rounding, and the record does not tell the readings apart
+_FLAT = 1e-6  # cost: less is taken for rounding, and the record does not tell the readings apart
 _CONTRADICTED = 1.5  # times two deviations: a stated timing that is farther from the minimum than halfway to another
 _WITH_LOG_DELAY = ("drive_side", "open_loop")
 _DELAY_SAID = (
@@ -57,7 +57,7 @@ def read_timing(answer: Mapping[str, Any]) -> Timing | None:
 
 
 def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:
-    """Return the fit as held or sampled, whichever leaves less, with covering intervals.
+    """Return the fit by the timing, held or sampled, nearer the minimum.
 
     A fit that cannot be compared with another reading says so. A stated timing is kept.
 
