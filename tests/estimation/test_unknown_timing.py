@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.estimation.identify_record import identify_record
+from jointid.estimation.unknown_timing import fit_unstated_timing
 from studies.unknown_timing import ARM, TRUE, logged
 from tests.robots_plants import two
 
@@ -109,3 +111,47 @@ def test_held_and_sampled_are_one_to_didim(robot):
         assert not any("held or sampled" in one for one in found.checks.warnings)
         values.append([row.value for row in found.params.rows])
     assert values[0] == values[1]
+
+
+def _sine() -> ji.Record:
+    """Return a rigid axis with negligible Coulomb friction on one sine, its torque sampled."""
+    w, period = 2 * np.pi, 0.02
+    t, rng = period * np.arange(1000), np.random.default_rng(3)
+    torque = -TRUE["inertia"] * w**2 * np.sin(w * t) + TRUE["viscous"] * w * np.cos(w * t)
+    torque = torque + 0.01 * rng.standard_normal(len(t))
+    return ji.Record(
+        torque=ji.Channel(torque, "N m", period, "held", stated=False),
+        motor_position=ji.Channel(np.sin(w * t), "rad", period),
+    )
+
+
+def test_one_sine_covers_both_readings_and_says_so():
+    found = ji.identify(_sine(), ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
+    half = 0.01 * TRUE["inertia"] * (2 * np.pi) ** 2  # half a sample moves Fv by that
+    assert any("held or sampled" in one for one in found.checks.warnings)
+    assert abs(found["viscous"].value - TRUE["viscous"]) <= 2 * found["viscous"].stderr
+    assert 0.3 * half < found["viscous"].stderr < 3 * half
+
+
+def test_intervals_are_not_wider_than_the_timing_asks():
+    """A record that tells the timing well widens little."""
+    record = logged(200.0, False, 1, noise=0.002)[0]
+    stated = replace(record, torque=replace(record.torque, timing="sampled", stated=True))
+    free, told = (ji.identify(one, ji.RigidJoint("revolute"), ji.IDIM(), checks=False) for one in (record, stated))
+    for name in TRUE:
+        assert told[name].stderr <= free[name].stderr < 5 * told[name].stderr, name
+
+
+@pytest.mark.parametrize("fails", ["averaged", "sampled"])
+def test_a_reading_that_cannot_be_fitted_is_said(fails):
+    record, joint = logged(50.0, True, 1)[0], ji.RigidJoint("revolute")
+    stated = replace(record, torque=replace(record.torque, stated=True))
+
+    def fit(records):
+        if records[0].torque.timing == fails:
+            raise ji.JointidError("nothing is determined")
+        return identify_record(records[0], joint, ji.IDIM())
+
+    found, told = fit_unstated_timing([record], fit), fit([stated])
+    assert "the other reading is as possible" in found.checks.warnings[0]
+    assert (found.params["viscous"].stderr > 1.05 * told.params["viscous"].stderr) == (fails == "averaged")

@@ -15,6 +15,7 @@ and nothing else. So it is estimated, also where it was given, and its own inter
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -27,6 +28,7 @@ from jointid.estimation.result.assemble import FitResult
 from jointid.records.record import Record, Timing
 
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
+_FLAT = 1e-6  # cost: less is taken for rounding, and the record does not tell the readings apart
 _CONTRADICTED = 1.5  # times two deviations: a stated timing that is farther from the minimum than halfway to another
 _WITH_LOG_DELAY = ("drive_side", "open_loop")
 _DELAY_SAID = (
@@ -55,7 +57,9 @@ def read_timing(answer: Mapping[str, Any]) -> Timing | None:
 
 
 def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:
-    """Return the fit by the torque's timing with the smaller residual; intervals cover the other as needed.
+    """Return the fit by the timing, held or sampled, nearer the minimum.
+
+    A fit that cannot be compared with another reading says so. A stated timing is kept.
 
     Args:
         records: of one log, or of the joints of a robot.
@@ -67,35 +71,41 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
     first = fit(records)
     if first.settings.method in _WITH_LOG_DELAY and not stated:
         return _widen(first, {LOG_DELAY.name: 0.25 * first.data.sample_time}, _DELAY_SAID)  # half in two deviations
-    if (
-        first.settings.method != "idim" or len(read) != 1 or (stated and first.fit.simulations)
-    ):  # instruments are simulated, minutes for a robot
-        return first
-    own = read.pop()
+    if first.settings.method != "idim" or (stated and (len(read) != 1 or first.fit.simulations)):
+        return first  # instruments are simulated, minutes for a robot
+    own, fits = min(read, key=_READINGS.index), dict[Timing, FitResult]()
+    for timing in _READINGS if len(read) == 1 else ():
+        with suppress(JointidError):  # another reading determines nothing
+            fits[timing] = first if timing is own else fit(read_as(records, timing, stated))
+    if not fits.keys() >= {Timing.HELD, Timing.SAMPLED}:
+        said = (
+            f"nobody stated whether the torque is held or sampled: it is read as {' and '.join(sorted(read))}; the "
+            "other reading is as possible, and the intervals do not cover it; state timing of its channel"
+        )
+        return first if stated else _widen(first, {}, said)
 
-    try:
-        fits = [first if timing is own else fit(read_as(records, timing, stated)) for timing in _READINGS]
-    except JointidError:  # another reading determines nothing
-        return first
-    left = np.array([[*one.fit.axis_errors.values()] or [one.fit.filtered_error] for one in fits]) ** 2
+    left = np.array([[*one.fit.axis_errors.values()] or [one.fit.filtered_error] for one in fits.values()]) ** 2
     # Of each equation in units of the least variance that a reading leaves: a sum of as many squares as it has rows.
     costs = np.sum(left / np.maximum(left.min(axis=0), 1e-24), axis=1) * (first.fit.rows / left.shape[1])
-    curve = costs[0] - 2 * costs[1] + costs[2]
-    if not (np.all(np.isfinite(costs)) and curve > 0):
-        return first
-    best = float(np.clip(1.0 - 0.5 * (costs[2] - costs[0]) / curve, -1.0, 2.0))
-    spread = 2 * _CORRELATED / float(np.sqrt(curve))
-    where = (
-        f"the record puts it {number(0.5 * best, 2)} +- {number(0.5 * spread, 2)} samples before held (sampled is 0.5, "
-        "averaged 1)"
-    )
+    curve = float(costs[0] - 2 * costs[1] + costs[2]) if len(costs) == len(_READINGS) else 0.0
+    if np.isfinite(curve) and curve > _FLAT:
+        best = float(np.clip(1.0 - 0.5 * (costs[2] - costs[0]) / curve, -1.0, 2.0))
+        spread = 2 * _CORRELATED * float(np.sqrt(2 / curve))  # the cost rises by 1 within sqrt(2 / curve)
+        at = int(abs(best - 1.0) < abs(best))
+        where = (
+            f"the record puts it {number(0.5 * best, 2)} +- {number(0.5 * spread, 2)} samples before held (sampled is "
+            "0.5, averaged 1)"
+        )
+    else:
+        at = int(costs[0] - costs[1] > _FLAT)
+        best, spread, where = float(at), np.inf, "the other reading is as possible"
     if stated:
         said = f"the torque is stated as {own}, and {where}; check timing of its channel, and the delay"
         agrees = abs(best - _READINGS.index(own)) <= 0.5 + _CONTRADICTED * spread
         return first if agrees else _widen(first, {}, said)
-    at = int(abs(best - 1.0) < abs(best))
     away = abs(best - at) + min(spread, 1.0)
-    chosen, (held, sampled) = fits[at], ({row.name: row for row in one.params.rows} for one in fits[:2])
+    both = [fits[timing] for timing in _READINGS[:2]]
+    chosen, (held, sampled) = both[at], ({row.name: row for row in one.params.rows} for one in both)
 
     by = {name: 0.5 * away * abs((sampled[name].value or 0.0) - (row.value or 0.0)) for name, row in held.items()}
     said = (
