@@ -233,7 +233,7 @@ def test_an_interrupt_keeps_the_best_law_so_far(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True)
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
     said, fits = list[str](), 0
     trim = search._trim
 

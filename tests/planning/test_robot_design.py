@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,15 +15,25 @@ from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.planning import search as search_module
 from jointid.planning.design import design
 from jointid.planning.designed import Design
 from jointid.planning.robot_motions import Motions, complete
 from jointid.planning.robot_tests import _modes, first_record
+from jointid.planning.search import search
 from jointid.records.record import Channel, Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.twin import by_idim, identified
 from tests.robots_plants import inertial, two
+
+
+@pytest.fixture(autouse=True)
+def count_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let fifty trials take a second: as many on a slow machine as on a fast one."""
+    ticks = itertools.count()
+    monkeypatch.setattr(search_module, "search", partial(search, clock=lambda: 0.01 * next(ticks)))
+
 
 LIMITS = (
     AxisLimits(lower=-0.8, upper=1.2, speed=1.5, acceleration=6.0, torque=60.0),
@@ -147,7 +159,7 @@ def test_springs_are_told_by_what_is_added_about_their_modes() -> None:
     twin = two((9.0, 16.0))
     limits = tuple(replace(one, acceleration=None, torque=None) for one in LIMITS)
     asked = {"duration": 5.0, "sample_time": 1e-3, "loop": twin.loop(), "noise": (0.1, 0.05)}
-    found = design(twin.robot, limits=limits, search_time=1.0, **asked)  # type: ignore[arg-type]
+    found = design(twin.robot, limits=limits, search_time=6.0, **asked)  # type: ignore[arg-type]
     assert set(found.modes) == {"joint1 mode", "joint2 mode"}
     own = relative(found)
     assert own["joint1.stiffness"] < 0.01 and own["joint2.stiffness"] < 0.01

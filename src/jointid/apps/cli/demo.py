@@ -85,8 +85,8 @@ def _show_robot(folder: Path, seed: int, options: Options) -> None:
     with _fresh(folder, texts, _ANSWER):
         file = load(folder / "robot.toml")
         assert isinstance(file, RobotFile)
-    options.progress("simulating 8 s of a robot of two joints, with 2 % of noise on each torque")
-    robot, records = _simulate_robot(file.loop, seed)
+        options.progress("simulating 8 s of a robot of two joints, with 2 % of noise on each torque")
+        robot, records = _simulate_robot(file.loop, seed)
     file.write(records, folder / "record.csv")
     options.progress("identifying it from motor torques and references alone")
     estimate = _identify(folder, "robot.toml", options)
@@ -190,7 +190,7 @@ def make_fleet(
 
 @contextmanager
 def _fresh(folder: Path, texts: Mapping[str, str], others: Sequence[str]) -> Iterator[None]:
-    """Make a folder, write the demo's texts into it, and take it away again if nothing stays there.
+    """Make a folder with the demo's texts, and remove what was made if what follows ends by an exception.
 
     Raises:
         RecordError: it holds files of others by the names that the demo writes.
@@ -205,7 +205,12 @@ def _fresh(folder: Path, texts: Mapping[str, str], others: Sequence[str]) -> Ite
             )
         for name, text in texts.items():
             write_whole(folder / name, text)
-        yield
+        try:
+            yield
+        except BaseException:
+            for name in () if own else texts:
+                (folder / name).unlink()
+            raise
 
 
 def _identify(folder: Path, name: str, options: Options) -> Estimate:
