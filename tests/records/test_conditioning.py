@@ -353,7 +353,7 @@ def test_a_cut_follows_the_clock_of_the_profile_or_is_refused(tmp_path: Path) ->
     names = "timestamp,actual_q_0"
     np.savetxt(path, np.column_stack([t, np.sin(t)]), delimiter=",", header=names, comments="")
     drive = Drive("ur-rtde", axis=1)
-    record = read(path, {}, drive, start=0.5, stop=1.5)
+    record = read(path, drive=drive, start=0.5, stop=1.5)
     assert record.motor_position is not None
     assert len(record.motor_position) == 501
     with pytest.raises(RecordError, match="no time column was found; name it as time"):
