@@ -115,7 +115,7 @@ def design(
     if isinstance(model, ClosedLoop) or (isinstance(model, Estimate) and model.robot is None):
         if any(isinstance(one, Sequence) for one in (record, limits, motion)) or not isinstance(noise, Noise | None):
             raise MethodError("The test of a joint has one record, AxisLimits, one motion and a Noise; give each so.")
-        _refuse_unread("joint", loop=loop is not None, feed_forward=feed_forward != "none")
+        _refuse_unread("joint", loop=isinstance(loop, RobotLoop), feed_forward=feed_forward != "none")
         present = record if isinstance(record, Record) else None
         known: dict[str, Any] = {
             "values": values,
