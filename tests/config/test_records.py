@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -132,6 +133,8 @@ def test_several_records(run: Path) -> None:
     assert file.each([folder / "b.csv", run])[1].source.file == str(run)
     with pytest.raises(JointFileError, match="lists 2 records and 1 are named"):
         file.each([run])
+    joined = replace(first, source=replace(first.source, files=("q.csv", "tau.csv"), offsets=(0.0, 1.0)))
+    assert joined.each()[0].source.files == joined.each()[0].source.offsets == ()  # a named record takes their place
     unlisted = saved(folder, SMALLEST)
     assert [one.source.file for one in unlisted.each([run, folder / "b.csv"])] == [str(run), str(folder / "b.csv")]
 

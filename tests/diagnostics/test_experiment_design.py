@@ -18,6 +18,7 @@ from jointid.diagnostics.experiment_design import (
     design_stiffness_test,
     rebuild_declared_problem,
 )
+from jointid.diagnostics.intervals import weights_of
 from jointid.diagnostics.other_experiments import (
     add_information,
     add_pulses,
@@ -257,3 +258,7 @@ def test_what_was_kept_fixed_is_no_reason_not_to_answer(stiff_axis: tuple[Record
     estimate = identify(record, loop, parameters={"stiffness": stiffness.fix(1e9)})
     assert estimate.checks.bounds
     assert "would" in str(design_stiffness_test(estimate, record))
+
+
+def test_a_name_with_a_hyphen_is_one_parameter() -> None:
+    assert weights_of("inertia head-pan - coulomb head-pan") == {"inertia head-pan": 1.0, "coulomb head-pan": -1.0}

@@ -97,6 +97,11 @@ def test_a_bad_row_ends_it_with_its_line(joint: Path, tmp_path: Path, capsys: py
     assert 'bad.csv: line 54322, column "reference" holds "#", which is not a number' in capsys.readouterr().err
 
 
+def test_a_window_of_0_is_refused(joint: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("identify", joint, "--window", 0, "-q") == 2
+    assert "A window lasts a finite time; received 0 s" in capsys.readouterr().err
+
+
 def test_it_needs_a_controller(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "joint.toml"
     bare = JOINT_FILE.split("[controller]", maxsplit=1)[0]

@@ -207,6 +207,9 @@ def test_what_is_of_a_joint_is_not_of_a_robot() -> None:
         (AXIS.loop, {}, "has values and a noise"),
         (robot, {"record": one}, "The test of a robot has records, limits, noise and motion of each joint"),
         (robot, {"record": [one]}, "The records of a robot are read with its estimate"),
+        (robot, {"values": {}, "encoder": 1e-3}, "The test of a robot does not read values, encoder; leave it out"),
+        (robot, {"tap": "measured"}, "The test of a robot does not read tap"),
+        (AXIS.loop, {"feed_forward": "gravity"}, "The test of a joint does not read feed_forward"),
     ):
         with pytest.raises(MethodError, match=said):
             ji.design(model, **given)  # type: ignore[call-overload]

@@ -346,3 +346,15 @@ def test_idim_picks_the_position_at_a_slow_torque(tmp_path: Path) -> None:
     estimate = ji.identify(record, ji.RigidJoint("revolute"), filtering=filtering, parameters=fixed)
     assert estimate["inertia"].value == pytest.approx(2.0, rel=2e-3)
     assert estimate["viscous"].value == pytest.approx(3.0, rel=5e-3)
+
+
+def test_a_cut_follows_the_clock_of_the_profile_or_is_refused(tmp_path: Path) -> None:
+    path, t = tmp_path / "run.csv", np.arange(1000) * 0.002
+    names = "timestamp,actual_q_0"
+    np.savetxt(path, np.column_stack([t, np.sin(t)]), delimiter=",", header=names, comments="")
+    drive = Drive("ur-rtde", axis=1)
+    record = read(path, drive=drive, start=0.5, stop=1.5)
+    assert record.motor_position is not None
+    assert len(record.motor_position) == 501
+    with pytest.raises(RecordError, match="no time column was found; name it as time"):
+        read(path, {"motor_position": Column("actual_q_0", sample_time=0.002)}, start=0.5)

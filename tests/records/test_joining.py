@@ -123,6 +123,14 @@ def test_an_offset_that_cannot_be_found_is_to_be_stated(shared: bool, tmp_path: 
     assert ("a channel that both hold (q) does not tell their offset" in sentence) == shared
 
 
+def test_files_that_count_from_0_and_share_no_motion_are_refused(tmp_path: Path) -> None:
+    t = np.arange(3000) * RATE
+    for name in ("positions", "torques"):
+        write(tmp_path / f"{name}.csv", "t,q", t, np.sin(20 * np.pi * t))
+    with pytest.raises(RecordError, match=r"count from 0 each, and a channel that both hold \(q\) does not tell"):
+        join_files([tmp_path / "positions.csv", tmp_path / "torques.csv"])
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

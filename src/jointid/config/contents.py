@@ -641,7 +641,7 @@ class JointFile(File[Record]):
         return tuple(
             replace(
                 self,
-                source=replace(self.source, file=file),
+                source=replace(self.source, file=file, files=(), offsets=()),
                 controller=None if self.controller is None else with_numbers(self.controller, run.controller),
                 runs=(run,),
             )

@@ -8,6 +8,7 @@ the residual. Both start from an estimate and its record.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -197,9 +198,10 @@ def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination
 
 def weights_of(quantity: str) -> dict[str, float]:
     """Return the sign of each parameter in a text such as ``a + b - c``, by name."""
-    terms = quantity.replace("-", "+-").split("+")
-    found = {term.strip().removeprefix("-").strip(): -1.0 if "-" in term else 1.0 for term in terms if term.strip()}
-    return found or {quantity: 1.0}
+    first, *others = re.split(r"\s([+-])\s", quantity)  # a joint's name may have a hyphen: head-pan
+    signed = [("-" if first.strip().startswith("-") else "+", first.strip().removeprefix("-"))]
+    signed += zip(others[::2], others[1::2], strict=True)
+    return {name.strip(): -1.0 if sign == "-" else 1.0 for sign, name in signed}
 
 
 def _name_quantities(quantity: str, names: Collection[str]) -> str:

@@ -94,7 +94,7 @@ def design(
 
     Raises:
         MethodError: a limit is missing, the test is too short, the goal is no quantity of this joint, a robot with
-            springs has no controllers, or no test could be simulated.
+            springs has no controllers, a setting is not read, or no test could be simulated.
         RecordError: the record lacks what the controller reads.
 
     Example:
@@ -115,6 +115,7 @@ def design(
     if isinstance(model, ClosedLoop) or (isinstance(model, Estimate) and model.robot is None):
         if any(isinstance(one, Sequence) for one in (record, limits, motion)) or not isinstance(noise, Noise | None):
             raise MethodError("The test of a joint has one record, AxisLimits, one motion and a Noise; give each so.")
+        _refuse_unread("joint", loop=isinstance(loop, RobotLoop), feed_forward=feed_forward != "none")
         present = record if isinstance(record, Record) else None
         known: dict[str, Any] = {
             "values": values,
@@ -137,6 +138,10 @@ def design(
     else:
         if any(isinstance(one, Record | AxisLimits | Noise) for one in (record, limits, motion, noise)):
             raise MethodError("The test of a robot has records, limits, noise and motion of each joint; give each so.")
+        _refuse_unread(
+            "robot", values=values is not None, covariance=covariance is not None, parameters=parameters is not None,
+            encoder=encoder is not None, tap=Tap(tap) is not Tap.COMMAND,
+        )  # fmt: skip
         robot, loop, first = _read_robot(model, cast("Sequence[Record] | None", record), loop)
         bounds = cast("Sequence[AxisLimits] | None", limits)
         sizes = None if noise is None else np.asarray(noise, dtype=np.float64)
@@ -159,6 +164,11 @@ def design(
         name, tests.goal, tests.describe(best.plan), tests.axes(test, best, predicted["proposed"]), predicted,
         tests.noise, tests.least, tried, interrupted, (_DOUBTFUL,) if math.isinf(best.over) else (),
     )  # fmt: skip
+
+
+def _refuse_unread(kind: str, **given: bool) -> None:
+    if unread := [name for name, stated in given.items() if stated]:
+        raise MethodError(f"The test of a {kind} does not read {', '.join(unread)}; leave it out.")
 
 
 def _read_estimate(estimate: Estimate, record: Record | None, noise: Noise | None) -> dict[str, Any]:

@@ -126,10 +126,18 @@ def cut_table(
     """Leave out repeated whole rows and samples outside of a cut; return remarks on the former.
 
     Each column is cut by its clock. Rows are left out only if `repaired`, and where every repeated stamp is of one.
+
+    Raises:
+        RecordError: a cut has no clock, or leaves fewer than two samples.
     """
     common = time or next((name for name in table.columns if TIME_NAME.fullmatch(name)), None)
     if sample_time is not None and time is None:
         common = None
+    if cut != Cut() and common is None and sample_time is None and not table.clocks:
+        raise RecordError(
+            f"start, stop and part cut {table.source} by its clock, and no time column was found; name it as time, or "
+            "give sample_time."
+        )
     columns, remarks = dict(table.columns), list[str]()
     for clock in dict.fromkeys([common, *table.clocks.values()]):
         stamps = table.columns.get(clock) if clock else np.asarray(np.arange(table.rows) * (sample_time or math.nan))

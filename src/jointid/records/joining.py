@@ -118,11 +118,9 @@ def _find_offset(first: _Part, part: _Part) -> float:
     found = [offset for name in common if (offset := _correlate(first, part, name)) is not None]
     if found:
         return found[0]
-    if shared:
-        return 0.0
     held = f"a channel that both hold ({', '.join(common)}) does not tell their offset" if common else ""
     raise RecordError(
-        f"{first.table.source} and {part.table.source} {'' if shared else 'have no clock in common'}"
+        f"{first.table.source} and {part.table.source} {'count from 0 each' if shared else 'have no clock in common'}"
         f"{', and ' + held if held else ', nor a channel that both hold'}; give record.offsets: the seconds to add to "
         "the clock of each file."
     )
@@ -169,7 +167,7 @@ def _width_of_peak(alike: FloatArray, best: int) -> int:
 
 
 def _resample(part: _Part, name: str, period: float) -> FloatArray | None:
-    """Steps of a channel on a uniform clock, about their mean."""
+    """Steps of a channel on a uniform clock."""
     count = int((part.stamps[-1] - part.stamps[0]) / period * (1 + 1e-12)) + 1
     if not 8 <= count <= _MOST:
         return None

@@ -186,7 +186,13 @@ class RecordReader:
 
     def _cut(self, table: Table) -> tuple[Table, list[str]]:
         stamped = self.resample is None and (self.time is not None or self.sample_time is None)
-        return cut_table(table, self.time, self.time_unit, self.sample_time, self.cut, repaired=stamped)
+        return cut_table(table, self._find_time(table), self.time_unit, self.sample_time, self.cut, repaired=stamped)
+
+    def _find_time(self, table: Table) -> str | None:
+        """Name of the time column, if it is stated or the drive's profile knows it."""
+        if self.time is None and self.sample_time is None and self.drive.traces is not None:
+            return self.drive.traces.time_column(table.columns)
+        return self.time
 
     def _late(self, table: Table, clocks: Clocks, found: Mapping[str, Column]) -> float:
         """Seconds from the first sample of a table to that of these channels, for columns with several clocks."""
@@ -196,9 +202,7 @@ class RecordReader:
         return late if late > 0.0 else 0.0
 
     def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
-        time = self.time
-        if time is None and self.sample_time is None and self.drive.traces is not None:
-            time = self.drive.traces.time_column(table.columns)
+        time = self._find_time(table)
         # A sample time that is given alone is all that counts, unless a channel names its own column.
         # So is a time column that is named, where the file has one clock.
         one_named = self.time is not None and len(set(table.clocks.values())) == 1

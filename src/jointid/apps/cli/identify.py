@@ -126,7 +126,9 @@ def identify(
             )
         ready(options.progress)
         log = require_joint(file, "A log in windows")
-        estimate = log.identify_log(first, Windowing(window or Windowing().length, settling), options.progress)
+        estimate = log.identify_log(
+            first, Windowing(Windowing().length if window is None else window, settling), options.progress
+        )
     elif len(records) > 1 or (file.runs and not records):
         ready(options.progress)
         estimate = file.identify_together(records, options.progress)
