@@ -125,8 +125,9 @@ def test_an_offset_that_cannot_be_found_is_to_be_stated(shared: bool, tmp_path: 
 
 def test_files_that_count_from_0_and_share_no_motion_are_refused(tmp_path: Path) -> None:
     t = np.arange(3000) * RATE
-    for name in ("positions", "torques"):
-        write(tmp_path / f"{name}.csv", "t,q", t, np.sin(20 * np.pi * t))
+    for name, phase in (("positions", 0.0), ("torques", 0.3), ("equal", 0.0)):
+        write(tmp_path / f"{name}.csv", "t,q", t, np.sin(20 * np.pi * t + phase))
+    assert join_files([tmp_path / "positions.csv", tmp_path / "equal.csv"]).rows == 3000
     with pytest.raises(RecordError, match=r"count from 0 each, and a channel that both hold \(q\) does not tell"):
         join_files([tmp_path / "positions.csv", tmp_path / "torques.csv"])
 

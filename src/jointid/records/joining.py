@@ -113,7 +113,8 @@ def _find_offset(first: _Part, part: _Part) -> float:
     shorter = min(one.stamps[-1] - one.stamps[0] for one in (first, part))
     shared = first.stamped and part.stamped and both >= _TOGETHER * shorter
     own_zero = all(abs(one.stamps[0]) <= one.period for one in (first, part))
-    if shared and not (own_zero and common):
+    equal = any(np.array_equal(first.channels[name], part.channels[name]) for name in common)
+    if shared and (not (own_zero and common) or (equal and _is_same(first.stamps, part))):
         return 0.0
     found = [offset for name in common if (offset := _correlate(first, part, name)) is not None]
     if found:
