@@ -239,6 +239,9 @@ def hertz(twin: Twin) -> Mapping[str, float]:
 def test_faults_are_said() -> None:
     twin = two((12.0, 18.0))
     records = logged(twin, duration=2.0)
+    begun = logged(twin, duration=3.0, first=1500)
+    with pytest.raises(MethodError, match=r"The motor of joint1, joint2 moves at the first sample of log 2; expected"):
+        identify_flexible_drive_side(twin.robot, [records, begun], frequencies=hertz(twin))
     rigid = replace(twin.robot, joints=tuple(replace(joint, spring=None) for joint in twin.robot.joints))
     with pytest.raises(MethodError, match="No joint of this robot has a spring"):
         identify_flexible_drive_side(rigid, records)

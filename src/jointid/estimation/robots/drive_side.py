@@ -277,6 +277,21 @@ def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: 
     return replace(parameters.add(*more), base=base)
 
 
+def _require_one_beginning(robot: Robot, parts: Sequence[RobotDriveSideProblem]) -> None:
+    """Require that several logs begin at rest: the links' first state is one for all of them.
+
+    Raises:
+        MethodError: a motor of a flexible joint moves at the first sample of one of several logs.
+    """
+    for count, part in enumerate(parts if len(parts) > 1 else (), start=1):
+        moving = {robot.joints[place.row].name for place in part.parameters.places if place.of is NumberOf.BESIDE}
+        if moving:
+            raise MethodError(
+                f"The motor of {', '.join(sorted(moving))} moves at the first sample of log {count}; expected that "
+                "each of several logs begins at rest: cut it by record.start, or identify it alone."
+            )
+
+
 def identify_flexible_drive_side(
     robot: Robot,
     records: Records,
@@ -305,7 +320,7 @@ def identify_flexible_drive_side(
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
-        MethodError: as of `identify_flexible_robot`.
+        MethodError: as of `identify_flexible_robot`, or one of several logs begins in motion.
     """
     require_springs(robot, frequencies)
     instead = 'identify the robot by "didim"'
@@ -316,6 +331,7 @@ def identify_flexible_drive_side(
     logs = each_log(records)
     stated = all(record.torque.stated for log in logs for record in log if record.torque is not None)
     parts = [drive_side_problem(robot, log, parameters, filtering, delay, stated=stated) for log in logs]
+    _require_one_beginning(robot, parts)
     problem = add_problems(parts)
     require_frequencies(frequencies, problem.sample_time)
     of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets, whole=False), known)
