@@ -21,11 +21,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.estimation.problems.base import LOG_DELAY
 from jointid.estimation.result.assemble import FitResult
 from jointid.records.record import Record, Timing
+from jointid.uncertainty.covariance import Covariance
 
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
 _FLAT = 1e-6  # cost: less is taken for rounding, and the record does not tell the readings apart
@@ -34,6 +36,9 @@ _WITH_LOG_DELAY = ("drive_side", "open_loop")
 _DELAY_SAID = (
     "nobody stated whether the torque is held or sampled: log_delay, which makes up for the difference, is estimated, "
     "counts from a held torque, and its interval covers half a sample; state timing of its channel"
+)
+UNSTATED_SAID = (
+    "nobody stated whether the torque is held or sampled, and the intervals cover both; state timing of its channel"
 )
 _READINGS = (Timing.HELD, Timing.SAMPLED, Timing.AVERAGED)
 
@@ -113,6 +118,27 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
         "intervals cover that; state timing of its channel"
     )
     return _widen(replace(chosen, settings=replace(chosen.settings, timing=_READINGS[at])), by, said)
+
+
+def all_stated(logs: Sequence[Logs]) -> bool:
+    """Return whether the timing of every torque is stated."""
+    return all(record.torque.stated for log in logs for record in log if record.torque is not None)
+
+
+def cover_both_readings(
+    logs: Sequence[Logs], fit: Callable[[Sequence[Logs]], tuple[FloatArray, Covariance]]
+) -> tuple[FloatArray, Covariance]:
+    """Return the values of a fit with intervals that cover both readings of torques whose timing nobody stated.
+
+    Args:
+        logs: records of the joints of each.
+        fit: of logs: values, (parameters,), and their covariance.
+    """
+    values, covariance = fit(logs)
+    if all_stated(logs):
+        return values, covariance
+    held, sampled = (fit([read_as(log, timing) for log in logs])[0] for timing in _READINGS[:2])
+    return values, replace(covariance, std=np.hypot(covariance.std, 0.5 * (sampled - held)))  # half in two deviations
 
 
 def _widen(found: FitResult, by: Mapping[str, float], said: str) -> FitResult:

@@ -241,6 +241,11 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ):
         with pytest.raises(MethodError, match=message):
             run("payload", joint, *given)
+    kept = folder / "kept.toml"
+    kept.write_text(joint.read_text(encoding="utf-8") + "parameters.viscous.value = 3.0\n", encoding="utf-8")
+    for more in ((), ("--mass", "3")):
+        with pytest.raises(MethodError, match=r"joints\.parameters keeps joint6\.viscous, .* leave joints\.parameters"):
+            run("payload", kept, *records, *more)
     # The file says torques, so a payload of the known mass finds that they are.
     changes = "--set", "method.estimator=weighted", "--set", "method.fixed={}"
     run("payload", joint, *records, "--mass", "3", "--json", found, *changes)

@@ -8,20 +8,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.payload import (
     Payload,
+    both_records,
     identify_drive_gains,
     identify_payload,
     payload_difference,
+    payload_of_both_records,
     payload_of_torques,
 )
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers
 from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.test_robot_drive_side import logged
@@ -192,6 +195,51 @@ def test_a_known_payload_tells_the_drives_gains() -> None:
     assert np.mean(np.abs(z) < 2) > 0.85
     assert "joint3" in found.summary()
     assert set(answers.to_dict(found)["gains"]) == set(ARM.names)
+
+
+def unstated(records: Sequence[Record]) -> list[Record]:
+    """Return the records without a statement on the timing of the torques."""
+    return [replace(one, torque=replace(one.torque, stated=False)) for one in records if one.torque is not None]
+
+
+def test_an_unstated_timing_is_said_of_a_payload_and_of_gains_and_widens_them() -> None:
+    """The twin has less noise than half a sample changes."""
+    records = pair(30, noise=0.05)
+    currents = [in_currents(one) for one in records]
+    stated, found = (identify_drive_gains(ARM, *logs, {"m": 3.0}) for logs in (currents, map(unstated, currents)))
+    assert not stated.warnings
+    assert np.max(found.std / stated.std) > 2.0
+    assert "nobody stated whether the torque is held or sampled" in " ".join(found.summary().split())
+    assert answers.to_dict(found)["warnings"] == list(found.warnings)
+
+    of_stated, of_unstated = payload_of_both_records(ARM, *records), identify_payload(ARM, *map(unstated, records))
+    assert of_unstated.agrees
+    assert np.max(of_unstated.payload.properties[1] / of_stated.properties[1]) > 1.5
+    assert any("with it: nobody stated whether the torque is held or sampled" in said for said in of_unstated.warnings)
+    assert "it is read as sampled" in " ".join(of_unstated.summary().split())
+
+
+def test_both_records_are_used_whole() -> None:
+    empty, loaded = pair(30)
+    short = [
+        Record(**{name: replace(channel, values=channel.values[: len(channel) // 2]) for name, channel in one.items()})
+        for one in loaded
+    ]
+    sizes = [both_records(ARM, logs, Filtering(cutoff=5.0)).Y.size for logs in ((empty, loaded), (empty, short))]
+    assert sizes[1] > 0.7 * sizes[0]
+
+
+def test_records_in_wrong_units_are_refused_as_in_identify() -> None:
+    empty, loaded = pair(30)
+    wrong = []
+    for one in loaded:
+        assert one.motor_position is not None
+        scaled = replace(one.motor_position, values=57.3 * one.motor_position.values)
+        wrong.append(replace(one, reference=one.motor_position, motor_position=scaled))
+    with pytest.raises(RecordError, match=r"joint1: motor_position is 57\.3 times reference"):
+        identify_payload(ARM, empty, wrong)
+    with pytest.raises(RecordError, match=r"joint1: motor_position is 57\.3 times reference"):
+        identify_drive_gains(ARM, empty, wrong, {"m": 3.0})
 
 
 def test_what_is_refused() -> None:

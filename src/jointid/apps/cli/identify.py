@@ -269,6 +269,11 @@ def payload(
     file = options.load(robot, outputs, **({} if estimate is None else read_choices(estimate)))
     if not isinstance(file, RobotFile):
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
+    if file.parameters:
+        raise MethodError(
+            f"joints.parameters keeps {', '.join(file.parameters)}, and a payload is identified with all parameters "
+            "free; leave joints.parameters out."
+        )
     if mass is None:
         empty = file.record(without) if estimate is None else read_identified(estimate, file.setup)
         found = identify_payload(

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.document import Document, Documented, Paragraph, Table
+from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError, require_type
 from jointid.common.messages import Progress, ignore_progress, no_choice
 from jointid.common.text import interval, join
@@ -29,12 +29,14 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
+from jointid.estimation.record_warnings import check_robot_records, robot_record_warnings
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import KNOWN
-from jointid.estimation.robots.idim import InverseModelRobot, identify_robot, solve_rows
+from jointid.estimation.robots.idim import InverseModelRobot, solve_rows
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.regression import base_rows, motions_of_logs, require_slow_samples
+from jointid.estimation.robots.regression import base_rows, join_rows, motions_of_logs, require_slow_samples
 from jointid.estimation.robots.simulated import SimulatedRobot
+from jointid.estimation.unknown_timing import UNSTATED_SAID, all_stated, cover_both_readings, read_as
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_indices
 from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
@@ -93,10 +95,12 @@ class Payload(Documented):
     Attributes:
         payload: by both records at once, which is the answer; on the drive side by the difference, too.
         difference: by two estimates.
+        warnings: of the estimates and on their records, one sentence each.
     """
 
     payload: PayloadParameters
     difference: PayloadParameters
+    warnings: tuple[str, ...] = ()
 
     @property
     def link(self) -> str:
@@ -168,8 +172,13 @@ class Payload(Documented):
             (
                 Paragraph(said, lead=True, tone="good" if self.agrees else "bad"),
                 Table(header, tuple(lines), "inertia at the centre, along the axes of the frame", (0, 1, 2, 3)),
+                *_list_warnings(self.warnings),
             ),
         )
+
+
+def _list_warnings(warnings: Sequence[str]) -> tuple[Facts, ...]:
+    return (Facts(tuple(("warning", said) for said in warnings)),) if warnings else ()
 
 
 def _verdict(name: str, value: float, std: float) -> str:
@@ -221,32 +230,44 @@ def identify_payload(
             f"The estimate without the payload is by {empty.settings.method}, and the record with it is identified by "
             f"{name}; expected one method for both: give the record without the payload."
         )
-    if by_rows:
-        settings = method if isinstance(method, IDIM) else IDIM()
-        # What is fixed is the empty robot's: with the payload it is another number.
-        free = replace(settings, fixed={})
-        if isinstance(empty, EstimateParts):
-            difference = payload_difference(empty, identify_robot(robot, loaded, free, filtering=filtering))
-            return Payload(difference, difference)
-        together = payload_of_both_records(robot, empty, loaded, settings, filtering)
-        one, other = (identify_robot(robot, records, free, filtering=filtering) for records in (empty, loaded))
-        return Payload(together, payload_difference(one, other))
-    offsets = not isinstance(method, DIDIM | DriveSideFit) or method.offsets
-    require_full_payload(payload_columns(robot_parameters(robot, offsets=offsets)))
+    setup, free, said_of = model, method, dict[str, tuple[str, ...]]()
 
     def identify(records: Sequence[Record] | EstimateParts, which: str) -> EstimateParts:
         if isinstance(records, EstimateParts):
             return records
-        return fit_robot(
-            records, model, method, filtering=filtering, progress=lambda text: progress(f"{which}: {text}")
-        )
+        found = fit_robot(records, setup, free, filtering=filtering, progress=lambda text: progress(f"{which}: {text}"))
+        said_of[which] = (*found.checks.warnings, *robot_record_warnings(records, robot))
+        return found
 
+    if by_rows:
+        # What is fixed is the empty robot's: with the payload it is another number.
+        settings = method if isinstance(method, IDIM) else IDIM()
+        if settings.estimator == "iv":
+            raise MethodError(
+                'A payload is identified from two records without a simulation, so the estimator "iv" has no '
+                'instruments there; use "weighted", "robust" or "ols".'
+            )
+        setup, free = robot, replace(settings, fixed={})
+    else:
+        offsets = not isinstance(method, DIDIM | DriveSideFit) or method.offsets
+        require_full_payload(payload_columns(robot_parameters(robot, offsets=offsets)))
     first, second = identify(empty, "without the payload"), identify(loaded, "with it")
-    difference = payload_of_torques(first, second, same_friction=False)
-    if isinstance(model, RobotDriveSide):
+    if by_rows:
+        together = difference = payload_difference(first, second)
+        if not isinstance(empty, EstimateParts):
+            empty, loaded = (read_as(log, one.settings.timing) for log, one in ((empty, first), (loaded, second)))
+            together = payload_of_both_records(robot, empty, loaded, settings, filtering)
+    else:
+        together = difference = payload_of_torques(first, second, same_friction=False)
         # With one friction for both the centre came out 0.8 % short in seven of seven draws of noise.
-        return Payload(difference, difference)
-    return Payload(payload_of_torques(first, second, same_friction=True), difference)
+        if not isinstance(model, RobotDriveSide):
+            together = payload_of_torques(first, second, same_friction=True)
+    warnings = (
+        text if all(text in each for each in said_of.values()) else f"{which}: {text}"
+        for which, texts in said_of.items()
+        for text in texts
+    )
+    return Payload(together, difference, tuple(dict.fromkeys(warnings)))
 
 
 def payload_of_both_records(
@@ -268,33 +289,27 @@ def payload_of_both_records(
     Raises:
         MethodError: the records do not determine it, its mass comes out negative, or the estimator is "iv".
         RecordError: as of `identify_robot`.
+
+    Where nobody stated the torques' timing the intervals cover a torque held and one sampled.
     """
-    if settings is not None and settings.estimator == "iv":
-        raise MethodError(
-            'A payload is identified from two records without a simulation, so the estimator "iv" has no instruments '
-            'there; use "weighted", "robust" or "ols".'
-        )
-    settings = settings or IDIM()
-    rows = both_records(robot, empty, loaded, filtering or Filtering(), settings.fixed)
-    solution = solve_rows(settings, rows)
-    own = slice(len(rows.names) - len(SYMBOLS), None)
-    of_payload = covariance_of(solution.covariance.matrix[own, own], solution.covariance.bandwidth)
-    return _payload(robot, solution.fit.values[own], of_payload)
+    settings, own = settings or IDIM(), slice(-len(SYMBOLS), None)
+
+    def fit(logs: Sequence[Sequence[Record]]) -> tuple[FloatArray, Covariance]:
+        solution = solve_rows(settings, both_records(robot, logs, filtering or Filtering(), settings.fixed))
+        covariance = solution.covariance
+        return solution.fit.values[own], covariance_of(covariance.matrix[own, own], covariance.bandwidth)
+
+    return _payload(robot, *cover_both_readings((empty, loaded), fit))
 
 
 def both_records(
-    robot: Robot,
-    empty: Sequence[Record],
-    loaded: Sequence[Record],
-    filtering: Filtering,
-    fixed: Collection[str] = (),
+    robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering, fixed: Collection[str] = ()
 ) -> Rows:
     """Return the regression of both records: base parameters, friction, and the payload's ten in the second alone.
 
     Args:
         robot: its geometry, gravity and coupling.
-        empty: the record of each joint without the payload.
-        loaded: the record of each joint with it.
+        logs: the records of the joints without the payload, and those with it.
         filtering: of positions and rows.
         fixed: names of parameters that are known.
 
@@ -302,19 +317,14 @@ def both_records(
         RecordError, MethodError: as of `identify_robot`.
     """
     base, n = base_parameters(robot), len(robot)
-    without, carrying = motions_of_logs(robot, (empty, loaded), filtering)
+    without, carrying = motions_of_logs(robot, logs, filtering)
     first, second = base_rows(robot, base, without), base_rows(robot, base, carrying)
     require_slow_samples(robot, first, fixed)
     columns = inverse_columns(robot, carrying.q, carrying.v, carrying.a)[:, :, 10 * (n - 1) : 10 * n]
     extra = carrying.decimate_columns(columns)
-    instants = min(len(first.Y), len(second.Y)) // n
-
-    def cut(rows: FloatArray) -> FloatArray:
-        return np.asarray(rows.reshape(n, -1, *rows.shape[1:])[:, :instants].reshape(n * instants, *rows.shape[1:]))
-
-    W = np.block([[cut(first.W), np.zeros((n * instants, 10))], [cut(second.W), cut(extra)]])
+    W = [np.hstack([first.W, np.zeros((len(first.Y), 10))]), np.hstack([second.W, extra])]
     names = (*first.names, *(f"payload {symbol}" for symbol in SYMBOLS))
-    return Rows(np.concatenate([cut(first.Y), cut(second.Y)]), W, names, 2 * n, 2 * n)
+    return Rows(join_rows([first.Y, second.Y], n), join_rows(W, n), names, n, n)
 
 
 def payload_difference(empty: EstimateParts, loaded: EstimateParts) -> PayloadParameters:
@@ -449,12 +459,14 @@ class DriveGains(Documented):
         values: (n,) gains, torque behind the gear for torque as it was read.
         std: (n,) their deviations.
         covariance: of the reciprocals of the gains, then of the robot's and the payload's parameters.
+        warnings: on the records, one sentence each.
     """
 
     joints: tuple[str, ...]
     values: FloatArray
     std: FloatArray
     covariance: Covariance
+    warnings: tuple[str, ...] = ()
 
     @property
     def rows(self) -> Mapping[str, Mapping[str, float]]:
@@ -475,7 +487,11 @@ class DriveGains(Documented):
         )
         return Document(
             "Gains of the drives, by a payload of known mass",
-            (Paragraph(said, lead=True), Table(("joint", "gain, 2 sigma", "sigma, %"), rows, words=(0, 1))),
+            (
+                Paragraph(said, lead=True),
+                Table(("joint", "gain, 2 sigma", "sigma, %"), rows, words=(0, 1)),
+                *_list_warnings(self.warnings),
+            ),
         )
 
 
@@ -509,7 +525,7 @@ def identify_drive_gains(
 
     Raises:
         MethodError: the mass is not among what is known, or not positive; the records do not determine the gains.
-        RecordError: as of `identify_robot`.
+        RecordError: as of `jointid.identify`.
 
     Valid for gears without losses that grow with the load: such a loss is taken for a part of the gain.
     """
@@ -521,11 +537,26 @@ def identify_drive_gains(
         raise MethodError(
             f"The payload's mass is {known.get('m', 0.0):g} kg; expected a positive one, as it was weighed."
         )
-    rows, n = both_records(robot, empty, loaded, filtering or Filtering()), len(robot)
+    warnings = []
+    for which, log in (("without the payload", empty), ("with it", loaded)):
+        check_robot_records(log, robot)
+        warnings += [f"{which}: {said}" for said in robot_record_warnings(log, robot)]
+    if not all_stated((empty, loaded)):
+        warnings.append(UNSTATED_SAID)
+    n = len(robot)
+    values, covariance = cover_both_readings(
+        (empty, loaded), lambda logs: _fit_gains(robot, both_records(robot, logs, filtering or Filtering()), known)
+    )
+    return DriveGains(robot.names, 1 / values[:n], covariance.std[:n] / values[:n] ** 2, covariance, tuple(warnings))
+
+
+def _fit_gains(robot: Robot, rows: Rows, known: Mapping[str, float]) -> tuple[FloatArray, Covariance]:
+    """Return the reciprocals of the gains, then the free parameters, and their covariance."""
+    n = len(robot)
     own = len(rows.names) - len(SYMBOLS)
     given = np.array([known.get(symbol, 0.0) for symbol in SYMBOLS])
     free = [*range(own), *(own + i for i, symbol in enumerate(SYMBOLS) if symbol not in known)]
-    joint = np.tile(np.arange(n), 2).repeat(rows.Y.size // (2 * n))
+    joint = np.arange(n).repeat(rows.Y.size // n)
     carried, columns = rows.W[:, own:] @ given, rows.W[:, free]
     each = np.eye(n)[joint]
     # The start: g I = W x, whose noise is taken for none; the gains come out too small, and of the right order.
@@ -542,7 +573,7 @@ def identify_drive_gains(
     for _ in range(_STEPS):
         torque = columns @ x + carried
         error = rows.Y - k[joint] * torque
-        size = np.sqrt(np.mean(error.reshape(2, n, -1) ** 2, axis=(0, 2)))
+        size = np.sqrt(np.mean(error.reshape(n, -1) ** 2, axis=1))
         weight = 1 / np.maximum(size, 1e-9 * np.sqrt(np.mean(rows.Y**2)))[joint]
         J = np.column_stack([each * torque[:, np.newaxis], columns * k[joint][:, np.newaxis]]) * weight[:, np.newaxis]
         norms = column_norms(J)
@@ -555,5 +586,4 @@ def identify_drive_gains(
         raise MethodError("The search for the gains did not settle; expected a heavier payload, or livelier motions.")
     if not np.all(k > 0):
         raise MethodError("A gain comes out negative; expected currents and positions of one sign: check them.")
-    covariance = robust(J, J, error * weight, equations=rows.equations)
-    return DriveGains(robot.names, 1 / k, covariance.std[:n] / k**2, covariance)
+    return np.concatenate([k, x]), robust(J, J, error * weight, equations=rows.equations)

@@ -244,8 +244,10 @@ SHAPES: Mapping[str, Shape] = {
         "peak_torque": lambda simulation: abs(simulation.torque).max(axis=0),
         "peak_speed": lambda simulation: abs(simulation.motor_velocity).max(axis=0),
     },
-    "Payload": document_shape("jointid.payload/1", "link parameters=rows ways_agree=agrees body_possible=possible"),
-    "DriveGains": document_shape("jointid.drive_gains/1", "gains=rows"),
+    "Payload": document_shape(
+        "jointid.payload/1", "link parameters=rows ways_agree=agrees body_possible=possible warnings"
+    ),
+    "DriveGains": document_shape("jointid.drive_gains/1", "gains=rows warnings"),
     # Files and reports
     "Inspection": document_shape("jointid.inspection/1", "file format bytes=size channels scalars not_read=passed"),
     "InspectedChannel": keys(
