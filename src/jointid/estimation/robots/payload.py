@@ -485,14 +485,8 @@ class DriveGains(Documented):
             "What each joint's torque, as the robot file reads it, is to be multiplied with; of a current read with "
             "torque_constant = 1, the drive's gain."
         )
-        return Document(
-            "Gains of the drives, by a payload of known mass",
-            (
-                Paragraph(said, lead=True),
-                Table(("joint", "gain, 2 sigma", "sigma, %"), rows, words=(0, 1)),
-                *_list_warnings(self.warnings),
-            ),
-        )
+        parts = Paragraph(said, lead=True), Table(("joint", "gain, 2 sigma", "sigma, %"), rows, words=(0, 1))
+        return Document("Gains of the drives, by a payload of known mass", (*parts, *_list_warnings(self.warnings)))
 
 
 def identify_drive_gains(
@@ -552,8 +546,7 @@ def identify_drive_gains(
 
 def _fit_gains(robot: Robot, rows: Rows, known: Mapping[str, float]) -> tuple[FloatArray, Covariance]:
     """Return the reciprocals of the gains, then the free parameters, and their covariance."""
-    n = len(robot)
-    own = len(rows.names) - len(SYMBOLS)
+    n, own = len(robot), len(rows.names) - len(SYMBOLS)
     given = np.array([known.get(symbol, 0.0) for symbol in SYMBOLS])
     free = [*range(own), *(own + i for i, symbol in enumerate(SYMBOLS) if symbol not in known)]
     joint = np.arange(n).repeat(rows.Y.size // n)
