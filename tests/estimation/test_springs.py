@@ -38,7 +38,7 @@ def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.M
         if problem.joint != case.loop.joint:
             return end
         first = not norms  # all starts may reach one end: the first is made a worse one
-        end = end._replace(solution=replace(end.solution, residual=(2.0 if first else 1.0) * end.solution.residual))
+        end = end._replace(solution=replace(end.solution, residual=(1e3 if first else 1.0) * end.solution.residual))
         norms.append(end.norm)
         return end
 
