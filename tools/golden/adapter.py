@@ -494,7 +494,9 @@ def page_answer(folder: Path, joint: Path, record: Path) -> Json:
     (folder / "joint.toml").write_bytes(joint.read_bytes())
     (folder / record.name).write_bytes(record.read_bytes())
     (folder / "work.json").write_text(json.dumps({"file": record.name, "learn": False}), encoding="utf-8")
-    with patch.multiple(worker, _write_report=lambda *_: None, _tell=lambda _: None):  # the report is a case of its own
+    with patch.multiple(
+        worker, _write_report=lambda *_: None, _print_progress=lambda _: None
+    ):  # the report is a case of its own
         if worker.main("identify", folder):
             raise Refused((folder / "fault.json").read_text(encoding="utf-8"))
     found = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
@@ -832,7 +834,8 @@ def _together(answer: Json) -> Json:
 
 
 def _long(answer: Json) -> Json:
-    drift, repeats = answer["drift"], answer["repeatable"]
+    log = answer["log"]
+    drift, repeats = log["drift"], log["repeatable"]
     return {
         "model": code(answer["model"]),
         "parameters": _parameters(answer["parameters"]),
@@ -853,14 +856,14 @@ def _long(answer: Json) -> Json:
                 for s in drift["stretches"]
             ],
         },
-        "windows": {key: number(answer[key]) for key in ("window", "settling", "windows", "windows_without_motion")},
-        "duration": number(answer["duration"]),
+        "windows": {key: number(log[key]) for key in ("window", "settling", "windows", "windows_without_motion")},
+        "duration": number(log["duration"]),
         "rows": answer["rows"],
         "filtered_error_percent": number(answer["filtered_error_percent"]),
         "filtering": _filtering(answer["filtering"]),
-        "at_limit": number(answer["at_limit"]),
+        "at_limit": number(log["at_limit"]),
         "law_fingerprint": answer["controller_sha256"] is not None,
-        "passes": answer["passes"],
+        "passes": log["passes"],
         "simulations": answer["simulations"],
         "converged": answer["converged"],
         "warnings": len(answer["warnings"]),
