@@ -69,7 +69,7 @@ class Suspicions:
             self.draw = progress.draw
 
     def __call__(self, message: str) -> None:
-        """Pass on a line, without its reason where that was told before."""
+        """Pass on a line, without a reason that was said before."""
         if isinstance(message, Suspicion):
             shape = _NUMBERS.sub("", message.why)
             if shape in self._told:

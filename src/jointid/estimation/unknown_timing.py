@@ -128,7 +128,7 @@ def all_stated(logs: Sequence[Logs]) -> bool:
 def cover_both_readings(
     logs: Sequence[Logs], fit: Callable[[Sequence[Logs]], tuple[FloatArray, Covariance]]
 ) -> tuple[FloatArray, Covariance]:
-    """Return the values of a fit with intervals that cover both readings of torques whose timing nobody stated.
+    """Fit, with intervals that cover held and sampled torques of unstated timing.
 
     Args:
         logs: records of the joints of each.

@@ -99,7 +99,7 @@ def _show_robot(folder: Path, seed: int, options: Options) -> None:
 
 
 def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ...]]:
-    """Return a robot that is a tenth heavier than its file says, with friction, and what its drives log."""
+    """Return a heavier robot with friction, and the records of its drives."""
     import numpy as np
 
     from jointid import Channel, Record, excitation, simulate
@@ -190,7 +190,7 @@ def make_fleet(
 
 @contextmanager
 def _fresh(folder: Path, texts: Mapping[str, str], others: Sequence[str]) -> Iterator[None]:
-    """Make a folder with the demo's texts, and remove what was made if what follows ends by an exception.
+    """Make a folder with the demo's texts, and remove them after an exception.
 
     Raises:
         RecordError: it holds files of others by the names that the demo writes.
