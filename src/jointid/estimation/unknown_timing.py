@@ -1,4 +1,4 @@
-"""A torque whose timing nobody stated: both readings are fitted, and the answer covers what the record leaves open.
+"""A torque of unstated timing: both readings are fitted, and the answer covers what the record leaves open.
 
 **IDIM.** A torque held from its stamp and one sampled at it differ by half a sample. That moves friction and inertia.
 The residual power of least squares is nearly a parabola in the shift. Three shifts, held, sampled and averaged, give
@@ -34,11 +34,11 @@ _FLAT = 1e-6  # cost: less is taken for rounding, and the record does not tell t
 _CONTRADICTED = 1.5  # times two deviations: a stated timing that is farther from the minimum than halfway to another
 _WITH_LOG_DELAY = ("drive_side", "open_loop")
 _DELAY_SAID = (
-    "nobody stated whether the torque is held or sampled: log_delay, which makes up for the difference, is estimated, "
-    "counts from a held torque, and its interval covers half a sample; state timing of its channel"
+    "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
+    "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
 )
 UNSTATED_SAID = (
-    "nobody stated whether the torque is held or sampled, and the intervals cover both; state timing of its channel"
+    "it is not stated whether the torque is held or sampled, and the intervals cover both; state timing of its channel"
 )
 _READINGS = (Timing.HELD, Timing.SAMPLED, Timing.AVERAGED)
 
@@ -84,7 +84,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
             fits[timing] = first if timing is own else fit(read_as(records, timing, stated))
     if not fits.keys() >= {Timing.HELD, Timing.SAMPLED}:
         said = (
-            f"nobody stated whether the torque is held or sampled: it is read as {' and '.join(sorted(read))}; the "
+            f"it is not stated whether the torque is held or sampled: it is read as {' and '.join(sorted(read))}; the "
             "other reading is as possible, and the intervals do not cover it; state timing of its channel"
         )
         return first if stated else _widen(first, {}, said)
@@ -114,7 +114,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
 
     by = {name: 0.5 * away * abs((sampled[name].value or 0.0) - (row.value or 0.0)) for name, row in held.items()}
     said = (
-        f"nobody stated whether the torque is held or sampled: it is read as {_READINGS[at]}, and {where}; the "
+        f"it is not stated whether the torque is held or sampled: it is read as {_READINGS[at]}, and {where}; the "
         "intervals cover that; state timing of its channel"
     )
     return _widen(replace(chosen, settings=replace(chosen.settings, timing=_READINGS[at])), by, said)

@@ -209,13 +209,15 @@ def test_an_unstated_timing_is_said_of_a_payload_and_of_gains_and_widens_them() 
     stated, found = (identify_drive_gains(ARM, *logs, {"m": 3.0}) for logs in (currents, map(unstated, currents)))
     assert not stated.warnings
     assert np.max(found.std / stated.std) > 2.0
-    assert "nobody stated whether the torque is held or sampled" in " ".join(found.summary().split())
+    assert "it is not stated whether the torque is held or sampled" in " ".join(found.summary().split())
     assert answers.to_dict(found)["warnings"] == list(found.warnings)
 
     of_stated, of_unstated = payload_of_both_records(ARM, *records), identify_payload(ARM, *map(unstated, records))
     assert of_unstated.agrees
     assert np.max(of_unstated.payload.properties[1] / of_stated.properties[1]) > 1.5
-    assert any("with it: nobody stated whether the torque is held or sampled" in said for said in of_unstated.warnings)
+    assert any(
+        "with it: it is not stated whether the torque is held" in said for said in of_unstated.warnings
+    )
     assert "it is read as sampled" in " ".join(of_unstated.summary().split())
 
 

@@ -104,7 +104,7 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
 def log_delay(known: float | None, sample_time: float, *, stated: bool = True) -> Parameter:
     """Return the log's delay as it is known, in seconds; where it is None free, within twenty samples.
 
-    It counts from when the torque acts. Where nobody stated the torque's timing, a known delay is free within two.
+    It counts from when the torque acts. Where the torque's timing is not stated, a known delay is free within two.
     """
     late, start = sample_time * (_MOST_LATE if known is None else _LEFT_OPEN), known or 0.0
     free = replace(LOG_DELAY, free=True, start=start, lower=start - late, upper=start + late)

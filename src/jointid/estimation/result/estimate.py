@@ -45,7 +45,7 @@ class IdentifiedJoint:
         fingerprints: of the torque of each of its records, see `fingerprint`.
         controller: fingerprint of the loop's controller, for DIDIM; see `law_fingerprint`.
         effects: torques beside the joint's own model; `values` has their parameters too.
-        timing: as which a torque is read whose timing nobody stated; None: as its record has it.
+        timing: reading of a torque of unstated timing; None: as its record has it.
     """
 
     method: str

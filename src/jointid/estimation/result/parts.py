@@ -417,7 +417,7 @@ class Settings:
         delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
         effects: torques beside the joint's own model; their parameters follow the joint's.
         weighting: of the rows of several records, in words.
-        timing: as which a torque was read whose timing nobody stated; None where it was stated, or nothing else tried.
+        timing: reading of a torque of unstated timing; None where it was stated, or nothing else tried.
     """
 
     method: str

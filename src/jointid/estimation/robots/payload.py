@@ -290,7 +290,7 @@ def payload_of_both_records(
         MethodError: the records do not determine it, its mass comes out negative, or the estimator is "iv".
         RecordError: as of `identify_robot`.
 
-    Where nobody stated the torques' timing the intervals cover a torque held and one sampled.
+    Where the torques' timing is not stated, the intervals cover a torque held and one sampled.
     """
     settings, own = settings or IDIM(), slice(-len(SYMBOLS), None)
 
