@@ -215,9 +215,7 @@ def test_an_unstated_timing_is_said_of_a_payload_and_of_gains_and_widens_them() 
     of_stated, of_unstated = payload_of_both_records(ARM, *records), identify_payload(ARM, *map(unstated, records))
     assert of_unstated.agrees
     assert np.max(of_unstated.payload.properties[1] / of_stated.properties[1]) > 1.5
-    assert any(
-        "with it: it is not stated whether the torque is held" in said for said in of_unstated.warnings
-    )
+    assert any("with it: it is not stated whether the torque is held" in said for said in of_unstated.warnings)
     assert "it is read as sampled" in " ".join(of_unstated.summary().split())
 
 
