@@ -19,6 +19,7 @@ from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.record import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit
+from jointid.diagnostics.undeclared import widen_for_undeclared
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.methods.registry import Method
@@ -186,6 +187,8 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     if short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     widenings = [] if check is None else widen_for_faults(check)
+    if found is not None:
+        widenings += widen_for_undeclared(fit, found.torques)
     if rest is None or not rest.follows or state is None:
         return CheckResults((verdict,), tuple(widenings), found)
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
@@ -231,7 +234,8 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
     tested = part.has_controllers or of_logs
-    return CheckResults((residual, loop) if tested else (residual,), diagnosis=found)
+    wider = widen_for_undeclared(fit, found.torques)
+    return CheckResults((residual, loop) if tested else (residual,), tuple(wider), diagnosis=found)
 
 
 def widen_for_faults(check: AxisFaults) -> list[Widening]:
