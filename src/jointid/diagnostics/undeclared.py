@@ -32,7 +32,6 @@ from jointid.uncertainty.position_dependent_error import cells
 _USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the controller
 _MATTERS = 0.25  # of a deviation: less widens no interval
 _TOLD = 1.0  # deviations: what may be off further is said
-_NAMED = 4  # parameters in a sentence
 
 
 def list_undeclared(controller: Controller, sample_time: float) -> Iterator[tuple[Fault, float, Controller]]:
@@ -79,16 +78,13 @@ def widen_for_undeclared(fit: FitResult, torques: AxisTorques) -> list[Widening]
     if not moved:
         return []
     each = [f"{title} of up to {number(1e3 * size, 2)} ms" for title, size in elements.items()]
-    why = f"an undeclared {' or '.join(each)}"
+    why, said = f"an undeclared {' or '.join(each)}", ""
     far = [name for name, by in moved.items() if by > 2 * _TOLD * (known[name].stderr or 0.0)]
-    shifts = [f"{known[name].symbol} by {number(moved[name], 2)} {known[name].unit}".rstrip() for name in far]
-    more = f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""
-    said = (
-        f"{why} may move {join(shifts[:_NAMED])}{more}: the intervals hold that; declare it, or "
-        'undeclared = "none" of the controller'
-    )
-    half_in_two = {name: 0.5 * by for name, by in moved.items()}
-    return [Widening(half_in_two, why, said if far else "")]
+    if far:
+        shifts = [f"{known[name].symbol} by {number(moved[name], 2)} {known[name].unit}".rstrip() for name in far]
+        said = f"{why} may move {join(shifts)}, which the intervals hold; declare what there is, and undeclared "
+        said += '= "none" in the controller\'s table'
+    return [Widening({name: 0.5 * by for name, by in moved.items()}, why, said)]  # half in two deviations
 
 
 def _free(fit: FitResult) -> tuple[tuple[str, ...], FloatArray]:
