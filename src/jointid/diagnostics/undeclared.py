@@ -60,6 +60,9 @@ def widen_for_undeclared(fit: FitResult, torques: AxisTorques) -> list[Widening]
         fit: of a joint, or of a robot, under controllers.
         torques: of its record, beside its own.
     """
+    columns = _columns(fit, torques)
+    if not columns:
+        return []
     names, scales = _free(fit)
     known = {row.name: row for row in fit.params.rows if row.stderr}
     sigma = np.sqrt(np.mean(torques.error**2, axis=1))
@@ -68,7 +71,7 @@ def widen_for_undeclared(fit: FitResult, torques: AxisTorques) -> list[Widening]
     solve = projection(own, own)
     moved: dict[str, float] = {}
     elements: dict[str, float] = {}
-    for axis, fault, half, column in _columns(fit, torques):
+    for axis, fault, half, column in columns:
         largest = min(_largest_size(torques, axis, fault, column), 2.0 * half)
         by = np.abs(scales * (solve @ (column / sigma[:, np.newaxis]).ravel())) * max(largest, 0.0)
         off = {name: float(one) for name, one in zip(names, by, strict=True) if name in known}
