@@ -113,8 +113,8 @@ def test_links_of_a_page_that_moves_lead_where_they_did() -> None:
 
 
 def test_the_table_of_faults_has_every_fault() -> None:
-    text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
-    section = text.partition("## Is the loop as declared?")[2].partition("\n\nA wrong drive gain")[0]
+    text = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
+    section = text.partition("\n\nA wrong drive gain")[0]
     named = re.findall(r"`(\w+)`", " ".join(row.split("|")[1] for row in re.findall(r"^\|.*", section, re.MULTILINE)))
     assert {one.name for one in FAULTS} - set(named) == set()
     assert section.count("\n\n|") == 1, "the table is in pieces"
