@@ -138,7 +138,19 @@ def test_the_glossary_has_a_word_of_the_drives_beside_ours(word: str, ours: str)
 
 
 @pytest.mark.parametrize(
-    "word", ["backlash", "resonance", "antiresonance", "notch", "Tn", "Kv", "Kp", "following error"]
+    "word",
+    [
+        "backlash",
+        "resonance",
+        "antiresonance",
+        "notch",
+        "Tn",
+        "Kv",
+        "Kp",
+        "following error",
+        "wrong sign",
+        "sample time",
+    ],
 )
 def test_a_heading_has_what_is_searched_for_most(word: str) -> None:
     headings = [line for page in pages() for line in page.read_text(encoding="utf-8").splitlines() if line[:2] == "##"]
