@@ -19,7 +19,7 @@ _FENCE = re.compile(
 _NAMED = re.compile(r"# ([\w-]+\.toml)\n")
 
 PROGRAMS = ("python", "{code-cell}", "sh")
-OTHERS = ("", "toml", "math", "{toctree}", "{literalinclude}")
+OTHERS = ("", "toml", "matlab", "math", "{toctree}", "{literalinclude}")
 """Languages of what does not run by itself: what is printed, files, formulas, lists of pages, included files."""
 
 
