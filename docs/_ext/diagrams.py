@@ -176,15 +176,17 @@ def pid() -> Drawing:
 def state_space() -> Drawing:
     """Any linear sampled law."""
     d = Drawing("A state-space law", 720, 180)
-    for y, said in ((45, "reference"), (85, "reference velocity"), (125, "motor position")):
+    for y, said in ((57, "reference"), (85, "reference velocity"), (113, "motor position")):
         d.text(70, y - 6, said)
         d.wire((12, y), (150, y))
-    d.block(150, 420, 85, "u = C z + D · inputs", "z ← A z + B · inputs + B_excess e")
+    d.block(
+        150, 420, 85, "u = C z + D · inputs", "z ← A z + B · inputs + B_excess e", "n states z", "tables A, B, C and D"
+    )
     d.wire((420, 85), (510, 85))
     d.text(465, 77, "u")
     d.block(510, 600, 85, "`limit`")
     d.wire((600, 85), (705, 85))
-    d.wire((555, 107), (555, 165), (285, 165), (285, 107))
+    d.wire((555, 107), (555, 165), (285, 165), (285, 123))
     d.text(490, 160, "e, what the limit cuts off", small=True)
     return d
 
