@@ -32,8 +32,9 @@ def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
     for name in ("robot.toml", "robot.xml"):
         assert (place / name).read_bytes() == (ROOT / "examples" / "robot" / name).read_bytes()
     assert (place / "record.csv").read_text(encoding="utf-8").startswith("tau1,r1,tau2,r2\n")
-    rows = re.findall(r"^(\w+) +(-?[\d.e-]+) +([\d.e-]+) +(-?[\d.e-]+)  \S", capsys.readouterr().out, re.MULTILINE)
-    found = {symbol: tuple(map(float, numbers)) for symbol, *numbers in rows}
+    out = capsys.readouterr().out
+    rows = re.findall(r"  (-?[\d.e-]+) ± ([\d.e-]+)  \S.*? +(-?[\d.e-]+)  (?:.* )?(\w+)$", out, re.MULTILINE)
+    found = {symbol: tuple(map(float, numbers)) for *numbers, symbol in rows}
     assert len(found) == 18, "every parameter has its truth"
     assert all(abs(value - true) < 2 * interval for value, interval, true in found.values())
     value, interval, true = found["K1"]
