@@ -360,3 +360,35 @@ def test_parameters_at_a_bound_make_up_for_a_fault_of_the_loop() -> None:
     answer = judged(bound, damping=1.0).answer
     assert not answer.reliable
     assert "velocity_gain is 25 % smaller; ZZ2 ends at a bound" in str(answer)
+
+
+def correlated(share: float, **stiffness: object) -> Estimate:
+    """A flexible joint whose errors of motor inertia and stiffness have this correlation."""
+    estimate = flexible(1000.0, 10.0, **stiffness)
+    names = tuple(row.name for row in estimate.params.rows)
+    correlation = np.array([[1.0, share, 0.3], [share, 1.0, 0.2], [0.3, 0.2, 1.0]])
+    return replace(estimate, params=Params(estimate.params.rows, names, correlation, ""))
+
+
+def test_the_value_of_a_data_sheet_that_sharpens_the_stiffness_is_said_with_its_effect() -> None:
+    estimate = correlated(0.97)
+    known = np.linalg.inv(estimate.params.covariance)[1:, 1:]  # what the record tells of the others, inertia given
+    times = 10.0 / np.sqrt(np.linalg.inv(known)[0, 0])
+    said = f"give the motor inertia from its data sheet, and the stiffness is {times:.2g} times as sharp"
+    assert said in unwrapped(str(estimate))
+
+
+@pytest.mark.parametrize("estimate", [correlated(0.6), correlated(0.97, lack_of_fit=20.0)])
+def test_a_data_sheet_that_helps_little_is_not_asked_for(estimate: Estimate) -> None:
+    """By a quarter only; or by nothing, where it is what the model lacks that makes the interval wide."""
+    assert "and the stiffness is" not in unwrapped(str(estimate))
+
+
+def test_a_data_sheet_of_an_axis_is_asked_for_by_its_name() -> None:
+    names = {"motor_inertia": "elbow.rotor_inertia", "stiffness": "elbow.stiffness", "load_inertia": "Izz2"}
+    estimate = correlated(0.97)
+    rows = tuple(replace(row, name=names[row.name], axis="elbow") for row in estimate.params.rows)
+    params = replace(estimate.params, rows=rows, names=tuple(names.values()))
+    assert "give the rotor inertia of elbow from its data sheet, and the stiffness is" in unwrapped(
+        str(replace(estimate, params=params))
+    )

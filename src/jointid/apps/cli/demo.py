@@ -181,7 +181,7 @@ def _make_fleet(folder: Path, seed: int, options: Options, listener: Progress, w
     make_fleet(folder, seed=seed)
     campaign, results = folder / "campaign.toml", folder / "results"
     return _Made(
-        said="The stiffness of axis-001 falls by a tenth from some day on; of the files 5 % are spoiled.",
+        said="The stiffness of axis-001 falls by a tenth one day; 5 % of files are spoiled.",
         steps=(
             f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs",
             f"Identify all of them, which takes minutes: jointid campaign run {campaign} --out {results}",

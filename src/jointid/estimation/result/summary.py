@@ -102,8 +102,9 @@ def _sharper(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
                 if times >= (_SHARPER if stiff else _APART):
                     found.append((stiff, times, given.name, other.name))
         for _, times, known, sharper in [max(found)] if found else []:
-            said = f"give the {in_words(known)} from its data sheet, and the {in_words(sharper)} is "
-            yield "sharper", f"{said}{times:.2g} times as sharp"
+            first, second = (quantity[name].replace("_", " ") for name in (known, sharper))
+            of = f" of {axis}" if axis else ""
+            yield "sharper", f"give the {first}{of} from its data sheet, and the {second} is {times:.2g} times as sharp"
 
 
 def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
