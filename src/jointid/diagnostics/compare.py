@@ -20,7 +20,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Listing, Table, common_facts, data_frame
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.messages import Progress, follow, ignore_progress
+from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter, adjust_parameters
 from jointid.common.text import number, pluralise
 from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, ReportedEstimate, compare_estimates
@@ -422,7 +422,7 @@ def compare_methods(
     tried = []
     listed = list(_list_methods(model, didim))
     for name, variant, method in follow(listed, progress, "comparing methods", len(listed), "methods"):
-        progress(f"trying {name}")
+        progress(Detail(f"trying {name}"))
         joint = variant.joint if isinstance(variant, ClosedLoop) else variant
         has = {p.name for p in joint.parameters}
         changes = {key: change for key, change in (parameters or {}).items() if variant is model or key in has}

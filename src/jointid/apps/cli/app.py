@@ -23,7 +23,7 @@ from cyclopts import App, CycloptsError, UnknownOptionError
 from jointid import __version__
 from jointid.apps import SIGNALLED
 from jointid.apps.cli import campaign as campaigns
-from jointid.apps.cli import endings, streams
+from jointid.apps.cli import console, endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.demo import demo
@@ -72,7 +72,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
         signals: whether Ctrl-C and a request to end are this program's to answer.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words
+    console.details = debug = "--debug" in words
     # Matrices here are thousands of rows by ten columns: a second thread only waits for the first, and holds up others.
     for library in ("OPENBLAS", "MKL"):  # each reads this once, when NumPy is loaded
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

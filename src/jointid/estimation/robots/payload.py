@@ -21,7 +21,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError, require_type
-from jointid.common.messages import Progress, ignore_progress, no_choice
+from jointid.common.messages import Progress, ignore_progress, name_progress, no_choice
 from jointid.common.text import interval, join
 from jointid.estimation.identify import fit_robot
 from jointid.estimation.methods.didim import DIDIM
@@ -235,7 +235,7 @@ def identify_payload(
     def identify(records: Sequence[Record] | EstimateParts, which: str) -> EstimateParts:
         if isinstance(records, EstimateParts):
             return records
-        found = fit_robot(records, setup, free, filtering=filtering, progress=lambda text: progress(f"{which}: {text}"))
+        found = fit_robot(records, setup, free, filtering=filtering, progress=name_progress(progress, which))
         said_of[which] = (*found.checks.warnings, *robot_record_warnings(records, robot))
         return found
 
