@@ -646,11 +646,21 @@ def test_debug_shows_the_traceback_of_a_mistake_and_keeps_its_exit_code(
         assert "jointid: " in said.splitlines()[-1]
 
 
-def test_the_help_says_the_exit_codes_and_what_debug_does(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_help_has_groups_and_a_line_for_each_command_and_names_the_page_of_exit_codes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert run("--help") == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "Exit code: 0 it worked, 2 a mistake" in said
-    assert "--debug, with any command, also prints the traceback and the libraries' warnings; the exit" in said
+    said = capsys.readouterr().out
+    places = [said.index(f"─ {group} ─") for group in ("Start", "Identify", "Ask what the result is worth", "Many")]
+    assert places == sorted(places)
+    for name in commands():
+        assert re.search(rf"^│ {name} +[A-Z].*\. +│$", said, re.MULTILINE), name
+        assert run(*name.split(), "--help") == 0
+        ending = capsys.readouterr().out.splitlines()[-3:]
+        assert ending[0].startswith("Example") and ending[1].startswith(f"  jointid {name}"), name
+        assert ending[2] == "Exit codes and --debug: docs/commands.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "commands.md"
+    assert "## Exit codes" in page.read_text(encoding="utf-8")
 
 
 def test_a_library_s_warnings_are_shown_to_who_asks_for_them(
