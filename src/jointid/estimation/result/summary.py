@@ -330,15 +330,12 @@ def parameters_table(estimate: EstimateParts, *, initial: bool = True, letters: 
     return Table(header, tuple(rows), words=tuple(words))
 
 
-def combinations_table(
-    estimate: EstimateParts, caption: str = "", *, directions: bool = False, differences: bool = True
-) -> Table | None:
+def combinations_table(estimate: EstimateParts, caption: str = "", *, differences: bool = True) -> Table | None:
     """Return sums and differences of both sides; None where there are none.
 
     Args:
         estimate: whose combinations are shown.
         caption: of the table.
-        directions: whether to add the singular directions of the sensitivities.
         differences: whether to show the differences of both sides, too; else only their sums.
     """
     known = estimate.checks.known
@@ -346,8 +343,7 @@ def combinations_table(
         return None
     there = known_on_other_side(known.physical, estimate.other)
     stated = {id(one): f"{number(o.value)} {o.combination.unit}" for one, o in zip(known.physical, there, strict=False)}
-    every = (*known.physical, *(known.directions if directions else ()))
-    shown = [one for one in every if differences or one.combination.kind is not Kind.DIFFERENCE]
+    shown = [one for one in known.physical if differences or one.combination.kind is not Kind.DIFFERENCE]
     if not shown:
         return None
     rows: list[tuple[str, ...]] = [
