@@ -111,7 +111,7 @@ class Visit:
 
 def upload(visit: Visit, record: Path) -> None:
     visit.page.set_input_files("#file", record)
-    visit.page.get_by_role("button", name="Read this file").click()
+    visit.page.get_by_role("button", name="Read it").click()
     visit.on("channels")
 
 
@@ -176,7 +176,7 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
     visit.looked_at("4-identify")
     page.reload()
     page.wait_for_selector(".log li")  # the progress again, from its beginning
-    page.wait_for_selector("h1:has-text('The answer')", timeout=PATIENCE)
+    page.wait_for_selector("p.found", timeout=PATIENCE)
     page.wait_for_selector("p.trust:not(:has-text('not checked'))", timeout=PATIENCE)  # nor does it wait for its check
     assert "It is being written" in page.inner_text("[data-run]")  # the answer does not wait for the report
     assert page.inner_text("p.found") == "Inertia 95.4 ± 1.3\u202fkg."
