@@ -313,6 +313,23 @@ def test_a_field_that_a_message_names_is_opened_and_marked(browser: Any, address
     assert page.locator(".field.named").count() == 1
 
 
+def test_a_step_that_is_left_at_once_keeps_what_was_typed(browser: Any, address: str, emps_path: Path) -> None:
+    visit = Visit(browser, address)
+    upload(visit, emps_path)
+    visit.page.goto(f"{address}joint")
+    visit.field("joint.name").press_sequentially("gantry")
+    visit.page.get_by_role("link", name="Channels").click()
+    visit.on("channels")
+    visit.page.get_by_role("link", name="Axis and controller").click()
+    visit.on("joint")
+    assert visit.field("joint.name").input_value() == "gantry"
+    visit.field("joint.name").fill("tower")
+    visit.page.go_back()
+    visit.page.wait_for_timeout(500)
+    visit.page.goto(f"{address}joint")
+    assert visit.field("joint.name").input_value() == "tower"
+
+
 def test_a_decimal_comma_is_shown_as_it_is_read(browser: Any, address: str, emps_path: Path) -> None:
     visit = Visit(browser, address)
     upload(visit, emps_path)

@@ -236,12 +236,12 @@ def show_run(state: AppState, run: Run) -> Response:
     status = run.status
     answer = read_json(run.folder / "answer.json")
     about = read_json(run.folder / "about.json") or {}
-    texts = {
-        name: run.folder / name for name in ("answer.txt", "learned.txt", "resonance.txt", "axis.svg", "tuning.html")
-    }
+    texts = {name: run.folder / name for name in ("answer.txt", "learned.txt", "resonance.txt", "axis.svg")}
     return _render(
         "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
-        plan=read_json(run.folder / "plan.json"), goals=_list_goals(answer), no_goal=_say_no_goal(answer),
+        plan=read_json(run.folder / "plan.json"), tuning=read_json(run.folder / "tuning.json"),
+        unexplained=[] if answer is None else _build_errors(answer),
+        goals=_list_goals(answer), no_goal=_say_no_goal(answer),
         elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
         checks=[] if answer is None else _build_checks(answer),
         runs=[(one, one.status) for one in state.folder.runs],
@@ -345,7 +345,7 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
     there = {} if other is None else other["parameters"]
     return [
         {
-            "symbol": p["symbol"],
+            "symbol": "" if p["symbol"] == name else p["symbol"],
             "name": name.replace("_", " "),
             "value": _tell_value(p),
             "other": _tell_value(there[name]) if name in there else "",
@@ -367,6 +367,16 @@ def _tell_value(p: Mapping[str, Any]) -> str:
     if p["std"] is None:
         return f"{number(p['value'])} {p['unit']}, {'-' if p['free'] else 'fixed'}"
     return f"{interval(p['value'], 2 * p['std'])} {p['unit']}"
+
+
+def _build_errors(answer: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the share of the torque of each joint of a robot that estimate and model do not explain."""
+    robot = answer.get("robot") or {"joints": (), "left": (), "nominal_left": ()}
+    nominal = robot["nominal_left"] or [None] * len(robot["joints"])
+    return [
+        (name, *("-" if left is None else f"{number(100 * left, 3)} %" for left in shares))
+        for name, *shares in zip(robot["joints"], robot["left"], nominal, strict=True)
+    ]
 
 
 def _build_checks(answer: Mapping[str, Any]) -> list[dict[str, Any]]:

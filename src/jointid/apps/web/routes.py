@@ -170,7 +170,7 @@ async def _take_files(state: AppState, received: Sequence[tuple[Path, str]]) -> 
         of_robot = state.folder.record is not None and state.folder.record["robot"]
         options = {one.name for one in TEXT}
         before = {} if of_robot else {key: text for key, text in state.folder.draft.items() if key not in options}
-        await _replace_record(state, records, made["draft"] or before, models, robot=robot)
+        await _replace_record(state, records, made["draft"] or before, models, told=bool(tables), robot=robot)
     return state.redirect("/joint" if robot else "/channels")
 
 
@@ -192,7 +192,7 @@ async def make_example(_: Request, state: AppState) -> Response:
         await state.jobs.read("simulate", state.folder.path)
         fresh = (state.folder.path / "example.csv").rename(state.folder.new_upload(".csv"))
         example = JOINT_FILE.replace(", optional = true", "")  # for other records; this one has all of them
-        await _replace_record(state, [(fresh, "example.csv")], with_units(read_joint_file(example)))
+        await _replace_record(state, [(fresh, "example.csv")], with_units(read_joint_file(example)), told=True)
     return state.redirect("/channels")
 
 
@@ -252,11 +252,13 @@ async def _replace_record(
     draft: Mapping[str, str],
     models: Sequence[tuple[Path, str]] = (),
     *,
+    told: bool = False,
     robot: bool = False,
 ) -> None:
     """Put files in the record's place if they can be read, and guess the channels from the names of the columns.
 
-    What the form says of columns that the first record has as well stays. A text file that cannot be read is kept: an
+    Nothing is guessed where they are told: a joint file or robot file said all. What the form says of columns that the
+    first record has as well stays. A text file that cannot be read is kept: an
     option may be all that is missing. Where the disk is full the record before stays as it was.
     """
     (fresh, name), *others = records
@@ -271,7 +273,7 @@ async def _replace_record(
                 raise
         preview = read_json(state.folder.path / f"{fresh.name}{PREVIEW}") or {"columns": []}
         columns = [column["name"] for column in preview["columns"]]
-        state.folder.save_record(fresh, name, draft if robot else _fit_draft(draft, columns), more, robot=robot)
+        state.folder.save_record(fresh, name, draft if told else _fit_draft(draft, columns), more, robot=robot)
     finally:
         for path, _ in (*records, *models):
             state.folder.discard(path.name)

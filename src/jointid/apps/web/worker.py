@@ -25,7 +25,6 @@ from jointid.common.files import is_full, write_whole
 
 if TYPE_CHECKING:
     from jointid import Estimate, Record
-    from jointid.common.document import Block
     from jointid.config.contents import File
     from jointid.tuning.tuned import Tuned
 
@@ -125,6 +124,7 @@ def identify(folder: Path) -> None:
     write_json(folder / "about.json", about)
     if file.runs or len(paths) > 1:
         _print_progress("identifying from several records")
+        _write_tuning(folder, "They are computed from one record; identify one alone.")
         _write_answer(folder, file.identify_together([] if file.runs else paths, _print_progress))
         return
     _print_progress("reading the record")
@@ -159,6 +159,7 @@ def _write_report(folder: Path, file: File[Any], estimate: Estimate, record: Rec
 
     def tell_all() -> Report:
         if estimate.robot is not None:
+            _write_tuning(folder, "They are of one joint: jointid tune robot.toml --axis, with the name of the joint.")
             return tell()
         tuned = tune_to_limit(estimate, file.axes[0].drive, file.declared_numbers)
         _write_tuning(folder, tuned)
@@ -173,15 +174,18 @@ def _write_report(folder: Path, file: File[Any], estimate: Estimate, record: Rec
 
 
 def _write_tuning(folder: Path, tuned: Tuned | str | None) -> None:
-    """Write margins and gains as HTML, or why there are none."""
-    from jointid.common.document import Paragraph, block_html, typeset_block
+    """Write margins and gains, or why there are none."""
+    from jointid.common.document import Code, Table
 
     if tuned is None or isinstance(tuned, str):
         why = tuned or "They need an answer by DIDIM under a controller whose torque limit is given in step 3."
-        blocks: tuple[Block, ...] = (Paragraph(f"No margins and gains: {why}"),)
+        stated: dict[str, Any] = {"sentence": f"No margins and gains: {why}", "tables": [], "notch": ""}
     else:
-        blocks = (Paragraph(tuned.sentence), *tuned.proposal())
-    write_whole(folder / "tuning.html", "\n".join(block_html(typeset_block(block)) for block in blocks))
+        blocks = tuned.proposal()
+        tables = [{"header": one.header, "rows": one.rows} for one in blocks if isinstance(one, Table)]
+        notch = "".join(f"{one.caption}\n{one.text}" for one in blocks if isinstance(one, Code))
+        stated = {"sentence": tuned.sentence, "tables": tables, "notch": notch}
+    write_json(folder / "tuning.json", stated)
 
 
 def _write_answer(folder: Path, estimate: Estimate) -> None:
