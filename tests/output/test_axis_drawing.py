@@ -10,6 +10,7 @@ import pytest
 
 from jointid.common.document import typeset
 from jointid.common.text import interval
+from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.answer import frequencies_of
 from jointid.estimation.result.estimate import Estimate
@@ -54,6 +55,14 @@ def test_the_sentence_has_resonance_and_antiresonance() -> None:
     assert re.fullmatch(r"Resonance 29\.\d Hz, antiresonance 2\d\.\d Hz, from .*", said)
     assert typeset(said) in reports.flexible().markdown().split("## Parameters")[0]
     assert resonance_sentence(reports.rigid().estimate) == ""
+
+
+def test_a_gear_is_drawn_with_its_ratio_and_the_side_of_the_values() -> None:
+    estimate = reports.rigid().estimate
+    joint = replace(estimate.settings.joint, transmission=Transmission(load="revolute", ratio=98.6))
+    drawing = draw_axis(amended(estimate, settings={"system": joint}))
+    assert {"98.6:1", "values on the load side of the gear"} <= {*texts(drawing)}
+    assert drawing.count("<circle") == 2
 
 
 def hostile(estimate: Estimate) -> Estimate:

@@ -18,8 +18,8 @@ from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.summary import format_value
 from jointid.models.joints import FlexibleJoint
 
-_COLUMN, _ALONE, _LEFT, _RIGHT = 122, 220, 44, 6  # px: of a column, of the only one, and beside all of them
-_LETTER = 7.4  # px, at most on average
+_COLUMN, _ACROSS, _LEFT, _RIGHT = 122, 3, 44, 6  # px of a column, how many there are, and px beside all of them
+_LETTER = 6.7  # px, at most on average
 _GEAR = 46
 _TOP, _TALL = 14, 62  # of the boxes
 _LINE, _PAIR = 17, 42  # between lines, and between parameters
@@ -52,13 +52,14 @@ def draw_axis(estimate: Estimate) -> str:
         motor = [row for row in rows if row.name.startswith("motor_") or row.name == "offset"]
         middle = [row for row in rows if row.name in spring]
         columns = [("motor", motor), ("", middle), ("load", [row for row in rows if row not in (*motor, *middle)])]
-    column = _ALONE if len(columns) == 1 else _COLUMN
+    across = _ACROSS // len(columns)  # values beside each other
+    column = across * _COLUMN
     wide = left + len(columns) * column + _RIGHT
     parts = [_arrow(), *([] if gear is None else [_draw_gear(gear)])]
     for k, (name, shown) in enumerate(columns):
         x = left + k * column
-        parts += [_draw_mass(x, column, name) if name else _draw_spring(x), *_write_values(x, column, shown)]
-    rows_down = max(len(shown) for _, shown in columns)
+        parts += [_draw_mass(x, column, name) if name else _draw_spring(x), *_write_values(x, across, shown)]
+    rows_down = -(-max(len(shown) for _, shown in columns) // across)
     foot = _TOP + _TALL + 24 + rows_down * _PAIR + _LINE
     notes = [] if gear is None else [f"values on the {gear.side} side of the gear"]
     for one in notes:
@@ -80,14 +81,14 @@ def _value(row: EstimatedParameter) -> str:
     return interval(row.value, 2 * row.deviation)
 
 
-def _write_values(x: float, wide: float, rows: Sequence[EstimatedParameter]) -> list[str]:
-    """Return name, unit and value of each parameter below a column."""
-    found, middle = [], x + wide / 2
+def _write_values(x: float, across: int, rows: Sequence[EstimatedParameter]) -> list[str]:
+    """Return name, unit and value of each parameter below a column, some beside each other."""
+    found = []
     for k, row in enumerate(rows):
-        y = _TOP + _TALL + 24 + k * _PAIR
+        y, middle = _TOP + _TALL + 24 + k // across * _PAIR, x + (k % across + 0.5) * _COLUMN
         name = row.name.removeprefix("motor_").removeprefix("load_").replace("_", " ").replace("coulomb", "Coulomb")
-        found.append(_text(middle, y, f"{name}, {row.unit}" if row.unit else name, "middle", _SOFT, wide))
-        found.append(_text(middle, y + _LINE, _value(row), "middle", _INK, wide, bold=True))
+        found.append(_text(middle, y, f"{name}, {row.unit}" if row.unit else name, "middle", _SOFT, _COLUMN))
+        found.append(_text(middle, y + _LINE, _value(row), "middle", _INK, _COLUMN, bold=True))
     return found
 
 
