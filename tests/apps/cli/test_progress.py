@@ -181,8 +181,11 @@ def test_a_long_stage_says_now_and_then_how_long_it_has_gone_on(
     listener("searching the spring")
     for number in range(25):
         listener(Detail(f"iteration {number}"))
+    for done in follow(range(15), listener, "bootstrapping", 15, "draws"):
+        listener(Detail(f"draw {done}"))
     said = capsys.readouterr().err.splitlines()
-    assert said == ["searching the spring", *(f"searching the spring: {n} s so far" for n in (10, 20))]
+    assert said[:3] == ["searching the spring", *(f"searching the spring: {n} s so far" for n in (10, 20))]
+    assert len(said) > 4 and all(line.startswith("bootstrapping: ") and " left, " in line for line in said[3:])
 
 
 def test_a_terminal_rewrites_the_line_of_the_stage() -> None:
