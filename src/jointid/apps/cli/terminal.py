@@ -18,7 +18,7 @@ from jointid.common.messages import Detail, describe_pace, describe_time
 from jointid.common.text import printable
 
 _STAGE, _BESIDE = "", 30  # the key of a stage, and the characters of its bar and time
-_MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow")}
+_MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow"), "noted": ("noted", "cyan")}
 
 
 def print_blocks(document: Document, console: Console | None = None) -> None:
