@@ -265,7 +265,8 @@ def _suspect(
     """Tell the fault of the best fit, if its error is at most that."""
     if fits and (fault := fits[0].hypothesis.fault) is not None and fits[0].error <= most:
         told = explain(fault, fits[0].number, fits[0].error, loop, shown)
-        progress(Suspicion("the likeliest cause so far", ", or ".join(one.words for one in told)))
+        words = ", or ".join(one.words for one in told)
+        progress(Suspicion(f"the likeliest cause so far: {words}", words))
 
 
 def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
