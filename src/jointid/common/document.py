@@ -24,14 +24,17 @@ from jointid.common.text import align, encodable, short, wrap
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-_MARKS = {True: "yes", False: "no", None: "?"}
-_ANSWERS = {True: "Yes", False: "No", None: "Not known"}
-_CLASSES = {True: "good", False: "bad", None: "open"}
+Mark: TypeAlias = bool | Literal["noted"] | None
+"""The answer to a question; None if undecided, noted if it is no but changes nothing."""
+
+_MARKS: Mapping[Mark, str] = {True: "yes", False: "no", None: "?", "noted": "noted"}
+_ANSWERS: Mapping[Mark, str] = {True: "Yes", False: "No", None: "Not known", "noted": "Noted"}
+_CLASSES: Mapping[Mark, str] = {True: "good", False: "bad", None: "open", "noted": "open"}
 WIDTH = 80
 """Characters of a line of plain text."""
 
 _LEAST = 13  # characters of a fact's name, or blocks of facts would not line up with each other
-_ASKED = 20  # characters of a question
+_ASKED = 19  # characters of a question
 _CELL = 3800  # characters of HTML that a notebook's cell shows of a result, about
 _TITLE = 200  # characters of its title
 _SENTENCE = 400  # and of the sentence below it; escaped, a character is six at most
@@ -49,10 +52,11 @@ _RULES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r" >= ", " ≥ "),
     (r" <= ", " ≤ "),
     (r"(?<=[a-z])\^(-?\d)", lambda found: found[1].translate(_SUPERSCRIPTS)),
+    (r"(?:(?<=\bkg m)|(?<=/[sm])|(?<=\b[AV] s))2\b", "²"),  # of units alone: m2 is also the symbol of a mass
     (r"(?<=\d)e([+-])0*(\d+)\b", lambda found: f"·10{(found[1].strip('+') + found[2]).translate(_SUPERSCRIPTS)}"),
     (rf"(?<=\d) (?={_UNITS}(?![\w/]|\s*=))", _THIN),
     (r"(?<=\d) (?=(?:N|kg|rad|m|A|V)(?:[ /](?:m|s|rad)\b|²))", _THIN),
-    (r"(?<=\bN) (?=m\b|s/)|(?<=\bN\u202fm) (?=s/)|(?<=\bkg) (?=m²)|(?<=\bA) (?=s/)|(?<=\bV) (?=s/)", _THIN),
+    (r"(?<=\bN) (?=m\b|s/)|(?<=\bN\u202fm) (?=s/)|(?<=\bkg) (?=m²)|(?<=\b[AV]) (?=s[²/])", _THIN),
     (r"\bsigma\b", "σ"),
     (r"(?<![\w.)\]⁻-])-(?=\d)", "−"),
 )
@@ -87,9 +91,9 @@ class Listing:
 
 @dataclass(frozen=True, slots=True)
 class Verdicts:
-    """Questions, each with an answer (None if undecided) and reasons."""
+    """Questions, each with an answer and reasons."""
 
-    rows: tuple[tuple[str, bool | None, tuple[str, ...]], ...]
+    rows: tuple[tuple[str, Mark, tuple[str, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +130,7 @@ class Picture:
         text: the caption, which says what to see.
         plot: the same as JSON for bokeh, for a page; none when empty.
         wide: whether it may be as wide as the page.
+        inline: whether it is SVG of our own, escaped, that stands in the HTML itself.
     """
 
     name: str
@@ -133,6 +138,7 @@ class Picture:
     text: str
     plot: str = ""
     wide: bool = True
+    inline: bool = False
 
     @property
     def kind(self) -> str:
@@ -266,8 +272,8 @@ def _block_text(block: Block, width: int) -> str:
     return "\n".join([*([wrap(block.caption, width)] if block.caption else []), _table_text(block, width)])
 
 
-def _verdict_text(asked: str, good: bool | None, reasons: Sequence[str], width: int) -> str:
-    head = f"{asked:{_ASKED}} {_MARKS[good]:4} "
+def _verdict_text(asked: str, good: Mark, reasons: Sequence[str], width: int) -> str:
+    head = f"{asked:{_ASKED}} {_MARKS[good]:5} "
     if not reasons:
         return wrap("", width, head)
     first, *others = reasons
@@ -285,6 +291,8 @@ def _table_text(block: Table, width: int) -> str:
             taken = widths[0]
         parts[-1].append(i)
         taken += 2 + widths[i]
+    if len(parts) > 1 and len(parts[-1]) == 2 < len(parts[-2]):  # a column alone says little
+        parts[-1].insert(1, parts[-2].pop())
     shown = []
     for part in parts:
         header, *rows = ([row[i] for i in part] for row in table)
@@ -361,7 +369,7 @@ def _lines_html(block: Listing | Verdicts | Facts) -> list[str]:
     return ["<dl>", *pairs, "</dl>"]
 
 
-def _verdict(asked: str, good: bool | None, reasons: tuple[str, ...]) -> str:
+def _verdict(asked: str, good: Mark, reasons: tuple[str, ...]) -> str:
     why = "".join(f"\n<p>{escape(reason)}</p>" for reason in reasons)
     mark = f'<strong class="mark">{_ANSWERS[good]}</strong>'
     return f'<li class="{_CLASSES[good]}">{mark}<div><p class="asked">{escape(asked)}</p>{why}\n</div></li>'
@@ -371,8 +379,11 @@ def _picture_html(block: Picture) -> str:
     stem = escape(PurePath(block.name).stem)
     data = f'<script type="application/json" class="plot-data">{inert(block.plot)}</script>'
     plot = f'<div class="plot" id="plot-{stem}"></div>\n{data}\n' if block.plot else ""
-    source = f"data:{block.kind};base64,{base64.b64encode(block.draw()).decode('ascii')}"
-    image = f'<img class="still" src="{source}" alt="{escape(block.text)}">'
+    if block.inline:
+        image = block.draw().decode()
+    else:
+        source = f"data:{block.kind};base64,{base64.b64encode(block.draw()).decode('ascii')}"
+        image = f'<img class="still" src="{source}" alt="{escape(block.text)}">'
     narrow = "" if block.wide else " class=narrow"
     return f"<figure{narrow}>\n{plot}{image}\n<figcaption>{escape(block.text)}</figcaption>\n</figure>"
 

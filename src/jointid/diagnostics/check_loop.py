@@ -475,12 +475,16 @@ def _assign_cells(state: SearchState) -> Cells:
 
 
 def _simulate_forces(state: SearchState) -> list[FloatArray]:
-    """Return the residuals, (rows,), of random forces like the one in the record's loop; none without one."""
+    """Return the residuals, (rows,), of random forces and noise like those of the record; none without a force."""
     problem, run = state.problem, state.problem.simulate(state.x)
     force = find_force(problem, state.x, run, problem.measured - run.torque)
     if force is None:
         return []
-    return [problem.filter(one - run.torque) for one in simulate_with_force(problem, state.x, force, _FORCES)]
+    random = np.random.default_rng(1)
+    return [
+        problem.filter(one - run.torque + force.noise * random.standard_normal(one.size))
+        for one in simulate_with_force(problem, state.x, force, _FORCES)
+    ]
 
 
 def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:

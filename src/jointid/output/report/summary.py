@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 
-from jointid.common.document import Block, Heading, Listing, Paragraph, Table, Tone, Verdicts
+from jointid.common.document import Block, Heading, Listing, Paragraph, Picture, Table, Tone, Verdicts
 from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
-from jointid.estimation.result.answer import Trust, consequence, told_bounds
+from jointid.estimation.result.answer import Trust, consequence, mark_of, told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
+from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
 from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 
@@ -39,6 +40,9 @@ def summary_blocks(
     answer = estimate.answer
     yield Heading("Result")
     yield Paragraph(str(answer), lead=True, tone=_TONES[Trust(answer.trust.code)])
+    if resonances := resonance_sentence(estimate):
+        yield Paragraph(resonances)
+    yield Picture("axis.svg", lambda: draw_axis(estimate).encode(), "The axis, with 2 sigma", wide=False, inline=True)
     data, settings = estimate.data, estimate.settings
     channels = join([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
     title = method_of(settings.method).title
@@ -49,7 +53,7 @@ def summary_blocks(
     )
     yield from map(Paragraph, _results(estimate))
     yield Heading("Parameters")
-    yield parameters_table(estimate, initial=False, letters=True)
+    yield parameters_table(estimate, details=False)
     yield Heading("Checks")
     yield from _checks(estimate)
     yield Heading("Position" if estimate.fit.compared == "position" else "Torque")
@@ -127,7 +131,7 @@ def _checks(estimate: Estimate) -> Iterator[Block]:
     for v in (*failed, *unknown):
         first, *others = (reason.brief for reason in v.reasons)
         more = f" (and {len(others)} more in the appendix)" if others else ""
-        rows.append((v.subject.question, v.good, (sentence(f"{first}{more}"), consequence(estimate, v))))
+        rows.append((v.subject.question, mark_of(estimate, v), (sentence(f"{first}{more}"), consequence(estimate, v))))
     yield Paragraph(f"{len(passed)} of {len(verdicts)} checks passed. The appendix has the reasons in full.")
     yield Verdicts((*rows, *((v.subject.question, True, ()) for v in passed)))
     if estimate.checks.warnings:
@@ -140,7 +144,7 @@ def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
         rows = []
         for v in estimate.checks.verdicts:
             reasons = tuple(sentence(str(reason)) for reason in v.reasons)
-            rows.append((v.subject.question, v.good, reasons))
+            rows.append((v.subject.question, mark_of(estimate, v), reasons))
         yield Verdicts(tuple(rows))
     else:
         yield Paragraph("This method has no checks but the fit.")
