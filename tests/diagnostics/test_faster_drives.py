@@ -154,7 +154,7 @@ def _filled_in(way: str, law: Cascade | PD = CASCADE) -> tuple[Record, ClosedLoo
     times = 8
     fine, joint = LOG / times, RigidJoint("revolute")
     commands = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, LOG, duration=6.0)
-    log = Channel(commands, LOG, timing=Timing.SAMPLED)
+    log = Channel(commands, "rad", LOG, Timing.SAMPLED)
     controller = replace(law, delay=fine, period=fine, interpolation=way)
     reference = at_period(log, fine, times * commands.size, "reference", controller.interpolation)
     record = simulated_record(ClosedLoop(joint, controller), reference, RIGID, sample_time=fine, name="drive")
