@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from jointid.common.document import Document, Documented, Facts, Listing, Table, data_frame
 from jointid.common.errors import MethodError
-from jointid.common.text import number
+from jointid.common.text import in_words, number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -132,7 +132,8 @@ class EstimateComparison(Documented):
         """The result of the tests, then the notes."""
         tested = sum(row.p_value is not None for row in self.rows)
         if not tested:
-            return ("No difference can be tested.", *self.notes)
+            why = ", as both estimates share the errors of one record" if self.same_record else ""
+            return (f"No difference can be tested{why}.", *self.notes)
         if not self.changed:
             said = f"None of {tested} quantities changed significantly, at a level of {self.level:g} for all together."
             return (said, *self.notes)
@@ -163,7 +164,7 @@ class EstimateComparison(Documented):
     def to_document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
-        header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")
+        header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
         errors = " and ".join(
             "-" if one.error is None else f"{100 * one.error:.2f} %" for one in (self.before, self.after)
         )
@@ -176,10 +177,10 @@ class EstimateComparison(Documented):
             mark = "changed" if row in self.changed else row.reason
             spread = "-" if row.std is None else number(2 * row.std, 2)
             values = number(row.before), number(row.after), number(row.difference, 3)
-            rows.append((row.symbol, *values, spread, row.unit, p, mark))
-        table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7))
-        blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences)
-        return Document(f"Two estimates of one {_system(self.before)}, compared", blocks)
+            rows.append((in_words(row.name), *values, spread, row.unit, p, mark, row.symbol))
+        table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
+        blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences[1:])
+        return Document(self.sentence, blocks)
 
 
 def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:
