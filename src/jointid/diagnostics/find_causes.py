@@ -171,7 +171,8 @@ def find_causes(
     def suspect(best: Fit) -> None:
         if best.hypothesis.fault is not None:
             told = explain(best.hypothesis.fault, best.number, best.error, loop, shown)
-            progress(Suspicion("the likeliest cause so far", ", or ".join(one.words for one in told)))
+            words = ", or ".join(one.words for one in told)
+            progress(Suspicion(f"the likeliest cause so far: {words}", words))
 
     fits = fit_flexible(tried, loop, suspect) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
     found = _judge_faults(tried[0], fits, loop)

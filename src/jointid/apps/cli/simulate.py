@@ -31,8 +31,9 @@ def simulate(
     noise: Noise = "disturbance",
     seed: int = 1,
 ) -> None:
-    """Simulate a joint under its controller, driven by the reference of a record, and write what its drive would log.
+    """Simulate a joint or a robot under its controller.
 
+    It is driven by the reference of a record, and what its drive would log is written.
     The reference of --record, and the injected signal if it has one, drive the loop; --json takes a summary. The
     parameters are those of an estimate, or the fixed values and starts of the file. With --twin no joint file is
     needed: the paper's flexible axis is simulated, under one of its two loops.
@@ -154,7 +155,9 @@ def _simulate_twin(loop: Loop, added_mass: bool, noise: Noise, seed: int, out: P
 
 
 def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet: Quiet = False) -> None:
-    """Run the paper end to end on its digital twin; its tables show printed, recomputed and newly identified values.
+    """Run the paper end to end on its digital twin.
+
+    Its tables show printed, recomputed and newly identified values.
 
     Args:
         out: folder for the HTML page, the Markdown page and the figures; it is made if it is not there.

@@ -279,7 +279,7 @@ class DIDIM(Method):
         except MethodError as error:
             if self.form == "paper":
                 raise
-            history.progress(Suspicion("by least squares instead", error))
+            history.progress(Suspicion("searching by least squares", error))
             try:
                 return self._descend(problem, starts, history), _LEAST
             except MethodError:
