@@ -19,8 +19,8 @@ _FENCE = re.compile(
 _NAMED = re.compile(r"# ([\w-]+\.toml)\n")
 
 PROGRAMS = ("python", "{code-cell}", "sh")
-OTHERS = ("", "toml", "math", "{toctree}")
-"""Languages of what does not run by itself: what is printed, files, formulas, lists of pages."""
+OTHERS = ("", "toml", "matlab", "math", "{toctree}", "{literalinclude}")
+"""Languages of what does not run by itself: what is printed, files, formulas, lists of pages, included files."""
 
 
 @dataclass(frozen=True)
@@ -72,4 +72,5 @@ def blocks(page: Path) -> list[Block]:
 
 def _block(found: re.Match[str], before: str) -> Block:
     line, section = before.count("\n") + 1, before.count("\n## ")
-    return Block(found["language"].strip(), found["text"], line, found["reason"], section)
+    language = found["language"].partition(" ")[0]  # without the argument of a directive
+    return Block(language, found["text"], line, found["reason"], section)

@@ -129,20 +129,20 @@ def _inside(folder: Path) -> Iterator[None]:
 
 
 def _of_the_readme(folder: Path) -> None:
-    """Write the record of a tilt axis under the law of the README's joint file, as its user has it."""
+    """Write the record of a geared axis under the law of the README's joint file, as its user has it."""
     text = next(block.text for block in blocks(ROOT / "README.md") if block.file)
     (folder / "joint.toml").write_text(text, encoding="utf-8")
-    reference = ji.excitation.trapezoids([4.0, 8.0, 16.0], 400.0, 3.0, 1e-3, rest=0.1, duration=10.0)
-    noise = 0.02 * np.random.default_rng(0).standard_normal(reference.size)
+    reference = ji.excitation.trapezoids([0.2, 0.4, 0.8], 4.0, 0.4, 1e-3, rest=0.1, duration=12.0)
+    noise = 2.0 * np.random.default_rng(0).standard_normal(reference.size)
     _write_log(folder / "joint.toml", reference, README_AXIS, noise, folder / "run.csv")
 
 
 README_AXIS = {
-    "motor_inertia": 0.0031, "motor_viscous": 0.004, "motor_coulomb": 0.035,
-    "stiffness": 190.0, "damping": 0.02,
-    "load_inertia": 0.0024, "load_viscous": 0.006, "load_coulomb": 0.030, "offset": 0.02,
+    "motor_inertia": 15.0, "motor_viscous": 60.0, "motor_coulomb": 40.0,
+    "stiffness": 1e5, "damping": 30.0,
+    "load_inertia": 12.0, "load_viscous": 40.0, "load_coulomb": 25.0, "offset": 5.0,
 }  # fmt: skip
-"""What the README's record is simulated with."""
+"""What the README's record is simulated with, on the load side."""
 
 
 def _of_the_joint_file(folder: Path) -> None:

@@ -6,8 +6,10 @@ import doctest
 import inspect
 import re
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from operator import attrgetter
+from typing import Any
 
 import pytest
 
@@ -19,6 +21,7 @@ from tests.docs.blocks import ROOT, pages
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))
 
 import commands
+import diagrams
 import joint_file_keys
 import pages as generated
 import search_words
@@ -72,6 +75,15 @@ def test_the_page_of_keys_has_every_key_of_the_schema_with_its_meaning() -> None
     assert all(len(cells.split(" | ")[-1]) > 8 for cells in rows.values())
 
 
+@pytest.mark.parametrize(("name", "draw"), diagrams.DIAGRAMS.items())
+def test_a_diagram_is_drawn_by_its_program_and_names_keys_of_the_controller(name: str, draw: Callable[[], Any]) -> None:
+    drawing = draw()
+    saved = (diagrams.IMAGES / f"{name}.svg").read_text(encoding="utf-8")
+    assert drawing.svg() == saved, "write it again: python docs/_ext/diagrams.py"
+    assert set(drawing.keys) <= set(re.findall(r"`controller\.(\w+)`", joint_file_keys.page()))
+    assert f"images/{name}.svg" in (ROOT / "docs" / "controllers.md").read_text(encoding="utf-8")
+
+
 def test_every_public_name_has_an_entry_and_a_docstring() -> None:
     entries = "".join(text for name, text in generated.written().items() if name.startswith("api-"))
     modules = {name: module for name in jointid.__all__ if inspect.ismodule(module := getattr(jointid, name))}
@@ -113,8 +125,8 @@ def test_links_of_a_page_that_moves_lead_where_they_did() -> None:
 
 
 def test_the_table_of_faults_has_every_fault() -> None:
-    text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
-    section = text.partition("## Is the loop as declared?")[2].partition("\n\nA wrong drive gain")[0]
+    text = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
+    section = text.partition("\n\nA wrong drive gain")[0]
     named = re.findall(r"`(\w+)`", " ".join(row.split("|")[1] for row in re.findall(r"^\|.*", section, re.MULTILINE)))
     assert {one.name for one in FAULTS} - set(named) == set()
     assert section.count("\n\n|") == 1, "the table is in pieces"
@@ -138,7 +150,19 @@ def test_the_glossary_has_a_word_of_the_drives_beside_ours(word: str, ours: str)
 
 
 @pytest.mark.parametrize(
-    "word", ["backlash", "resonance", "antiresonance", "notch", "Tn", "Kv", "Kp", "following error"]
+    "word",
+    [
+        "backlash",
+        "resonance",
+        "antiresonance",
+        "notch",
+        "Tn",
+        "Kv",
+        "Kp",
+        "following error",
+        "wrong sign",
+        "sample time",
+    ],
 )
 def test_a_heading_has_what_is_searched_for_most(word: str) -> None:
     headings = [line for page in pages() for line in page.read_text(encoding="utf-8").splitlines() if line[:2] == "##"]

@@ -85,12 +85,12 @@ TABLE = """\
 Inertia 94.90 ± 0.22 kg. Checked by its fit only (4.0 % of the torque is not
 explained): validate it on another record.
 
-symbol  parameter     value  2 sigma  2 sigma %  unit
-------------------------------------------------------
-ZZ      inertia      94.903     0.22       0.23  kg
-Fv      viscous      207.53      2.5        1.2  N s/m
-Fc      coulomb    > 12.500        -          -  N
-offset  offset            0    fixed          -  N
+parameter  letter  value ± 2 sigma  unit    ± %  symbol
+-------------------------------------------------------
+inertia    m          94.90 ± 0.22  kg     0.23  ZZ
+viscous    b           207.5 ± 2.5  N s/m   1.2  Fv
+coulomb    F_C              > 12.5  N         -  Fc
+offset                   0 (fixed)  N         -  offset
 
 warning       something to know
 
@@ -156,7 +156,7 @@ def test_the_table_to_the_letter() -> None:
 def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
     html = amended(ESTIMATE, data={"record": "<script>alert(1)</script>"})._repr_html_()
     assert "<script" not in html
-    assert '<th scope="row">ZZ</th><td class=text>inertia</td><td>94.903</td>' in html
+    assert '<th scope="row">inertia</th><td class=text>m</td><td>94.90 ± 0.22</td>' in html
 
 
 def test_an_estimate_is_saved_as_the_command_writes_it(tmp_path: Path) -> None:
@@ -317,9 +317,11 @@ def test_a_law_with_a_slower_loop_and_no_period_of_its_own_has_a_fingerprint(slo
 @pytest.mark.parametrize(
     ("value", "spread", "said"),
     [
-        (94.903, 0.92, "94.90 ± 0.92"), (207.53, 27.3, "208 ± 27"), (802861.0, 7353.0, "802861 ± 7353"),
-        (-3.1664, 0.89, "-3.17 ± 0.89"), (5.0, 0.0, "5.0000 ± 0"), (0.0, 1.0, "0 ± 1.0"),
-        (1e-7, 4e-6, "1.0e-07 ± 4.0e-06"),
+        (94.903, 0.92, "94.90 ± 0.92"), (207.53, 27.3, "208 ± 27"), (802861.0, 7353.0, "802900 ± 7400"),
+        (-3.1664, 0.89, "-3.17 ± 0.89"), (5.0, 0.0, "5.0000 ± 0"), (0.0, 1.0, "0.0 ± 1.0"),
+        (94.903, 0.996, "94.9 ± 1.0"), (-0.3, 27.0, "0 ± 27"), (0.0031, 2e-5, "0.003100 ± 0.000020"),
+        (30.0, 3e-13, "30.0000000 ± 3.0e-13"), (1234567.0, 12345.0, "1.235e+06 ± 0.012e+06"),
+        (1e-7, 4e-6, "0.1e-06 ± 4.0e-06"),
     ],
 )  # fmt: skip
 def test_a_value_has_as_many_places_as_its_interval(value: float, spread: float, said: str) -> None:

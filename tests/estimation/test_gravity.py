@@ -157,7 +157,7 @@ def test_a_short_travel_tells_only_sums(travel: float) -> None:
     estimate = identify(torque_only(record), ARM)
     verdict = next(v for v in estimate.checks.verdicts if v.subject == "identifiability")
     assert not verdict.good
-    told = re.search(r"offset and gMX are known by their sum: ([\d.]+) \+- ([\d.]+) N m", verdict.said)
+    told = re.search(r"use the sum of offset and gravity cos, ([\d.]+) ± ([\d.]+) N m", verdict.said)
     assert told is not None
     assert float(told[1]) == pytest.approx(40.5, abs=3.0 * float(told[2]))
     assert float(told[2]) < 0.02

@@ -36,7 +36,7 @@ def residual(rows: int = 4000) -> np.ndarray:
     return 4.0 * np.random.default_rng(1).standard_normal(rows)
 
 
-def test_two_frictions_are_known_by_their_sum() -> None:
+def test_of_two_frictions_the_sum_is_to_be_used() -> None:
     J = sensitivities(0.05)
     covariance = white(J, residual())
     found = identifiability(FRICTIONS, UNITS, X, J, covariance)
@@ -51,9 +51,9 @@ def test_two_frictions_are_known_by_their_sum() -> None:
     assert difference.verdict == "poorly"
     assert len(found.limitations) == 1
     assert found.limitations[0].words.startswith(
-        f"Fv1 and Fv2 are known by their sum: 201.0 +- {2 * total.std:.1f} N s/m; "
+        f"use the sum of motor viscous and load viscous, 201.0 ± {2 * total.std:.1f} N s/m; "
     )
-    assert f"apart Fv1 only to +- {2 * covariance.std[0]:.0f}, " in found.limitations[0].words
+    assert f"apart they are known to ± {2 * covariance.std[0]:.0f} N s/m and " in found.limitations[0].words
 
 
 def test_the_directions_are_those_of_the_scaled_information() -> None:
@@ -93,7 +93,7 @@ def test_what_must_be_positive_and_is_not_told_from_zero_is_named() -> None:
     assert not any(one.code == "not_significant" for one in unbounded.limitations)
 
 
-def test_two_of_different_units_are_known_by_a_weighted_sum() -> None:
+def test_two_of_different_units_are_to_be_used_together() -> None:
     random = np.random.default_rng(2)
     together, other = random.standard_normal((2, 3000))
     J = np.column_stack([together, 1e-4 * (together + 0.1 * other)])
@@ -103,9 +103,12 @@ def test_two_of_different_units_are_known_by_a_weighted_sum() -> None:
     )
     covariance = white(J, random.standard_normal(3000))
     found = identifiability(parameters, {"coulomb": "N", "stiffness": "N/m"}, np.array([20.0, 2e5]), J, covariance)
-    assert found.limitations[0].words.startswith("Fc and K12 are known by Fc + 1.0")
-    best = np.array([1.0, -covariance.correlation[0, 1] * covariance.std[0] / covariance.std[1]])
-    assert f"+- {2 * covariance.std_of(best):.2g} N; apart Fc only to +- " in found.limitations[0].words
+    (limitation,) = found.limitations
+    assert limitation.brief == "use coulomb and stiffness only together: what one gains the other makes up for"
+    assert f"apart they are known to ± {2 * covariance.std[0]:.2g} N and " in limitation.words
+    together = np.array([1.0, float(limitation.values["weight"])])
+    assert limitation.values["std"] == pytest.approx(covariance.std_of(together))
+    assert limitation.values["std"] < 0.2 * covariance.std[0]
 
 
 def test_the_sums_of_every_joint() -> None:

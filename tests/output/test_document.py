@@ -28,7 +28,14 @@ EVERY = Document(
         Facts((("read", "torque"),)),
         Table(("symbol", "value"), (("ZZ", "94.9"), ("offset", "-3")), "the table"),
         Heading("checks"),
-        Verdicts((("fit", True, ("4 % remains",)), ("whiteness", False, ("one", "two")), ("loop", None, ("-",)))),
+        Verdicts(
+            (
+                ("fit", True, ("4 % remains",)),
+                ("whiteness", False, ("one", "two")),
+                ("loop", None, ("-",)),
+                ("repeats", "noted", ("it is small",)),
+            )
+        ),
         Paragraph("a paragraph"),
         Listing(("first", "second")),
         Code("x = 1", "a program"),
@@ -60,10 +67,11 @@ ZZ       94.9
 offset     -3
 
 checks
-fit                  yes  4 % remains
-whiteness            no   one,
+fit                 yes   4 % remains
+whiteness           no    one,
                           two
-loop                 ?    -
+loop                ?     -
+repeats             noted it is small
 
 a paragraph
 
@@ -124,7 +132,7 @@ def test_facts_and_listings_that_hold_nothing_are_left_out() -> None:
 
 
 def test_a_question_without_reasons_is_text_too() -> None:
-    assert Document("title", (Verdicts((("fit", True, ()),)),)).text().endswith("fit                  yes")
+    assert Document("title", (Verdicts((("fit", True, ()),)),)).text().endswith("fit                 yes")
 
 
 def test_rows_that_say_nothing_in_what_goes_on_below_are_left_out_there() -> None:

@@ -24,14 +24,17 @@ from jointid.common.text import align, encodable, short, wrap
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-_MARKS = {True: "yes", False: "no", None: "?"}
-_ANSWERS = {True: "Yes", False: "No", None: "Not known"}
-_CLASSES = {True: "good", False: "bad", None: "open"}
+Mark: TypeAlias = bool | Literal["noted"] | None
+"""The answer to a question; None if undecided, noted if it is no but changes nothing."""
+
+_MARKS: Mapping[Mark, str] = {True: "yes", False: "no", None: "?", "noted": "noted"}
+_ANSWERS: Mapping[Mark, str] = {True: "Yes", False: "No", None: "Not known", "noted": "Noted"}
+_CLASSES: Mapping[Mark, str] = {True: "good", False: "bad", None: "open", "noted": "open"}
 WIDTH = 80
 """Characters of a line of plain text."""
 
 _LEAST = 13  # characters of a fact's name, or blocks of facts would not line up with each other
-_ASKED = 20  # characters of a question
+_ASKED = 19  # characters of a question
 _CELL = 3800  # characters of HTML that a notebook's cell shows of a result, about
 _TITLE = 200  # characters of its title
 _SENTENCE = 400  # and of the sentence below it; escaped, a character is six at most
@@ -88,9 +91,9 @@ class Listing:
 
 @dataclass(frozen=True, slots=True)
 class Verdicts:
-    """Questions, each with an answer (None if undecided) and reasons."""
+    """Questions, each with an answer and reasons."""
 
-    rows: tuple[tuple[str, bool | None, tuple[str, ...]], ...]
+    rows: tuple[tuple[str, Mark, tuple[str, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,8 +272,8 @@ def _block_text(block: Block, width: int) -> str:
     return "\n".join([*([wrap(block.caption, width)] if block.caption else []), _table_text(block, width)])
 
 
-def _verdict_text(asked: str, good: bool | None, reasons: Sequence[str], width: int) -> str:
-    head = f"{asked:{_ASKED}} {_MARKS[good]:4} "
+def _verdict_text(asked: str, good: Mark, reasons: Sequence[str], width: int) -> str:
+    head = f"{asked:{_ASKED}} {_MARKS[good]:5} "
     if not reasons:
         return wrap("", width, head)
     first, *others = reasons
@@ -288,6 +291,8 @@ def _table_text(block: Table, width: int) -> str:
             taken = widths[0]
         parts[-1].append(i)
         taken += 2 + widths[i]
+    if len(parts) > 1 and len(parts[-1]) == 2 < len(parts[-2]):  # a column alone says little
+        parts[-1].insert(1, parts[-2].pop())
     shown = []
     for part in parts:
         header, *rows = ([row[i] for i in part] for row in table)
@@ -364,7 +369,7 @@ def _lines_html(block: Listing | Verdicts | Facts) -> list[str]:
     return ["<dl>", *pairs, "</dl>"]
 
 
-def _verdict(asked: str, good: bool | None, reasons: tuple[str, ...]) -> str:
+def _verdict(asked: str, good: Mark, reasons: tuple[str, ...]) -> str:
     why = "".join(f"\n<p>{escape(reason)}</p>" for reason in reasons)
     mark = f'<strong class="mark">{_ANSWERS[good]}</strong>'
     return f'<li class="{_CLASSES[good]}">{mark}<div><p class="asked">{escape(asked)}</p>{why}\n</div></li>'

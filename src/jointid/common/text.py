@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Sequence
 
 _NARROWEST = 20  # characters beside a long name, where words still make lines
+_EXACT = 1e7  # times its spread: a larger value would be mostly digits
 
 
 def printable(text: str) -> str:
@@ -77,11 +78,22 @@ def ordinal(count: int) -> str:
 
 
 def interval(value: float, spread: float) -> str:
-    """Format a value and its spread, ``95.4 ± 1.3``, to two digits of the spread."""
-    if not (0 < spread < math.inf and value != 0.0 and math.isfinite(value / spread)):
-        return f"{number(value)} ± {number(spread, 2)}"
-    digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(spread)) + 2
-    return f"{number(value, min(max(digits, 2), 9))} ± {number(spread, 2)}"
+    """Format a value and its spread, both to the first two digits of the spread.
+
+    Example:
+        >>> from jointid.common.text import interval
+        >>> interval(70.401, 0.4712), interval(802861.0, 7276.0), interval(3.1e-7, 4.2e-6)
+        ('70.40 ± 0.47', '802900 ± 7300', '0.3e-06 ± 4.2e-06')
+    """
+    if not (0 < spread < math.inf and abs(value) < _EXACT * spread):
+        return f"{number(value, 9 if 0 < spread < math.inf else 5)} ± {number(spread, 2)}"
+    largest = math.floor(math.log10(max(abs(value), spread)))
+    exponent = 0 if -3 <= largest < 6 else largest
+    ending = f"e{exponent:+03d}" if exponent else ""
+    value, spread = value / 10.0**exponent, round_to(spread / 10.0**exponent, 2)
+    places = 1 - math.floor(math.log10(spread))
+    shown = (f"{round(one, places) + 0.0:.{max(places, 0)}f}{ending}" for one in (value, spread))  # of 0 no negative
+    return " ± ".join(shown)
 
 
 def wrap(text: str, width: int, head: str = "", below: int | None = None) -> str:
@@ -103,6 +115,12 @@ def wrap(text: str, width: int, head: str = "", below: int | None = None) -> str
         ) or [head.rstrip() if not i else ""]
     ]  # fmt: skip
     return "\n".join(lines)
+
+
+def in_words(name: str) -> str:
+    """Return the name of a parameter in words, of a robot's behind its joint: "elbow, rotor inertia"."""
+    axis, _, quantity = name.rpartition(".")
+    return f"{axis}{', ' if axis else ''}{quantity.replace('_', ' ')}"
 
 
 def encodable(text: str, encoding: str | None) -> str:

@@ -22,7 +22,7 @@ from jointid.common.document import Document, Documented, Facts, Listing, Table,
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter, adjust_parameters
-from jointid.common.text import number, pluralise
+from jointid.common.text import in_words, pluralise
 from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, ReportedEstimate, compare_estimates
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_comparison import (
@@ -40,7 +40,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method, Task, methods
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter
+from jointid.estimation.result.parts import show_value
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws
 from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction, find_friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, of_whole
@@ -380,7 +380,7 @@ class MethodComparison(Documented):
         """Return the table, the channels of each method, and the disagreements; there are no further details."""
         del details
         found = self.estimates
-        title = f"{self.model.capitalize()} joint by every method that {self.record} allows; value +- 2 sigma"
+        title = f"{self.model.capitalize()} joint by every method that {self.record} allows; value ± 2 sigma"
         facts = common_facts(None, next((e.settings.joint.transmission for e in found.values()), None))
         lines = [f"{name} reads {', '.join(estimate.data.channels)}" for name, estimate in found.items()]
         lines += [f"{m.name} cannot run: {m.refusal}" for m in self.methods if m.estimate is None]
@@ -392,16 +392,17 @@ class MethodComparison(Documented):
 
     def _table(self) -> Table:
         found, rows = self.estimates, []
-        symbols = {p.name: (p.symbol, p.unit) for e in found.values() for p in e.params.rows if p.of_joint}
-        for name, (symbol, unit) in symbols.items():
-            lines = (next((p for p in e.params.rows if p.name == name), None) for e in found.values())
-            rows.append((symbol, unit, *map(_format_interval, lines)))
+        every = {p.name: p for e in found.values() for p in e.params.rows if p.of_joint}
+        for name, one in every.items():
+            lines = (next((show_value(p) for p in e.params.rows if p.name == name), "-") for e in found.values())
+            rows.append((in_words(name), one.unit, *lines, one.symbol))
         fits = [estimate.fit for estimate in found.values()]
-        rows.append(("torque error, raw", "%", *(f"{100 * fit.relative_error:.2f}" for fit in fits)))
-        rows.append(("filtered", "%", *(f"{100 * fit.filtered_error:.2f}" for fit in fits)))
-        rows.append(("simulations", "", *(str(fit.simulations) for fit in fits)))
-        rows.append(("time", "s", *(f"{method.seconds:.1f}" for method in self.methods if method.estimate is not None)))
-        return Table(("", "unit", *found), tuple(rows), words=(0, 1))
+        rows.append(("torque error, raw", "%", *(f"{100 * fit.relative_error:.2f}" for fit in fits), ""))
+        rows.append(("filtered", "%", *(f"{100 * fit.filtered_error:.2f}" for fit in fits), ""))
+        rows.append(("simulations", "", *(str(fit.simulations) for fit in fits), ""))
+        seconds = (f"{method.seconds:.1f}" for method in self.methods if method.estimate is not None)
+        rows.append(("time", "s", *seconds, ""))
+        return Table(("", "unit", *found, "symbol"), tuple(rows), words=(0, 1, len(found) + 2))
 
 
 def compare_methods(
@@ -480,16 +481,8 @@ def _describe_disagreements(found: Mapping[str, Estimate]) -> tuple[str, ...]:
             pairs.append((gap / spread if spread else 0.0, one, two))
         worst, one, two = max(pairs, default=(0.0, "", ""))
         if worst > 1.0:
+            both = " and ".join(show_value(replace(rows[key], lack_of_fit=0.0)) for key in (one, two))
             sentences.append(
-                f"{one} and {two} disagree on {name.replace('_', ' ')} outside their intervals: "
-                f"{_format_interval(rows[one])} and {_format_interval(rows[two])} {rows[one].unit}"
+                f"{one} and {two} disagree on {in_words(name)} outside their intervals: {both} {rows[one].unit}"
             )
     return tuple(sentences)
-
-
-def _format_interval(p: EstimatedParameter | None) -> str:
-    if p is None:
-        return "-"
-    if p.value is None:
-        return "not identifiable"
-    return number(p.value) + (f" +- {number(2 * p.stderr, 2)}" if p.stderr is not None else "" if p.free else " fixed")

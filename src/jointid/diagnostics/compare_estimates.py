@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from jointid.common.document import Document, Documented, Facts, Listing, Table, data_frame
 from jointid.common.errors import MethodError
-from jointid.common.text import number
+from jointid.common.text import in_words, number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -163,7 +163,7 @@ class EstimateComparison(Documented):
     def to_document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
-        header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")
+        header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
         errors = " and ".join(
             "-" if one.error is None else f"{100 * one.error:.2f} %" for one in (self.before, self.after)
         )
@@ -176,8 +176,8 @@ class EstimateComparison(Documented):
             mark = "changed" if row in self.changed else row.reason
             spread = "-" if row.std is None else number(2 * row.std, 2)
             values = number(row.before), number(row.after), number(row.difference, 3)
-            rows.append((row.symbol, *values, spread, row.unit, p, mark))
-        table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7))
+            rows.append((in_words(row.name), *values, spread, row.unit, p, mark, row.symbol))
+        table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
         blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences)
         return Document(f"Two estimates of one {_system(self.before)}, compared", blocks)
 

@@ -18,7 +18,7 @@ from jointid.common.document import Block, Document, Documented, Facts, Heading,
 from jointid.common.errors import FaultsError, JointidError, MethodError, require_type
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.common.text import number, pluralise
+from jointid.common.text import in_words, number, pluralise
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.experiment_design import advise
 from jointid.diagnostics.faults.record import find_plain_cause, find_standstill
@@ -170,9 +170,9 @@ class Examination(Documented):
             blocks.append(Facts((("transmission", str(self.transmission)),)))
         if self.parameters:
             rows = tuple(
-                (one.symbol, one.name.replace("_", " "), number(one.percent, 2), one.remark) for one in self.parameters
+                (in_words(one.name), number(one.percent, 2), one.remark, one.symbol) for one in self.parameters
             )
-            blocks.append(Table(("symbol", "parameter", "2 sigma %", "known"), rows, words=(0, 1, 3)))
+            blocks.append(Table(("parameter", "2 sigma %", "known", "symbol"), rows, words=(0, 2, 3)))
         blocks += [Listing(self.changes)] if self.changes else []
         return Document(self.sentence, tuple(blocks))
 

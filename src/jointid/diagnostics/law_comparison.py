@@ -25,7 +25,7 @@ from jointid.common.document import Document, Documented, Facts, Table, common_f
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.text import join, number
+from jointid.common.text import interval, join, number
 from jointid.common.transmission import Transmission
 from jointid.estimation.descent import Solved, least_squares
 from jointid.estimation.problems.base import INITIAL
@@ -132,7 +132,7 @@ class LawComparison(Documented):
                 rating = "not identified" if one.refusal else "shown"
             errors = _format_share(one.fitted), _format_share(one.kept)
             rows.append((one.name, str(one.parameters), *errors, rating, one.words or one.refusal))
-        header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value +- 2 sigma")
+        header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value ± 2 sigma")
         note = f"{TIMES} fits, each without a third of {PARTS} parts of the record, which it then predicts"
         facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
         return Document(self.sentence, (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
@@ -341,7 +341,7 @@ def _format_interval(p: Parameter, value: float, std: float | None, unit: str, u
     if std is None:
         return f"{number(value, 4)} {unit}"
     near_none = vanishes and abs(value) < _BESIDE * std  # how near a search comes to a bound at 0 says nothing
-    return f"{number(0.0 if near_none else value, 4)} +- {number(2 * std, 2)} {unit}"
+    return f"{interval(0.0 if near_none else value, 2 * std)} {unit}"
 
 
 def rank(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLaw, ...]:

@@ -16,7 +16,7 @@ from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Line, Mark, 
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table, common_facts
 from jointid.common.files import write_folder
 from jointid.common.matplotlib_backend import Charted
-from jointid.common.text import join, number
+from jointid.common.text import in_words, join, number
 from jointid.common.transmission import Side, Transmission
 from jointid.models.limits import AxisLimits, describe_excess, units_of_limits
 from jointid.planning.goals import WEAKEST, Goal
@@ -237,15 +237,17 @@ class Design(Charted, Documented):
         rows = []
         for name in proposed.joint:
             stds = (_sigma(prediction.std[name]) for prediction in tests.values())
-            rows.append((proposed.symbols[name], number(proposed.values[name], 4), *stds, proposed.units[name]))
+            about, unit = number(proposed.values[name], 4), proposed.units[name]
+            rows.append((in_words(name), about, *stds, unit, proposed.symbols[name]))
         # Torque alone hardly separates the parameters of both sides.
         for motor, load in self._sides():
             for sign in (1.0, -1.0):
                 shown = f"{proposed.symbols[motor]} {'+' if sign > 0 else '-'} {proposed.symbols[load]}"
                 value = proposed.values[motor] + sign * proposed.values[load]
                 stds = (_sigma(prediction.std_of({motor: 1.0, load: sign})) for prediction in tests.values())
-                rows.append((shown, number(value, 4), *stds, proposed.units[motor]))
-        header = ("symbol", "about", *tests, "unit")
+                said = f"{'sum' if sign > 0 else 'difference'} of {in_words(motor.removeprefix('motor_'))}"
+                rows.append((said, number(value, 4), *stds, proposed.units[motor], shown))
+        header = ("parameter", "about", *tests, "unit", "symbol")
         reached = [
             (name.replace("_", " "), *(axis.cell(name) for axis in self.axes))
             for name in ("positions", *_QUANTITIES)
@@ -266,7 +268,7 @@ class Design(Charted, Documented):
         return Document(
             self.sentence,
             (
-                Table(header, tuple(rows), caption="predicted 2 sigma of", words=(0, len(header) - 1)),
+                Table(header, tuple(rows), caption="predicted 2 sigma of", words=(0, len(header) - 2, len(header) - 1)),
                 Table(
                     ("", *(axis.name or "reached" for axis in self.axes)), tuple(reached),
                     "what the test reaches, of what is allowed", tuple(range(len(self.axes) + 1)),

@@ -162,13 +162,13 @@ class MinimumDetectableChange(Documented):
         rows = []
         for c in self.changes:
             percent = number(100 * c.size / abs(c.value), 2) if c.value else "-"
-            rows.append((c.formula, c.name, number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit))
-        header = ("symbol", "quantity", "value", "detectable", "%", "alarm above", "unit")
+            rows.append((c.name, number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit, c.formula))
+        header = ("quantity", "value", "detectable", "%", "alarm above", "unit", "symbol")
         said = (
             f"Smallest change detectable with another record of this motion ({100 * self.false_alarm:g} % false "
             f"alarms, {100 * self.power:g} % detected)"
         )
-        return Document(said, (Table(header, tuple(rows), words=(0, 1, 6)),))
+        return Document(said, (Table(header, tuple(rows), words=(0, 5, 6)),))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import ADDED, Parameter, Quantity
-from jointid.common.text import number
+from jointid.common.text import in_words, interval, number
 from jointid.uncertainty.covariance import Covariance
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
@@ -244,18 +244,13 @@ def _describe_pair(
     # Of two in the same unit the plain sum or difference is given, of others the combination that is known best.
     weights[j] = -math.copysign(1.0 if alike else spread.std[i] / spread.std[j], correlation)
     value, std = float(weights @ [known.value for known in each]), spread.std_of(weights)
-    what = _write_sum([(1.0, first.symbol), (float(weights[j]), second.symbol)])
+    pair = f"{in_words(first.name)} and {in_words(second.name)}"
     if alike:
-        what = f"their {'sum' if correlation < 0 else 'difference'}"
-    apart = f"apart {first.symbol} only to +- {number(2 * each[i].std, 2)}"
-    other = f"{second.symbol} to +- {number(2 * each[j].std, 2)}{'' if alike else f' {each[j].combination.unit}'}"
-    said = (
-        f"{first.symbol} and {second.symbol} are known by {what}: {number(value, 4)} +- {number(2 * std, 2)} {unit}; "
-        f"{apart}, {other} (correlation {correlation:+.3f})"
-    )
+        clause = f"use the {'sum' if correlation < 0 else 'difference'} of {pair}, {interval(value, 2 * std)} {unit}"
+    else:
+        clause = f"use {pair} only together: what one gains the other makes up for"
+    widths = " and ".join(f"± {number(2 * known.std, 2)} {known.combination.unit}" for known in (each[i], each[j]))
+    said = f"{clause}; apart they are known to {widths} (correlation {correlation:+.3f})"
     values = {"parameters": [first.name, second.name], "weight": float(weights[j]), "value": value, "std": std}
     values |= {"unit": unit, "correlation": correlation}
-    clause = (
-        f"{first.symbol} and {second.symbol} are known by {what}, {number(value, 4)} +- {number(2 * std, 2)} {unit}"
-    )
     return Message(Limitation.INSEPARABLE, said, values, clause)

@@ -32,7 +32,7 @@ from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.parameters import Bounds, Parameter
-from jointid.common.text import number
+from jointid.common.text import in_words, interval, number
 from jointid.uncertainty.covariance import Covariance, bandwidth, covariance_of, larger
 
 _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing determines
@@ -189,11 +189,13 @@ class Bootstrap(Documented):
         """Table of the intervals."""
         del details
         rows = tuple(
-            (p.symbol, number(float(value)), number(float(std), 2), number(float(low)), number(float(high)))
+            (in_words(p.name), interval(float(value), float(std)), number(float(low)), number(float(high)), p.symbol)
             for p, value, std, (low, high) in zip(self.parameters, self.estimate, self.std, self.intervals, strict=True)
         )
-        header = ("symbol", "value", "sigma", f"{100 * self.level:.4g} % from", "to")
-        return Document(f"{len(self.draws)} draws of {self.blocks} blocks: {self.how}", (Table(header, rows),))
+        header = ("parameter", "value ± sigma", f"{100 * self.level:.4g} % from", "to", "symbol")
+        return Document(
+            f"{len(self.draws)} draws of {self.blocks} blocks: {self.how}", (Table(header, rows, words=(0, 4)),)
+        )
 
 
 def bootstrap_estimate(

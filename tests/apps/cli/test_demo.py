@@ -32,8 +32,10 @@ def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
     for name in ("robot.toml", "robot.xml"):
         assert (place / name).read_bytes() == (ROOT / "examples" / "robot" / name).read_bytes()
     assert (place / "record.csv").read_text(encoding="utf-8").startswith("tau1,r1,tau2,r2\n")
-    rows = re.findall(r"^(\w+) +(-?[\d.e-]+) +([\d.e-]+) +(-?[\d.e-]+)  \S", capsys.readouterr().out, re.MULTILINE)
-    found = {symbol: tuple(map(float, numbers)) for symbol, *numbers in rows}
+    out = capsys.readouterr().out
+    assert "repeatable residual" not in out and max(map(len, out.partition("\n\nWritten")[0].splitlines())) <= 80
+    rows = re.findall(r"  (-?[\d.e-]+) ± ([\d.e-]+)  \S.*? +(-?[\d.e-]+)  (?:.* )?(\w+)$", out, re.MULTILINE)
+    found = {symbol: tuple(map(float, numbers)) for *numbers, symbol in rows}
     assert len(found) == 18, "every parameter has its truth"
     assert all(abs(value - true) < 2 * interval for value, interval, true in found.values())
     value, interval, true = found["K1"]
@@ -49,6 +51,8 @@ def test_a_fleet_is_made_by_one_command(tmp_path: Path, capsys: pytest.CaptureFi
     assert len([*place.glob("logs/axis-00?/*.npy")]) == 4 * 9
     record = load_joint(place / "joint.toml").record(place / "logs" / "axis-001" / f"{FIRST_DAY}.npy")
     assert record.torque is not None and record.torque.values.size == 8000
-    assert f"jointid campaign run {place}/campaign.toml --out {place}/results" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert f"jointid campaign run {place}/campaign.toml --out {place}/results" in said.out
+    assert len(said.out.splitlines()) == 5 and not said.err
     assert run("demo", "--fleet", "--robot", place) == 2
     assert "A demo is of a robot or of a fleet" in capsys.readouterr().err

@@ -33,7 +33,7 @@ def test_didim_keeps_values_and_bounds() -> None:
     assert (stated["value"], stated["nominal"], stated["formula"]) == (TRUTH, pytest.approx(TRUTH), "Fv1")
     part = kept.require_robot()
     np.testing.assert_array_equal(part.nominal, part.parameters_of(TWIN.robot))
-    (shown,) = (line.split() for line in kept.summary().splitlines() if line.startswith("Fv1 "))
+    (shown,) = (line.split() for line in kept.summary().splitlines() if line.startswith("joint1, viscous "))
     assert "fixed" in " ".join(shown)
     stderr = [one.params["joint1.coulomb"].stderr for one in (kept, free)]
     assert stderr[0] < stderr[1], "what is known leaves more for the others"

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import Flag, Options, Quiet, fresh_folder, ready, show
+from jointid.apps.cli.console import Flag, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
+from jointid.common.document import Document
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
-from jointid.common.text import align, number
+from jointid.common.messages import Progress, Work
 
 if TYPE_CHECKING:
     from jointid import Estimate, Record, Robot
@@ -37,7 +38,14 @@ SCATTER = {"stiffness": 0.005, "motor_coulomb": 0.03, "load_coulomb": 0.03, "mot
 
 
 def demo(
-    folder: Path | None = None, /, *, robot: Flag = False, fleet: Flag = False, seed: int = 1, quiet: Quiet = False
+    folder: Path | None = None,
+    /,
+    *,
+    robot: Flag = False,
+    fleet: Flag = False,
+    details: Flag = False,
+    seed: int = 1,
+    quiet: Quiet = False,
 ) -> None:
     """Make the digital twin of the paper's flexible axis and identify it, its stiffness too, from torque alone.
 
@@ -49,38 +57,73 @@ def demo(
             jointid-demo-fleet.
         robot: a robot of two joints instead, one of them flexible, from torques alone.
         fleet: the records of four axes over nine days instead, of which the stiffness of one falls.
+        details: also the progress of the search, and the whole answer with its checks.
         seed: of the noise.
         quiet: say nothing of the progress.
     """
     if robot and fleet:
         raise MethodError("A demo is of a robot or of a fleet; leave out --robot or --fleet.")
-    kind, make = ("-robot", _show_robot) if robot else ("-fleet", _show_fleet) if fleet else ("", _show_axis)
+    kind, make = ("-robot", _make_robot) if robot else ("-fleet", _make_fleet) if fleet else ("", _make_axis)
     folder = folder or Path(f"jointid-demo{kind}")
     Outputs(folders={"FOLDER": folder})
-    make(folder, seed, Options(quiet=quiet))
+    listener = listen(quiet)
+    work = Work(listener, "simulating and identifying", 2, "steps")
+    options = Options(quiet=quiet or not details)
+    made = make(folder, seed, options, listener, work)
+    work.reach(work.total)
+    if details and made.estimate is not None:
+        show(made.estimate, details=True)
+        show()
+    show(made.document().text())
+    show()
+    for line in made.steps:
+        show(line)
 
 
-def _show_axis(folder: Path, seed: int, options: Options) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Made:
+    """What a demo has made.
+
+    Attributes:
+        said: in a sentence.
+        steps: what to do next.
+        estimate: None of a fleet.
+        truth: of its parameters, by name.
+    """
+
+    said: str
+    steps: Sequence[str]
+    estimate: Estimate | None = None
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    def document(self) -> Document:
+        """Return the sentence, and the values beside the truth."""
+        from jointid.estimation.result.summary import parameters_table
+
+        return Document(
+            self.said, () if self.estimate is None else (parameters_table(self.estimate, truth=self.truth),)
+        )
+
+
+def _make_axis(folder: Path, seed: int, options: Options, listener: Progress, work: Work) -> _Made:
     from jointid import twin, write
     from jointid.paper.twin import JOINT_FILE
 
     with _fresh(folder, {"joint.toml": JOINT_FILE}, _ANSWER):
         options.progress("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
-        ready(options.progress)
+        ready(listener)
         axis = twin(seed=seed)
     write(axis.record, folder / "record.csv")
+    work.add()
     options.progress("identifying it from motor force and reference alone")
-    estimate = _identify(folder, "joint.toml", options)
-    sums = {name: axis.truth[f"motor_{name}"] + axis.truth[f"load_{name}"] for name in ("viscous", "coulomb")}
-    show("Beside the truth; torque alone knows the two viscous frictions, and the two Coulomb ones, by their sum:")
-    _show_truth(estimate, axis.truth | sums)
-    _show_next(folder, "joint.toml", ("joint.toml",))
+    return _identify(folder, ("joint.toml",), options, lambda _: axis.truth)
 
 
-def _show_robot(folder: Path, seed: int, options: Options) -> None:
+def _make_robot(folder: Path, seed: int, options: Options, listener: Progress, work: Work) -> _Made:
     from jointid.config import load
     from jointid.config.robot_file import RobotFile
 
+    del listener  # the engine of a robot is compiled with its first simulation
     texts = {name: files("jointid.apps.cli").joinpath("demo_robot", name).read_text("utf-8") for name in _ROBOT}
     with _fresh(folder, texts, _ANSWER):
         file = load(folder / "robot.toml")
@@ -88,14 +131,16 @@ def _show_robot(folder: Path, seed: int, options: Options) -> None:
         options.progress("simulating 8 s of a robot of two joints, with 2 % of noise on each torque")
         robot, records = _simulate_robot(file.loop, seed)
     file.write(records, folder / "record.csv")
+    work.add()
     options.progress("identifying it from motor torques and references alone")
-    estimate = _identify(folder, "robot.toml", options)
-    assert estimate.robot is not None
-    truth = estimate.robot.parameters_of(robot)
-    assert truth is not None
-    show("Beside the truth:")
-    _show_truth(estimate, dict(zip(estimate.robot.names, truth.tolist(), strict=True)))
-    _show_next(folder, "robot.toml", _ROBOT)
+
+    def truth(estimate: Estimate) -> dict[str, float]:
+        assert estimate.robot is not None
+        values = estimate.robot.parameters_of(robot)
+        assert values is not None
+        return dict(zip(estimate.robot.names, values.tolist(), strict=True))
+
+    return _identify(folder, _ROBOT, options, truth)
 
 
 def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ...]]:
@@ -125,19 +170,24 @@ def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ..
     return robot, tuple(logged)
 
 
-def _show_fleet(folder: Path, seed: int, options: Options) -> None:
+def _make_fleet(folder: Path, seed: int, options: Options, listener: Progress, work: Work) -> _Made:
     from jointid.paper.twin import JOINT_FILE
 
     joint = JOINT_FILE.replace("record.csv", f"logs/axis-001/{FIRST_DAY}.npy")
     with _fresh(folder, {"campaign.toml": CAMPAIGN, "joint.toml": joint}, ("fleet.csv", "logs")):
         options.progress("simulating 8 s of four axes on each of nine days")
-        ready(options.progress)
+        ready(listener)
+    work.add()
     make_fleet(folder, seed=seed)
     campaign, results = folder / "campaign.toml", folder / "results"
-    show("The stiffness of axis-001 falls by a tenth from some day on; of the files 5 % are spoiled.")
-    show(f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs")
-    show(f"Identify all of them, which takes minutes: jointid campaign run {campaign} --out {results}")
-    show(f"Then see what changed: jointid campaign report {results}")
+    return _Made(
+        said="The stiffness of axis-001 falls by a tenth one day; 5 % of files are spoiled.",
+        steps=(
+            f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs",
+            f"Identify all of them, which takes minutes: jointid campaign run {campaign} --out {results}",
+            f"Then see what changed: jointid campaign report {results}",
+        ),
+    )
 
 
 def make_fleet(
@@ -213,39 +263,24 @@ def _fresh(folder: Path, texts: Mapping[str, str], others: Sequence[str]) -> Ite
             raise
 
 
-def _identify(folder: Path, name: str, options: Options) -> Estimate:
-    """Identify as a file of the demo says, write and show the answer, and return it."""
+def _identify(
+    folder: Path, texts: Sequence[str], options: Options, truth: Callable[[Estimate], Mapping[str, float]]
+) -> _Made:
+    """Identify as the first of the demo's texts says, and write answer and figure."""
     from jointid import figures
     from jointid.output import json as answers
 
-    _, estimate = options.identify(options.load(folder / name))
+    file = folder / texts[0]
+    _, estimate = options.identify(options.load(file))
     answers.write(answers.to_dict(estimate), folder / "estimate.json")
     figures.save(figures.torque(estimate), folder / "torque.png")
-    show(estimate)
-    show()
-    return estimate
-
-
-def _show_truth(estimate: Estimate, truth: Mapping[str, float]) -> None:
-    rows = []
-    for name, true in truth.items():
-        value, std, symbol, unit = _look_up(estimate, name)
-        rows.append((symbol, number(value), number(2 * std, 2), number(true), unit))
-    show(align(("symbol", "identified", "2 sigma", "truth", "unit"), rows, (False, True, True, True, False)))
-    show()
-
-
-def _show_next(folder: Path, name: str, texts: Sequence[str]) -> None:
-    show(f"Written to {folder}: record.csv, {', '.join(texts)}, estimate.json, torque.png")
-    show(f"All of it on one page: jointid report {folder / name} --html report.html")
-    show(f"Change the {name.removesuffix('.toml')} file, then: jointid identify {folder / name}")
-
-
-def _look_up(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
-    """Return value, deviation, symbol and unit of a parameter, or of the sum of both sides."""
-    if name in estimate.values:
-        found = estimate[name]
-        return estimate.values[name], found.stderr or 0.0, found.symbol, found.unit
-    motor, load = estimate[f"motor_{name}"], estimate[f"load_{name}"]
-    value, std = estimate.params.total((motor.name, load.name))
-    return value, std, f"{motor.symbol}+{load.symbol}", motor.unit
+    return _Made(
+        said=str(estimate.answer),
+        steps=(
+            f"Written to {folder}: record.csv, {', '.join(texts)}, estimate.json, torque.png",
+            f"All of it on one page: jointid report {file} --html report.html",
+            f"Change the {file.stem} file, then: jointid identify {file}",
+        ),
+        estimate=estimate,
+        truth=truth(estimate),
+    )

@@ -17,7 +17,7 @@ from jointid.common.document import Block, Code, Document, Facts, Heading, Listi
 from jointid.common.messages import describe_pace
 from jointid.common.text import printable
 
-_MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow")}
+_MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow"), "noted": ("noted", "cyan")}
 
 
 def print_blocks(document: Document, console: Console | None = None) -> None:

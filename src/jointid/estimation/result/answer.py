@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
+from jointid.common.document import Mark
 from jointid.common.messages import Message
 from jointid.common.text import format_signed, interval, join, number, round_to
-from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
+from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, show_value
 from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import (
@@ -97,13 +98,7 @@ def answer_of(estimate: EstimateParts) -> Answer:
     if asked.value is None:
         return Answer(_undetermined_message(estimate, asked), _refusal_message(estimate))
     assert asked.value is not None
-    if asked.at_bound is not None:
-        shown = f"{number(asked.at_bound)} {asked.unit}, at its bound"
-    elif asked.deviation is None:
-        shown = f"{number(asked.value)} {asked.unit}{'' if asked.free else ' (fixed)'}"
-    else:
-        shown = f"{interval(asked.value, 2 * asked.deviation)} {asked.unit}"
-    shown = _with_pieces(estimate, asked, shown)
+    shown = _with_pieces(estimate, asked, _with_unit(asked) + (", at its bound" if asked.at_bound is not None else ""))
     mode = frequencies_of(estimate).get("free_free")
     words = f"{_in_words(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
     return Answer(Message(Found.VALUE, words, _values(asked, mode)), _trust(estimate, asked))
@@ -115,15 +110,13 @@ def _with_pieces(estimate: EstimateParts, asked: EstimatedParameter, shown: str)
     if asked.name != "stiffness" or not isinstance(joint, FlexibleJoint):
         return shown
     rows = {row.name: row for row in estimate.params.rows}
-    others = {p.name: _show_value(rows[p.name]) for p in joint.spring.parameters[1:-1] if p.name in rows}
+    others = {p.name: _with_unit(rows[p.name]) for p in joint.spring.parameters[1:-1] if p.name in rows}
     return joint.spring.describe({asked.name: shown, **others})
 
 
-def _show_value(row: EstimatedParameter) -> str:
-    value = "?" if row.value is None else number(row.value)
-    if row.value is not None and row.deviation:
-        value = interval(row.value, 2 * row.deviation)
-    return f"{value} {row.unit}"
+def _with_unit(row: EstimatedParameter) -> str:
+    value, fixed, _ = show_value(row).partition(" (fixed)")
+    return f"{value} {row.unit}{fixed}"
 
 
 def _undetermined_message(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
@@ -382,9 +375,17 @@ def _in_words(name: str) -> str:
 
 
 def spares_answer(estimate: EstimateParts, verdict: Verdict) -> bool:
-    """Return True if a failed check does not affect the requested parameter."""
-    asked = estimate[answer_of(estimate).found.values["parameter"]]
-    return verdict.good is None or verdict.subject is Subject.LOOP or not _against(asked, verdict)
+    """Return True if a failed check does not speak against the answer."""
+    answer = answer_of(estimate)
+    if any(str(one.code) in answer.trust.values["reasons"] for one in verdict.reasons):
+        return False
+    name = answer.found.values["parameter"]
+    return name is None or (estimate[name].value is not None and not _against(estimate[name], verdict))
+
+
+def mark_of(estimate: EstimateParts, verdict: Verdict) -> Mark:
+    """Return the mark of a check in a list: noted if it failed and does not speak against the answer."""
+    return "noted" if verdict.good is False and spares_answer(estimate, verdict) else verdict.good
 
 
 def consequence(estimate: EstimateParts, verdict: Verdict) -> str:
@@ -392,7 +393,10 @@ def consequence(estimate: EstimateParts, verdict: Verdict) -> str:
 
     Where something else speaks against the value, no check says that it may be used.
     """
-    asked = estimate[answer_of(estimate).found.values["parameter"]]
+    name = answer_of(estimate).found.values["parameter"]
+    if name is None:
+        return "The other parameters may be used."
+    asked = estimate[name]
     value = asked.name.replace("_", " ")
     if asked.value is None:
         return f"Do not use a value of the {value}, only what is said of it above."

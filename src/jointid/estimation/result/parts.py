@@ -13,6 +13,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Documented
 from jointid.common.errors import MethodError, UnknownName
 from jointid.common.messages import suggest
+from jointid.common.text import interval, number
 from jointid.common.transmission import SIDES, OtherSide, Side, other_side
 from jointid.estimation.result.agreement import Agreement, DriftTest
 from jointid.estimation.result.robot import IdentifiedRobot
@@ -80,6 +81,15 @@ class EstimatedParameter:
         if self.value is None or deviation is None:
             return None
         return self.value - 2 * deviation, self.value + 2 * deviation
+
+
+def show_value(p: EstimatedParameter) -> str:
+    """Format a value with its interval, both to the first two digits of the interval; a refused one by its bound."""
+    if p.value is None:
+        return "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound, 3)}"
+    if p.at_bound is not None or not p.free:
+        return f"{number(p.value)} (fixed)" if p.at_bound is None else number(p.at_bound)
+    return number(p.value) if p.deviation is None else interval(p.value, 2 * p.deviation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

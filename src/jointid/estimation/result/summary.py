@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import permutations
+from typing import TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Tone, Verdicts
 from jointid.common.errors import MethodError
-from jointid.common.text import format_signed, interval, join, number, uniform
+from jointid.common.text import format_signed, in_words, interval, number, uniform
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.log_windows import VISITS
 from jointid.estimation.result.agreement import DriftTest
 from jointid.estimation.result.answer import (
     Trust,
     answer_of,
+    consequence,
     is_another_law,
     loop_verdict,
+    mark_of,
     moved_by_loop,
-    spares_answer,
     told_bounds,
 )
-from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, known_on_other_side
+from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, known_on_other_side, show_value
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import Robot
 from jointid.uncertainty.identifiability import Kind
@@ -60,23 +63,48 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
             *_tables(estimate, details=details),
             *_verdicts(estimate, details=details),
             Facts((*warnings, *notes)),
-            Facts((*facts, *_sources(estimate))),
+            Facts((*facts, *_sharper(estimate), *_sources(estimate))),
         ),
     )
 
 
 def _counted_checks(estimate: EstimateParts) -> str:
-    """Count the passed checks, and name the others if they do not affect the answer."""
-    verdicts = estimate.checks.verdicts
-    others = [verdict for verdict in verdicts if verdict.status is not Status.PASSED]
-    if not others:
-        return f"all {len(verdicts)} passed"
-    said = f"{len(verdicts) - len(others)} of {len(verdicts)} passed"
-    if not (answer_of(estimate).reliable and all(spares_answer(estimate, verdict) for verdict in others)):
-        return said
-    value = answer_of(estimate).found.values["parameter"].partition("@")[0].replace("_", " ")
-    named = join([str(one.subject) for one in others])
-    return f"{said}; {named} {'do' if len(others) > 1 else 'does'} not speak against the {value}"
+    """Count the checks that passed, and those that did not and do not speak against the answer."""
+    marks = [mark_of(estimate, verdict) for verdict in estimate.checks.verdicts]
+    passed, noted = marks.count(True), marks.count("noted")
+    if passed == len(marks):
+        return f"all {passed} passed"
+    return f"{passed} of {len(marks)} passed{f', {noted} noted' if noted else ''}"
+
+
+_OF_SHEET = ("motor_inertia", "rotor_inertia", "stiffness")
+"""Parameters that a data sheet may give: of the motor, and of a coupling."""
+_SHARPER, _APART = 1.5, 3.2
+"""Times that the interval of a stiffness shrinks at least to be worth a look into a data sheet, and that of another."""
+
+
+def _sharper(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
+    """Yield, for each joint, the value of a data sheet that would sharpen its stiffness or another parameter most.
+
+    Given one parameter, the standard error of another becomes ``sqrt(1 - r^2)`` of what it is, with the correlation r
+    of both. What the model lacks stays in the interval.
+    """
+    params = estimate.params
+    free = [p for p in params.rows if p.name in params.names and p.of_joint and p.value is not None and p.stderr]
+    quantity = {p.name: p.name.rpartition(".")[2] for p in free}
+    for axis in dict.fromkeys(p.axis for p in free):
+        found = []
+        for given, other in permutations([p for p in free if p.axis == axis], 2):
+            if quantity[given.name] in _OF_SHEET:
+                shared = params.correlation_of([given.name, other.name])[0, 1]
+                left = math.hypot(math.sqrt(max(1.0 - shared**2, 1e-12)) * (other.stderr or 0.0), other.lack_of_fit)
+                times, stiff = (other.deviation or 0.0) / left, quantity[other.name] == "stiffness"
+                if times >= (_SHARPER if stiff else _APART):
+                    found.append((stiff, times, given.name, other.name))
+        for _, times, known, sharper in [max(found)] if found else []:
+            first, second = (quantity[name].replace("_", " ") for name in (known, sharper))
+            of = f" of {axis}" if axis else ""
+            yield "sharper", f"give the {first}{of} from its data sheet, and the {second} is {times:.2g} times as sharp"
 
 
 def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
@@ -104,19 +132,18 @@ def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
 def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
     if estimate.data.records:
         yield _shared_table(estimate)
-        own = tuple((str(k), *_cells(p)) for k, rows in enumerate(estimate.params.own, 1) for p in rows)
+        own = [(k, each) for k, rows in enumerate(estimate.params.own, 1) for each in rows]
         if own:
-            yield Table(("record", "symbol", "parameter", "value", "2 sigma", "unit"), own, words=(0, 1, 2, 5))
+            yield _table([each for _, each in own], [("record", [str(k) for k, _ in own], False)])
         errors = tuple(
             (str(k), *(f"{100 * e:.4f}" for e in (r.relative_error, r.filtered_error, r.alone_error)), str(r.rows))
             for k, r in enumerate(estimate.data.records, 1)
         )
         yield Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), errors)
         return
-    yield parameters_table(estimate, initial=details)
-    lines = tuple(legend(estimate, initial=details))
-    if lines:
-        yield Listing(lines)
+    yield parameters_table(estimate, details=details)
+    if moved_by_loop(estimate, threshold=SHOWN_SHIFT):
+        yield Paragraph(describe_loop_remark(estimate))
     for table in (
         combinations_table(estimate, "known together", differences=details),
         bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, mode damped by up to 15 %)"),
@@ -129,10 +156,10 @@ def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
         header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
         rows = []
         for s in drift.segments:
-            found = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
+            found = {n: interval(s.values[n], 2 * s.std[n]) for n in s.values}
             stated = (found.get(p.name, "not excited") for p in free)
             rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *stated, f"{100 * s.filtered_error:.2f}"))
-        caption = "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"
+        caption = "each segment by itself, ± 2 sigma to compare them by; without what all of them err alike"
         yield Table(header, tuple(rows), caption, words=())
 
 
@@ -198,15 +225,22 @@ def _limits(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, st
 
 
 def _verdicts(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
-    """Return the verdicts that did not pass, with the first of their reasons; or all of them."""
+    """Return the verdicts that did not pass, with the first of their reasons; or all of them.
+
+    One that is noted says why it does not speak against the answer.
+    """
     listed = []
     for verdict in estimate.checks.verdicts:
-        first, *others = map(str, verdict.reasons)
-        if details:
-            listed.append((str(verdict.subject), verdict.good, (first, *others)))
-        elif verdict.status is not Status.PASSED:
-            more = f" (and {len(others)} more in the report)" if others else ""
-            listed.append((str(verdict.subject), verdict.good, (f"{verdict.reasons[0].brief}{more}",)))
+        mark, texts = mark_of(estimate, verdict), [*map(str, verdict.reasons)]
+        if not details and verdict.status is Status.PASSED:
+            continue
+        if not details:
+            more = f" (and {len(texts) - 1} more in the report)" if len(texts) > 1 else ""
+            texts = [f"{verdict.reasons[0].brief}{more}"]
+        if mark == "noted":
+            effect = consequence(estimate, verdict).rstrip(".")
+            texts[-1] += f"; {effect[0].lower()}{effect[1:]}"
+        listed.append((str(verdict.subject), mark, tuple(texts)))
     if listed:
         yield Verdicts(tuple(listed))
 
@@ -214,30 +248,16 @@ def _verdicts(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
 def _shared_table(estimate: EstimateParts) -> Table:
     """Return the table of the parameters that records share, beside the estimate of each record by itself."""
     assert estimate.checks.agreement is not None
+    rows, agreement = estimate.params.rows, estimate.checks.agreement
     alone = [{p.name: p for p in record.alone} for record in estimate.data.records]
-    tests = {p.name: p for p in estimate.checks.agreement.parameters}
-    there: list[tuple[str, ...]] = [(format_value(p), p.unit) for p in estimate.other_side]
-    rows = []
-    for p, beside in zip(estimate.params.rows, there or [()] * len(estimate.params.rows), strict=True):
-        test = tests.get(p.name)
-        p_value, between = (f"{test.p_value:.2g}", number(test.between, 2)) if test else ("-", "-")
-        rows.append((*_cells(p), *(_beside(each.get(p.name)) for each in alone), p_value, between, *beside))
-    heads = [f"{k} alone" for k in range(1, len(alone) + 1)]
-    more = () if estimate.other is None else (f"{estimate.other.side} side", "unit")
-    header = ("symbol", "parameter", "value", "2 sigma", "unit", *heads, "p", "between", *more)
-    words = (0, 1, 4, *((len(header) - 1,) if more else ()))
-    return Table(header, tuple(rows), words=words)
-
-
-def _cells(p: EstimatedParameter) -> tuple[str, str, str, str, str]:
-    spread = number(2 * p.deviation, 2) if p.deviation is not None else "fixed"
-    return p.symbol, p.name.replace("_", " "), number(p.value), spread, p.unit
-
-
-def _beside(p: EstimatedParameter | None) -> str:
-    if p is None or p.value is None or p.deviation is None:
-        return "-"
-    return f"{number(p.value)} +- {number(2 * p.deviation, 2)}"
+    columns = [
+        (f"{k} alone", ["-" if (p := each.get(row.name)) is None else show_value(p) for row in rows], False)
+        for k, each in enumerate(alone, 1)
+    ]
+    tests = {p.name: (f"{p.p_value:.2g}", number(p.between, 2)) for p in agreement.parameters}
+    for i, head in enumerate(("p", "between")):
+        columns.append((head, [tests[row.name][i] if row.name in tests else "-" for row in rows], False))
+    return _table(rows, [*columns, *_other_side(estimate, range(len(rows)))])
 
 
 def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> str:
@@ -264,24 +284,40 @@ def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> st
 # The tables
 
 
-def format_value(p: EstimatedParameter) -> str:
-    """Format a value for tables; a refused one by its lower bound, if there is one."""
-    if p.at_bound is not None:
-        return number(p.at_bound)
-    if p.value is None:
-        return "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound)}"
-    return number(p.value)
+Column: TypeAlias = tuple[str, Sequence[str], bool]
+"""Header and cells of a column, and whether they are words."""
 
 
-def parameter_row(p: EstimatedParameter) -> tuple[str, ...]:
-    """Return symbol, words, value, two deviations, the same in percent of the value, and unit."""
-    words = p.name.replace("_", " ")
+def _table(rows: Sequence[EstimatedParameter], more: Sequence[Column] = (), caption: str = "") -> Table:
+    """Return a table of estimates: words, the field's letters, value, more, and last the symbol that is the key."""
+    letters = [field_symbol(p) for p in rows]
+    columns: list[Column] = [
+        ("parameter", [in_words(p.name) for p in rows], True),
+        *([("letter", letters, True)] if any(letters) else []),
+        ("value ± 2 sigma", [show_value(p) for p in rows], False),
+        ("unit", [p.unit for p in rows], True),
+        *more,
+        ("symbol", [p.symbol for p in rows], True),
+    ]
+    header, cells, words = zip(*columns, strict=True)
+    return Table(header, tuple(zip(*cells, strict=True)), caption, tuple(i for i, word in enumerate(words) if word))
+
+
+def _percent(p: EstimatedParameter) -> str:
+    """Return two deviations in percent of the value."""
     if p.value is None or p.deviation is None or not p.free or p.at_bound is not None:
-        fixed = p.value is not None and not p.free and p.at_bound is None
-        return p.symbol, words, format_value(p), "fixed" if fixed else "-", "-", p.unit
+        return "-"
     percent = 200 * p.deviation / abs(p.value) if p.value else math.inf
-    relative = number(percent, 2) if percent < _LOST else "-"
-    return p.symbol, words, number(p.value), number(2 * p.deviation, 2), relative, p.unit
+    return number(percent, 2) if percent < _LOST else "-"
+
+
+def _other_side(estimate: EstimateParts, shown: Iterable[int]) -> list[Column]:
+    """Return the column of the values on the other side of a transmission; none without one."""
+    if estimate.other is None:
+        return []
+    there = [estimate.other_side[i] for i in shown]
+    cells = [show_value(p) if p.value is None else f"{show_value(p)} {p.unit}" for p in there]
+    return [(f"{estimate.other.side} side", cells, False)]
 
 
 def remarks(estimate: EstimateParts) -> dict[str, str]:
@@ -304,30 +340,52 @@ def remarks(estimate: EstimateParts) -> dict[str, str]:
     return {name: ", ".join(said) for name, said in found.items()}
 
 
-def parameters_table(estimate: EstimateParts, *, initial: bool = True, letters: bool = False) -> Table:
-    """Return every parameter with its interval, and with a transmission what it is on the other side.
+def parameters_table(
+    estimate: EstimateParts,
+    *,
+    details: bool = True,
+    truth: Mapping[str, float] | None = None,
+    verdicts: Mapping[str, str] | None = None,
+    caption: str = "",
+) -> Table:
+    """Return the parameters with their intervals, also on the other side of a transmission.
 
     Args:
         estimate: whose parameters are shown.
-        initial: whether to show the state at the first sample.
-        letters: whether the field's letters stand beside the paper's: "ZZ1, J1".
+        details: whether to show the state at the first sample, and what a robot's record does not tell from 0.
+        truth: true values by name, others are not shown.
+        verdicts: a word on each by name; others are not shown.
+        caption: of the table; else it counts what is not shown of a robot.
     """
-    header: tuple[str, ...] = ("symbol", "parameter", "value", "2 sigma", "2 sigma %", "unit")
-    shown_rows = [i for i, p in enumerate(estimate.params.rows) if initial or p.name not in INITIAL]
-    rows = [parameter_row(estimate.params.rows[i]) for i in shown_rows]
-    if letters:
-        beside = [field_symbol(estimate.params.rows[i].name, estimate.params.rows[i].unit) for i in shown_rows]
-        rows = [(f"{row[0]}, {one}" if one else row[0], *row[1:]) for row, one in zip(rows, beside, strict=True)]
-    words, said = [0, 1, 5], remarks(estimate)
-    if any(estimate.params.rows[i].name in said for i in shown_rows):
-        words.append(len(header))
-        header = (*header, "remark")
-        rows = [(*row, said.get(estimate.params.rows[i].name, "")) for row, i in zip(rows, shown_rows, strict=True)]
-    if estimate.other is not None:
-        words.append(len(header) + 1)
-        header, there = (*header, f"{estimate.other.side} side", "unit"), estimate.other_side
-        rows = [(*row, format_value(there[i]), there[i].unit) for row, i in zip(rows, shown_rows, strict=True)]
-    return Table(header, tuple(rows), words=tuple(words))
+    every, part, chosen = estimate.params.rows, estimate.robot, truth or verdicts
+    if chosen is not None:
+        shown = [i for i, p in enumerate(every) if p.name in chosen]
+    elif part is None:
+        shown = [i for i, p in enumerate(every) if details or p.name not in INITIAL]
+    else:
+        shown = [i for i, p in enumerate(every) if _is_listed(p, details=details)]
+        hidden = len(every) - len(shown)
+        caption = f"{hidden} more are not significant in this record" if hidden else ""
+    rows, said = [every[i] for i in shown], remarks(estimate)
+    columns: list[Column] = []
+    if truth is not None:
+        columns.append(("truth", [f"{truth[p.name]:.6g}" for p in rows], False))
+    elif part is None:
+        columns.append(("± %", [_percent(p) for p in rows], False))
+    else:
+        columns.append(("nominal", [number(float(part.nominal[i]), 4) for i in shown], False))
+    if any(p.name in said for p in rows):
+        columns.append(("remark", [said.get(p.name, "") for p in rows], True))
+    if verdicts is not None:
+        columns.append(("verdict", [verdicts[p.name] for p in rows], True))
+    return _table(rows, [*columns, *_other_side(estimate, shown)], caption)
+
+
+def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
+    """Return whether a robot's parameter has a row: a value that the record tells from 0, or a bound."""
+    if p.value is None:
+        return p.lower_bound is not None
+    return details or not p.free or p.at_bound is not None or (p.stderr or 0.0) < _KNOWN * abs(p.value)
 
 
 def combinations_table(estimate: EstimateParts, caption: str = "", *, differences: bool = True) -> Table | None:
@@ -342,19 +400,27 @@ def combinations_table(estimate: EstimateParts, caption: str = "", *, difference
     if known is None:
         return None
     there = known_on_other_side(known.physical, estimate.other)
-    stated = {id(one): f"{number(o.value)} {o.combination.unit}" for one, o in zip(known.physical, there, strict=False)}
+    stated = {
+        id(one): f"{interval(o.value, 2 * o.std)} {o.combination.unit}"
+        for one, o in zip(known.physical, there, strict=False)
+    }
     shown = [one for one in known.physical if differences or one.combination.kind is not Kind.DIFFERENCE]
     if not shown:
         return None
-    rows: list[tuple[str, ...]] = [
-        (one.combination.formula, number(one.value), number(2 * one.std, 2), one.combination.unit, one.verdict)
+    rows = [
+        (
+            one.combination.name.partition(",")[0],
+            interval(one.value, 2 * one.std),
+            one.combination.unit,
+            one.verdict,
+            *(() if estimate.other is None else (stated.get(id(one), "-"),)),
+            one.combination.formula,
+        )
         for one in shown
     ]
-    header: tuple[str, ...] = ("combination", "value", "2 sigma", "unit", "known")
-    if estimate.other is not None:
-        header = (*header, f"{estimate.other.side} side")
-        rows = [(*row, stated.get(id(one), "-")) for row, one in zip(rows, shown, strict=True)]
-    return Table(header, tuple(rows), caption, words=(0, 3, 4, 5))
+    more = () if estimate.other is None else (f"{estimate.other.side} side",)
+    header = ("combination", "value ± 2 sigma", "unit", "known", *more, "symbol")
+    return Table(header, tuple(rows), caption, words=(0, 2, 3, len(header) - 1))
 
 
 def bounds_table(estimate: EstimateParts, caption: str = "") -> Table | None:
@@ -413,40 +479,29 @@ def settings_facts(estimate: EstimateParts) -> Facts:
 SHOWN_SHIFT = 0.5
 """Standard errors that a fault moves a parameter by at least to be marked beside it."""
 
-_LETTERS: Mapping[str, str] = {
-    "inertia": "J", "motor_inertia": "J1", "load_inertia": "J2", "stiffness": "c", "damping": "d",
-}  # fmt: skip
+_LETTERS: Mapping[str, str] = {"inertia": "J", "stiffness": "c", "damping": "d", "viscous": "b", "coulomb": "T_C"}
+_SIDES: Mapping[str, str] = {"motor": "M", "rotor": "M", "load": "L", "link": "L"}
+_DIRECTIONS: Mapping[str, str] = {"forwards": "+", "backwards": "-"}
 
 
-def field_symbol(name: str, unit: str) -> str:
-    """Return the letter that a parameter usually has in the field, "" for one without: J of an inertia, m of a mass."""
-    letter = _LETTERS.get(name.partition("@")[0], "")
-    return letter.replace("J", "m") if unit == "kg" else letter
+def field_symbol(p: EstimatedParameter) -> str:
+    """Return the letter that a parameter usually has in the field: J_M, m_L, c, d, b_M, T_C; "" for one without."""
+    words = p.name.rpartition(".")[2].partition("@")[0].split("_")
+    side = _SIDES.get(words[0], "")
+    way = _DIRECTIONS.get(words[-1], "")
+    letter = _LETTERS.get("_".join(words[bool(side) : len(words) - bool(way)]), "")
+    if not letter:
+        return ""
+    letter = letter.replace("J", "m") if p.unit == "kg" else letter.replace("T", "F") if p.unit == "N" else letter
+    return f"{letter}{'_' if side and '_' not in letter else ''}{side}{way}"
 
 
-def legend(estimate: EstimateParts, *, initial: bool = True) -> Iterator[str]:
-    """Yield the legend of the table of parameters, line by line.
-
-    Args:
-        estimate: whose table it is.
-        initial: whether the table shows the state at the first sample.
-    """
-    rows = {p.name: p for p in estimate.params.rows}
-    both = [rows[name] for name in ("motor_inertia", "load_inertia") if name in rows]
-    if {"stiffness", "damping"} <= rows.keys() and len(both) == 2:
-        (one, other), spring = both, f"{rows['stiffness'].symbol}, {rows['damping'].symbol}"
-        letters = f"{field_symbol(one.name, one.unit)}, {field_symbol(other.name, other.unit)}"
-        kind = "masses" if one.unit == "kg" else "inertias"
-        yield f"{spring}: stiffness c and damping d of the spring; {one.symbol}, {other.symbol}: {kind} {letters}"
-    if moved_by_loop(estimate, threshold=SHOWN_SHIFT):
-        loop = loop_verdict(estimate)
-        undecided = loop is not None and is_another_law(loop.reasons)
-        when = "if the drive runs the other law" if undecided else "once the fault of loop or log is corrected"
-        yield f"loop: how much the value changes {when}"
-    first = [rows[name] for name in INITIAL if initial and name in rows]
-    if first:
-        words = ", ".join(f"{p.symbol} {p.name.removeprefix('initial_')}" for p in first)
-        yield f"at the first sample: {words}"
+def describe_loop_remark(estimate: EstimateParts) -> str:
+    """Return what the remark "loop" of the table means."""
+    loop = loop_verdict(estimate)
+    undecided = loop is not None and is_another_law(loop.reasons)
+    when = "if the drive runs the other law" if undecided else "once the fault of loop or log is corrected"
+    return f"loop: how much the value changes {when}"
 
 
 _KNOWN = 1.0  # relative standard error: a parameter that is known worse stands in the details only
@@ -464,19 +519,6 @@ def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Blo
     errors = {"estimate": np.array([*estimate.fit.axis_errors.values()])}
     if part.model.has_masses:
         errors["nominal"] = part.nominal_errors
-    listed = [
-        (row, nominal)
-        for row, nominal in zip(estimate.params.rows, part.nominal, strict=True)
-        if details
-        or not row.free
-        or row.value is None
-        or row.at_bound is not None
-        or (row.stderr or 0.0) < _KNOWN * abs(row.value)
-    ]
-    listed = [(row, nominal) for row, nominal in listed if row.value is not None or row.lower_bound is not None]
-    hidden = len(part.names) - len(listed)
-    caption = f"{hidden} more are not significant in this record" if hidden else ""
-    rows = tuple((row.symbol, *_cells_of_robot(row), number(float(nominal), 4)) for row, nominal in listed)
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
     sums = tuple(
         f"{row.name} is {formula}"
@@ -485,7 +527,7 @@ def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Blo
     )
     return (
         errors_table(part.model, errors, "of the record it was identified from"),
-        Table(("symbol", "parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2, 3)),
+        parameters_table(estimate, details=details),
         *((Heading("Sums that the parameters stand for"), Listing(sums)) if sums else ()),
     )
 
@@ -501,20 +543,10 @@ def describe_robot_estimate(estimate: EstimateParts, verdicts: tuple[Block, ...]
             *verdicts,
             Facts(tuple(("warning", warning) for warning in estimate.checks.warnings)),
             *(Paragraph(f"{one}.") for one in part.springs),
-            Facts((("method", estimate.settings.variant), ("search", estimate.fit.stop))),
+            Facts((*_sharper(estimate), ("method", estimate.settings.variant), ("search", estimate.fit.stop))),
             *robot_blocks(estimate, details=details),
         ),
     )
-
-
-def _cells_of_robot(row: EstimatedParameter) -> tuple[str, str, str, str]:
-    if row.value is None:
-        assert row.lower_bound is not None
-        return row.name, f"at least {number(row.lower_bound, 3)}", row.unit, ""
-    if row.stderr is None or row.at_bound is not None:
-        return row.name, interval(row.value, 0.0), row.unit, "fixed" if row.at_bound is None else "at its bound"
-    share = row.stderr / max(abs(row.value), 1e-300)
-    return row.name, interval(row.value, 2 * row.stderr), row.unit, f"{100 * share:.2g}"
 
 
 def errors_table(robot: Robot, columns: Mapping[str, FloatArray], of_what: str) -> Table:

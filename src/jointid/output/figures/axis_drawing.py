@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from html import escape
 
 from jointid.common.document import typeset
-from jointid.common.text import interval, number
+from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.answer import frequencies_of
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter
-from jointid.estimation.result.summary import format_value
+from jointid.estimation.result.parts import EstimatedParameter, show_value
+from jointid.estimation.result.summary import field_symbol
 from jointid.models.joints import FlexibleJoint
 
 _COLUMN, _ACROSS, _LEFT, _RIGHT = 122, 3, 44, 6  # px of a column, how many there are, and px beside all of them
@@ -65,20 +65,12 @@ def draw_axis(estimate: Estimate) -> str:
     for one in notes:
         parts.append(_text(wide / 2, foot, one, "middle", _SOFT))
     tall = foot + (8 if notes else -_LINE)
-    described = "; ".join(f"{row.name.replace('_', ' ')} {_value(row)} {row.unit}" for row in rows)
+    described = "; ".join(f"{row.name.replace('_', ' ')} {show_value(row)} {row.unit}" for row in rows)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="axis" role="img" viewBox="0 0 {wide} {tall}" '
         f'width="{wide}" height="{tall}" font-family="sans-serif" font-size="13" fill="{_INK}">'
         f"<title>{escape(typeset(f'The axis: {described}'))}</title>{''.join(parts)}</svg>"
     )
-
-
-def _value(row: EstimatedParameter) -> str:
-    if row.at_bound is not None:
-        return f"{number(row.at_bound)} (bound)"
-    if row.value is None or row.deviation is None:
-        return f"{format_value(row)}{'' if row.free or row.value is None else ' (fixed)'}"
-    return interval(row.value, 2 * row.deviation)
 
 
 def _write_values(x: float, across: int, rows: Sequence[EstimatedParameter]) -> list[str]:
@@ -87,8 +79,9 @@ def _write_values(x: float, across: int, rows: Sequence[EstimatedParameter]) -> 
     for k, row in enumerate(rows):
         y, middle = _TOP + _TALL + 24 + k // across * _PAIR, x + (k % across + 0.5) * _COLUMN
         name = row.name.removeprefix("motor_").removeprefix("load_").replace("_", " ").replace("coulomb", "Coulomb")
-        found.append(_text(middle, y, f"{name}, {row.unit}" if row.unit else name, "middle", _SOFT, _COLUMN))
-        found.append(_text(middle, y + _LINE, _value(row), "middle", _INK, _COLUMN, bold=True))
+        label = ", ".join(filter(None, (f"{name} {field_symbol(row)}".strip(), row.unit)))
+        found.append(_text(middle, y, label, "middle", _SOFT, _COLUMN))
+        found.append(_text(middle, y + _LINE, show_value(row), "middle", _INK, _COLUMN, bold=True))
     return found
 
 

@@ -19,8 +19,8 @@ from jointid.common.document import (
     p_value,
 )
 from jointid.common.errors import RecordError
-from jointid.common.text import interval, join, number, sentence
-from jointid.diagnostics.axis_parameters import AxisParameter, Told
+from jointid.common.text import join, number, sentence
+from jointid.diagnostics.axis_parameters import Told
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.fault import Measure
 from jointid.diagnostics.report_data import ReportData, Spectra, estimate_spectra
@@ -30,6 +30,7 @@ from jointid.estimation.result.summary import (
     bands_table,
     bounds_table,
     combinations_table,
+    parameters_table,
     settings_facts,
 )
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
@@ -278,7 +279,7 @@ def robot_blocks(
     yield Heading("Joints")
     yield from found.to_document().blocks[1:]
     yield Heading("Parameters")
-    yield from _parameters(found)
+    yield from _parameters(given.estimate, found)
     yield Heading("Torque")
     yield from picture("torque")
     if given.validation is not None:
@@ -325,27 +326,15 @@ def _result(given: RobotReportData) -> Iterator[Block]:
     yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
 
 
-def _parameters(found: Diagnosis) -> Iterator[Block]:
+def _parameters(estimate: Estimate, found: Diagnosis) -> Iterator[Block]:
     """Yield a table of each joint's parameters."""
     stated = sum(one.known is Told.TOLD for joint in found.axes for one in joint.parameters)
     whole = sum(len(joint.asked) for joint in found.axes)
     yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. Do not use values that are not significant.")
-    header = ("symbol", "parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
     for joint in found.axes:
         if joint.parameters:
-            rows = tuple(_parameter(one) for one in joint.parameters)
-            yield Table(header, rows, joint.name, (0, 1, 2, 3, 6))
-
-
-def _parameter(one: AxisParameter) -> tuple[str, ...]:
-    nominal = number(one.nominal, 4)
-    if one.value is None or one.std is None:
-        shown = "-" if one.at_least is None else f"at least {number(one.at_least, 3)}"
-        return one.symbol, one.name, shown, one.unit, "", nominal, one.known.value
-    share = f"{100 * one.std / abs(one.value):.2g}" if one.value else "-"
-    if one.known is Told.FIXED:
-        share = ""
-    return one.symbol, one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
+            verdicts = {one.name: one.known.value for one in joint.parameters}
+            yield parameters_table(estimate, verdicts=verdicts, caption=joint.name)
 
 
 def _sums(found: Diagnosis) -> Iterator[Block]:

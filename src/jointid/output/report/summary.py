@@ -8,7 +8,7 @@ from jointid.common.document import Block, Heading, Listing, Paragraph, Picture,
 from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
-from jointid.estimation.result.answer import Trust, consequence, told_bounds
+from jointid.estimation.result.answer import Trust, consequence, mark_of, told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
 from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
@@ -53,7 +53,7 @@ def summary_blocks(
     )
     yield from map(Paragraph, _results(estimate))
     yield Heading("Parameters")
-    yield parameters_table(estimate, initial=False, letters=True)
+    yield parameters_table(estimate, details=False)
     yield Heading("Checks")
     yield from _checks(estimate)
     yield Heading("Position" if estimate.fit.compared == "position" else "Torque")
@@ -131,7 +131,7 @@ def _checks(estimate: Estimate) -> Iterator[Block]:
     for v in (*failed, *unknown):
         first, *others = (reason.brief for reason in v.reasons)
         more = f" (and {len(others)} more in the appendix)" if others else ""
-        rows.append((v.subject.question, v.good, (sentence(f"{first}{more}"), consequence(estimate, v))))
+        rows.append((v.subject.question, mark_of(estimate, v), (sentence(f"{first}{more}"), consequence(estimate, v))))
     yield Paragraph(f"{len(passed)} of {len(verdicts)} checks passed. The appendix has the reasons in full.")
     yield Verdicts((*rows, *((v.subject.question, True, ()) for v in passed)))
     if estimate.checks.warnings:
@@ -144,7 +144,7 @@ def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
         rows = []
         for v in estimate.checks.verdicts:
             reasons = tuple(sentence(str(reason)) for reason in v.reasons)
-            rows.append((v.subject.question, v.good, reasons))
+            rows.append((v.subject.question, mark_of(estimate, v), reasons))
         yield Verdicts(tuple(rows))
     else:
         yield Paragraph("This method has no checks but the fit.")
