@@ -35,7 +35,7 @@ from jointid.common.document import (
     data_frame,
 )
 from jointid.common.matplotlib_backend import Charted
-from jointid.common.text import join, number
+from jointid.common.text import in_words, join, number
 from jointid.common.transmission import Transmission
 from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, Notch, in_torque
 from jointid.models.controllers.drive_numbers import name_in_words
@@ -163,7 +163,9 @@ class MinimumDetectableChange(Documented):
         rows = []
         for c in self.changes:
             percent = number(100 * c.size / abs(c.value), 2) if c.value else "-"
-            rows.append((c.name, number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit, c.formula))
+            rows.append(
+                (in_words(c.name), number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit, c.formula)
+            )
         header = ("quantity", "value", "detectable", "%", "alarm above", "unit", "symbol")
         said = (
             f"Smallest change detectable with another record of this motion ({100 * self.false_alarm:g} % false "

@@ -128,7 +128,7 @@ def test_the_answer_is_there_before_its_report_which_gives_way(asker: Asker, log
     assert following.headers["location"].endswith(f"/runs/{run.number + 1}")
     assert run.status["state"] == "cancelled"
     page = asker.get(f"/runs/{run.number}")
-    assert "The answer" in page
+    assert "What was found" in page
     assert "Another identification was started before its report was written" in page
 
 

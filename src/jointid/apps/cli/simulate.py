@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
+from jointid.common.text import in_words, interval
 
 if TYPE_CHECKING:
     from jointid.config import JointFile
@@ -178,9 +179,8 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]
-        show(
-            f"{best[name].symbol:4} {value:.5g} +- {2 * std:.2g} {best[name].unit}, truth {truth:g}, from torque alone"
-        )
+        said = f"{interval(value, 2 * std)} {best[name].unit}, truth {truth:g}, from torque alone"
+        show(f"{in_words(name):14} {said}")
     show(
         f"Nelder-Mead took {didim.fit.simulations} simulations, least squares from a grid of starts "
         f"{best.fit.simulations}; "
