@@ -42,8 +42,8 @@ FAULTS = (
 RIGHT = {  # what the check should call them
     "cubic spring": ("cubic_spring",), "spring in pieces": ("cubic_spring",), "backlash": ("backlash",),
     "load-dependent friction": ("load_dependent_friction", "motor_load_friction"),
-    "changing friction": ("changing_friction",), "presliding": ("winding_friction", "presliding"), "cogging": ("cogging",),
-    "second mode": ("second_mode",), "stribeck": ("stribeck", "presliding"),
+    "changing friction": ("changing_friction",), "presliding": ("winding_friction", "presliding"),
+    "cogging": ("cogging",), "second mode": ("second_mode",), "stribeck": ("stribeck", "presliding"),
 }  # fmt: skip
 _STEP = 1e-5  # s
 
