@@ -51,7 +51,7 @@ def test_what_cannot_run_is_listed_with_the_reason(emps: Record) -> None:
     assert list(found.estimates) == ["DIDIM", "DIDIM asymmetric"]
     assert "IDIM-LS cannot run: IDIM needs motor_position; this record has torque, reference" in unwrapped(str(found))
     assert found.disagreements == ()
-    assert "no two methods differ by more than their intervals allow" in unwrapped(str(found))
+    assert "no parameter differs between methods by more than their intervals allow" in unwrapped(str(found))
     alone = compare(emps, RigidJoint("prismatic"))
     assert list(alone.estimates) == ["IDIM-LS", "IDIM-IRLS", "IDIM-LS asymmetric"]
     assert "DIDIM cannot run: DIDIM simulates the closed loop, so it needs the controller" in str(alone)

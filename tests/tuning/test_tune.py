@@ -122,7 +122,12 @@ def test_gains_are_told_as_the_drive_shows_them_and_in_si_beside() -> None:
     before, after = tuned.gains[-1].before, tuned.gains[-1].after
     assert before == 5.0
     assert tuned.gains[-1].in_drive == ("integral_time", pytest.approx(200.0), pytest.approx(1e3 / after), "ms")
-    assert f"integral time from 200.0 to {number(1e3 / after, 4)} ms" in tuned.sentence
+    said = tuned.sentence
+    assert re.match(
+        r"Set position gain Kv from 20\.0+ to [\d.]+ 1/s, velocity gain Kp from 2000 to [\d.]+ N per m/s and ", said
+    )
+    assert f"integral time Tn from 200.0 to {number(1e3 / after, 4)} ms: in the worst case the " in said
+    assert " margin goes from " in said and str(tuned).startswith("Set position gain Kv")
     rows = [" ".join(line.split()) for line in str(tuned).splitlines()]
     told = f"integral_time 200.00 {number(1e3 / after)} ms integral_gain 5.0000, {number(after)} 1/s"
     assert any(row.startswith(told) for row in rows), rows
@@ -392,7 +397,11 @@ def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: 
             (Message(Reason.LOOP_NOT_AS_DECLARED, "velocity_gain is larger than declared"),),
         ),
     )
-    said = tune(amended(estimate, checks={"verdicts": doubts}), Tuning(notch=False)).notes
+    tuned = tune(amended(estimate, checks={"verdicts": doubts}), Tuning(notch=False))
+    assert tuned.sentence.startswith(
+        "Beware: the model does not explain the torque and loop or log are not as declared. "
+    )
+    said = tuned.notes
     assert "the model does not explain the torque, so all of this may be of another joint: 32 % remains" in said
     assert (
         "loop or log are not as declared, and all of this is of the declared one: velocity_gain is larger than declared"

@@ -21,7 +21,9 @@ _LONGEST = 60  # characters of a value that a sentence shows
 _GUESSED = 100  # characters of a word that another one may be meant by
 _NUMBERS = re.compile(r"-?\d[\d.e+-]*")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_FIRST, _BETWEEN = 3.0, 10.0  # seconds to the first line of progress where no bar is drawn, and between two
+_FIRST = 3.0  # seconds to the first line of progress where no bar is drawn
+BETWEEN = 10.0
+"""Seconds from one of them to the next."""
 _MINUTES, _HOURS = 100.0, 5400.0  # seconds from which a time is said in minutes, and in hours
 _WITHOUT_QUOTES = re.compile(r"\s*([+-]?(\d[\d_]*)?\.?\d+([eE][+-]?\d+)?|true|false)\s*")
 
@@ -35,22 +37,45 @@ def ignore_progress(message: str) -> None:
     """Ignore progress; the default listener."""
 
 
-class Suspicion(str):
+class Detail(str):
+    """A line of progress on a single step of a search, for who follows it.
+
+    Attributes:
+        brief: what everybody else is told; nothing when empty.
+    """
+
+    brief: str = ""
+
+
+class Suspicion(Detail):
     """A line of progress that says why an attempt fails.
 
     Attributes:
-        brief: the line without the reason.
+        brief: the line without the reason, unless it ends with it.
         why: the reason, a sentence.
     """
 
-    brief: str
     why: str
 
     def __new__(cls, brief: str, why: object) -> Self:
-        """Return the line "brief: why"."""
-        made = super().__new__(cls, f"{brief}: {why}")
+        """Return the line "brief: why", or `brief` if it has the reason."""
+        made = super().__new__(cls, brief if brief.endswith(str(why)) else f"{brief}: {why}")
         made.brief, made.why = brief, str(why)
         return made
+
+
+class Pace(str):
+    """A line on how far a piece of work is, beside the stage."""
+
+
+def name_progress(progress: Progress, name: str) -> Progress:
+    """Return a listener that puts a name before each line; a detail stays one."""
+
+    def tell(message: str) -> None:
+        line = f"{name}: {message}"
+        progress(Detail(line) if isinstance(message, Detail) else line)
+
+    return tell
 
 
 class Suspicions:
@@ -73,6 +98,8 @@ class Suspicions:
         if isinstance(message, Suspicion):
             shape = _NUMBERS.sub("", message.why)
             if shape in self._told:
+                if message == message.brief:
+                    return
                 message = message.brief
             else:
                 self._told.add(shape)
@@ -105,7 +132,7 @@ class Work:
         self._progress, self._what, self.total, self._unit = progress, what, total, unit
         self._lock = threading.Lock()
         self._began = time.monotonic()
-        self._reported = self._began - _BETWEEN + _FIRST
+        self._reported = self._began - BETWEEN + _FIRST
         self.reach(0.0)
 
     def reach(self, done: float) -> None:
@@ -115,9 +142,9 @@ class Work:
             self._progress.draw(self._what, done, self.total, self._unit)
             return
         now = time.monotonic()
-        if done < self.total and now - self._reported >= _BETWEEN:
+        if done < self.total and now - self._reported >= BETWEEN:
             self._reported = now
-            self._progress(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}")
+            self._progress(Pace(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}"))
 
     def add(self) -> None:
         """Report one more step, from any thread."""

@@ -20,16 +20,18 @@ from jointid.common.document import (
     data_frame,
 )
 from jointid.common.messages import Message
-from jointid.common.text import number, pluralise
+from jointid.common.text import join, number, pluralise, sentence
 from jointid.common.transmission import Transmission
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import Structure
-from jointid.models.controllers import CONTROLLER_UNITS, Controller, in_torque
-from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, in_torque
+from jointid.models.controllers.drive_numbers import DriveNumber, name_in_words
 from jointid.records.record import Resampled
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+_TUNED = ("_gain", "integral_time", "derivative_time")  # what the names of gains and their times end with
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +173,25 @@ class LearnedController(Documented):
         """The law, and how well it gives the torque."""
         if self.another_law:
             return next(str(one) for one in self.limitations if one.code is LimitationCode.ANOTHER_LAW)
-        said = f"The controller is {self.structure}; it leaves {100 * self.share:.2g} % of the torque."
+        shown = [(one.name, one.value, one.unit) for one in self.in_drive]
+        shown = shown or [(n.name, by * n.value, unit) for n in self.numbers for by, unit in (self._in_si(n),)]
+        cascade = isinstance(self.controller, Cascade)
+        gains = [
+            f"{name_in_words(name, cascade=cascade)} {number(value, 4)} {unit}".rstrip()
+            for name, value, unit in shown
+            if name.endswith(_TUNED)
+        ]
+        found = f"the controller is {self.structure}, and leaves {100 * self.share:.2g} % of the torque."
+        said = sentence(f"{join(gains)}: {found}" if gains else found)
         if self.alike:
             said += f" The record does not distinguish it from {pluralise(len(self.alike), 'other structure')}."
         return said
+
+    def _in_si(self, n: LearnedNumber) -> tuple[float, str]:
+        """Return the factor to SI and the unit there."""
+        if CONTROLLER_UNITS not in n.unit:
+            return 1.0, n.unit
+        return getattr(self.controller, "gain", 1.0), in_torque(n.unit, self.torque_unit)
 
     def to_dataframe(self) -> DataFrame:
         """Pandas data frame of the numbers, with standard errors."""
@@ -205,13 +222,13 @@ class LearnedController(Documented):
         if gain != 1.0:
             explanation += f"; [controller] has gain = {number(gain)} {self.torque_unit}"
         for n in self.numbers:
-            ours = CONTROLLER_UNITS in n.unit
-            factor, unit = (gain, in_torque(n.unit, self.torque_unit)) if ours else (1.0, n.unit)
+            factor, unit = self._in_si(n)
             percent = number(100 * n.spread / abs(n.value), 2) if n.value else "-"
             rows.append((n.name, number(factor * n.value, 6), number(factor * n.spread, 2), unit, percent))
         blocks: list[Block] = [
-            *([Paragraph(self.sentence)] if self.another_law else []),
-            Facts(facts),
+            Facts(
+                (("record", self.record), *(([("nearest", str(self.structure))]) if self.another_law else []), *facts)
+            ),
             *([drive_table(self.in_drive)] if self.in_drive else []),
             Table(("parameter in SI", "value", "+-", "unit", "%"), tuple(rows), words=(0, 3)),
             Paragraph(explanation),
@@ -219,7 +236,7 @@ class LearnedController(Documented):
             *self._others(),
             Listing(tuple(map(str, left_open))),
         ]
-        return Document(f"{self.record}: {self.structure}", tuple(blocks))
+        return Document(self.sentence, tuple(blocks))
 
 
 @dataclass(frozen=True, slots=True)

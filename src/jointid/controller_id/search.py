@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, Work, describe_time, follow, ignore_progress
+from jointid.common.messages import Detail, Progress, Work, describe_time, follow, ignore_progress
 from jointid.controller_id.fitting import FittedLaw, Task, fit
 from jointid.controller_id.noise import Noise
 from jointid.controller_id.ranking import (
@@ -218,7 +218,7 @@ def _search_nearby(
     best, seen = _refit_under_own_noise(data.task, path[-1]), set[Structure]()
     while True:
         path.append(best)
-        progress(f"{best.structure}: {len(best.structure.names)} numbers")
+        progress(Detail(f"{best.structure}: {len(best.structure.names)} numbers"))
         seen.add(best.structure)
         best = data.refit(best, data.weighting(best)) or best
         near = list(list_neighbours(best.structure, channel))
@@ -235,7 +235,7 @@ def _search_nearby(
             break
         best = better
     path.append(best)
-    progress(f"{best.structure}, and {len(rivals[:_JUDGED])} others on the whole record")
+    progress(Detail(f"{best.structure}, and {len(rivals[:_JUDGED])} others on the whole record"))
     return unique_structures(rival.fitted for rival in rivals)[:_JUDGED]
 
 

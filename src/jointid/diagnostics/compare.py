@@ -20,9 +20,9 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Listing, Table, common_facts, data_frame
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.messages import Progress, follow, ignore_progress
+from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter, adjust_parameters
-from jointid.common.text import in_words, pluralise
+from jointid.common.text import in_words, number, pluralise
 from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, ReportedEstimate, compare_estimates
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_comparison import (
@@ -175,10 +175,12 @@ def _compare_laws(
     made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
     laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
     # A rigid joint is judged beside the laws of a spring.
-    for law in (None, *laws) if among == "springs" else laws:
+    tried = [None, *laws] if among == "springs" else [*laws]
+    history.progress = lambda message: progress(Detail(message))  # the bar says how far it is
+    for law in follow(tried, progress, f"comparing {among}", len(tried), among):
         name, of_law = (RIGID, ()) if law is None else (law.name, _parameters(joint, law))
         named = f"a {name} spring" if kind == "spring" else f"{name} friction"
-        progress(f"fitting {'a rigid joint' if law is None else named}")
+        history.progress(f"fitting {'a rigid joint' if law is None else named}")
         try:
             if law is None:
                 end = _rigid(solved, record, plain, tolerance, history)
@@ -356,12 +358,21 @@ class MethodComparison(Documented):
 
     @property
     def sentence(self) -> str:
-        """How many methods could run, and whether they differ."""
-        ran = f"{len(self.estimates)} of {len(self.methods)} methods ran"
-        if len(self.estimates) < 2:
-            return f"{ran}."
-        differ = pluralise(len(self.disagreements), "disagreement") if self.disagreements else "no disagreement"
-        return f"{ran}, with {differ} outside their intervals."
+        """Whether the methods differ, and the stiffness or the inertia that they found."""
+        found = self.estimates
+        ran = f"{len(found)} of {len(self.methods)} methods"
+        if len(found) < 2:
+            return f"{ran} ran on {self.record}."
+        name = "stiffness" if self.model == "flexible" else "inertia"
+        rows = [p for e in found.values() for p in e.params.rows if p.name == name and p.value is not None]
+        values = [p.value for p in rows if p.value is not None]
+        said = (
+            f"{name.capitalize()} {number(min(values))} to {number(max(values))} {rows[0].unit}" if rows else "No value"
+        )
+        differ = "no parameter differs"
+        if many := len(self.disagreements):
+            differ = f"{pluralise(many, 'parameter')} differ{'s' if many == 1 else ''}"
+        return f"{said} by {ran}; {differ} between methods by more than their intervals allow."
 
     def to_dataframe(self) -> DataFrame:
         """Return the parameters by every method as a pandas data frame: value and standard error, a row each.
@@ -380,15 +391,14 @@ class MethodComparison(Documented):
         """Return the table, the channels of each method, and the disagreements; there are no further details."""
         del details
         found = self.estimates
-        title = f"{self.model.capitalize()} joint by every method that {self.record} allows; value ± 2 sigma"
+        what = ("joint", f"{self.model}, by every method that {self.record} allows; value ± 2 sigma")
         facts = common_facts(None, next((e.settings.joint.transmission for e in found.values()), None))
         lines = [f"{name} reads {', '.join(estimate.data.channels)}" for name, estimate in found.items()]
         lines += [f"{m.name} cannot run: {m.refusal}" for m in self.methods if m.estimate is None]
         for name, estimate in found.items():
             lines += [f"{name}, {test.name}: {test.sentence}" for test in estimate.checks.tests]
-        agreed = ["no two methods differ by more than their intervals allow"] if len(found) > 1 else []
-        listing = Listing((*lines, *(self.disagreements or agreed)))
-        return Document(title, (Facts(facts), *([self._table()] if found else []), listing))
+        listing = Listing((*lines, *self.disagreements))
+        return Document(self.sentence, (Facts((what, *facts)), *([self._table()] if found else []), listing))
 
     def _table(self) -> Table:
         found, rows = self.estimates, []
@@ -423,7 +433,7 @@ def compare_methods(
     tried = []
     listed = list(_list_methods(model, didim))
     for name, variant, method in follow(listed, progress, "comparing methods", len(listed), "methods"):
-        progress(f"trying {name}")
+        progress(Detail(f"trying {name}"))
         joint = variant.joint if isinstance(variant, ClosedLoop) else variant
         has = {p.name for p in joint.parameters}
         changes = {key: change for key, change in (parameters or {}).items() if variant is model or key in has}

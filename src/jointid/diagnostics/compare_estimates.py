@@ -132,7 +132,8 @@ class EstimateComparison(Documented):
         """The result of the tests, then the notes."""
         tested = sum(row.p_value is not None for row in self.rows)
         if not tested:
-            return ("No difference can be tested.", *self.notes)
+            why = ", as both estimates share the errors of one record" if self.same_record else ""
+            return (f"No difference can be tested{why}.", *self.notes)
         if not self.changed:
             said = f"None of {tested} quantities changed significantly, at a level of {self.level:g} for all together."
             return (said, *self.notes)
@@ -178,8 +179,8 @@ class EstimateComparison(Documented):
             values = number(row.before), number(row.after), number(row.difference, 3)
             rows.append((in_words(row.name), *values, spread, row.unit, p, mark, row.symbol))
         table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
-        blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences)
-        return Document(f"Two estimates of one {_system(self.before)}, compared", blocks)
+        blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences[1:])
+        return Document(self.sentence, blocks)
 
 
 def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from jointid.common.document import Block, Document, Documented, Heading, Listing, Paragraph, Table
+from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.messages import Message
 from jointid.common.text import join, number, pluralise, sentence
 from jointid.diagnostics.axis_parameters import AxisParameter, Told
@@ -326,6 +326,16 @@ class Diagnosis(Documented):
     @property
     def answer(self) -> str:
         """The diagnosis in short."""
+        return " ".join(self._parts)
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong, or that nothing is."""
+        return self._parts[0]
+
+    @property
+    def _parts(self) -> tuple[str, ...]:
+        """The sentences of the answer, what is wrong first."""
         bad = [one.name for one in self.axes if not one.explained]
         coloured = [one.name for one in self.axes if one.coloured]
         alone = len(self.axes) == 1
@@ -347,18 +357,28 @@ class Diagnosis(Documented):
             )
         count = sum(len(one.asked) for one in self.axes)
         stated = sum(len(one.names(Told.TOLD)) for one in self.axes)
-        return " ".join(
-            filter(None, (first, *self._loops(), f"The record determines {stated} of {count} parameters within 10 %."))
-        )
+        known = f"The record determines {stated} of {count} parameters within 10 %."
+        faults = self._faults()
+        before, after = ("", faults) if bad and not self._faulty else (faults, "")
+        return tuple(filter(None, (before, first, after, *self._loops(), known)))
+
+    @property
+    def _faulty(self) -> list[str]:
+        return [one.name for one in self.axes if one.faults.findings]
+
+    def _faults(self) -> str:
+        """Return the sentence on the faults that were tested; "" where none were."""
+        tested = [one for one in self.axes if one.faults.tests]
+        if self._faulty:
+            found = [str(one.brief) for of_model in (False, True) for one in self.name_faults(of_model=of_model)]
+            more = f", and {pluralise(len(found) - 1, 'more fault')}, see below" if len(found) > 1 else ""
+            return sentence(f"{found[0]}{more}")
+        if tested and all(one.faults.of_loop and one.law_holds is not False for one in tested):
+            return "Loop and log are as declared, as far as this record shows."
+        return ""
 
     def _loops(self) -> Iterator[str]:
-        """Yield sentences on loops and logs: from the faults tested, then from the logged positions."""
-        tested = [one for one in self.axes if one.faults.tests]
-        faulty = [one.name for one in tested if one.faults.findings]
-        if faulty:
-            yield f"A fault{self._of(faulty)} was found, see below."
-        elif tested and all(one.faults.of_loop and one.law_holds is not False for one in tested):
-            yield "Loop and log are as declared, as far as this record shows."
+        """Yield sentences on loops and logs from the logged positions."""
         untested = f"; {self.untested_clause}" if self.untested else ""
         if wrong := self.describe_laws(holds=False):
             yield sentence(f"{wrong}: unless these are rounded coarsely, do not rely on DIDIM there{untested}")
@@ -394,7 +414,8 @@ class Diagnosis(Documented):
         )
         good = self.explained and all(one.judged for one in self.axes) and self.as_declared is not False
         blocks: list[Block] = [
-            Paragraph(self.answer, lead=True, tone="good" if good else "bad"),
+            Facts((("record", f"{self.name}, {pluralise(len(self.axes), 'joint')}"),)),
+            Paragraph(" ".join(self._parts[1:]), lead=True, tone="good" if good else "bad"),
             Table(header, rows, caption, (0, 2)),
             Table(("joint", "travel", "peak speed", "moving, %"), motion, "motion of the motors, behind their gears"),
             *((Heading("What to do"), Listing(self.sentences)) if self.sentences else ()),
@@ -405,7 +426,7 @@ class Diagnosis(Documented):
                 f"{one.subject}{', '.join(one.names(Told.NOT))}" for one in self.axes if one.names(Told.NOT)
             )
             blocks += [Heading("Not significant"), Listing(unknown)] if unknown else []
-        return Document(f"{self.name}: diagnosis of {pluralise(len(self.axes), 'joint')}", tuple(blocks))
+        return Document(self.sentence, tuple(blocks))
 
     def _tests(self, details: bool) -> tuple[Table, ...]:
         """Return the table of the tests, or of the significant ones where there are many."""

@@ -18,7 +18,7 @@ from jointid.common.document import Block, Document, Documented, Facts, Heading,
 from jointid.common.errors import FaultsError, JointidError, MethodError, require_type
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.common.text import in_words, number, pluralise
+from jointid.common.text import in_words, join, number, pluralise
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.experiment_design import advise
 from jointid.diagnostics.faults.record import find_plain_cause, find_standstill
@@ -153,9 +153,11 @@ class Examination(Documented):
         if not self.healthy:
             named = [one for one in self.faults if one.fault not in _VAGUE] or [*self.faults]
             return f"{self.record}: {named[0].axis and f'{named[0].axis}: '}{named[0].said[0]}."
-        if any(one.good is None for one in self.answers):
-            return f"Nothing that is wrong with {self.record} spoils its answer; see what is marked."
-        return f"Nothing is wrong with {self.record}."
+        if marked := list(dict.fromkeys(str(one.question) for one in self.answers if one.good is None)):
+            return f"Nothing that is wrong with {self.record} spoils its answer; see {join(marked)}, marked with ?."
+        known = sum(one.percent is not None and one.percent <= 100 * _WELL for one in self.parameters)
+        told = f"; it determines {known} of {len(self.parameters)} parameters and sums within {100 * _WELL:g} %"
+        return f"Nothing is wrong with {self.record}{told if self.parameters else ''}."
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the answers, the parameters and what to change; there are no further details."""

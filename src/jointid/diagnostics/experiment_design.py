@@ -32,7 +32,7 @@ from jointid.common.document import Block, Document, Documented, Facts, Listing,
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, Work, follow, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import number
+from jointid.common.text import in_words, number
 from jointid.common.transmission import Transmission, transmission_lines
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.other_experiments import (
@@ -62,6 +62,7 @@ DETECTED = 0.25
 """Largest relative deviation of an identified compliance: its 2-sigma interval ends at half its value."""
 
 _WORTH = 0.8  # of a deviation: a smaller gain is not worth a sentence
+_ALIKE = 1.05  # times the least share of an interval
 _EXCLUDED = 1 / 1.645  # relative deviation of a compliance that a 95 % bound just excludes
 _BAND = 0.15  # of the sampling frequency: up to where the bounds were searched
 _STEP = 1.1  # from one mode that is tried to the next
@@ -111,6 +112,25 @@ class Advice(Documented):
         """The interval that each change narrows most, a sentence each."""
         return tuple(self._sentence(one) for one in (*self.sensors, *self.tests))
 
+    @property
+    def sentence(self) -> str:
+        """The change that narrows an interval most, by what is left of it; of two alike the simpler."""
+        left = [
+            (min(std / self.std[name] for name, std in one.std.items()), one)
+            for one in (*self.sensors, *self.tests)
+            if one.std
+        ]
+        least = min((share for share, _ in left), default=1.0)
+        if least > _WORTH:
+            return "No encoder and no motion that was tried narrows an interval by more than a fifth."
+        best = next(one for share, one in left if share <= _ALIKE * least)
+        name = min(best.std, key=lambda n: best.std[n] / self.std[n])
+        what = best.description if best in self.tests else f"a {best.name}" if best.name != "both" else "both encoders"
+        return (
+            f"Most is gained by {what}: {in_words(name)} {self.symbols[name]} known to "
+            f"± {number(2 * best.std[name], 2)} instead of ± {number(2 * self.std[name], 2)} {self.units[name]}."
+        )
+
     def _sentence(self, change: Prediction) -> str:
         if not change.std:
             return f"{change.name}: {change.description}; the loop cannot be simulated with it"
@@ -130,7 +150,7 @@ class Advice(Documented):
             "loop": "caused by a force inside the loop; noise of the log alone would give narrower intervals",
             "log": "measurement noise of the log; a force inside the loop would give wider intervals",
         }[self.noise]
-        said = Paragraph(f"the torque residual is taken to be {where}")
+        said = Paragraph(f"2-sigma intervals as {self.record} has them; the torque residual is taken to be {where}")
         blocks: list[Block] = [said, Facts(common_facts(None, self.transmission))]
         for kind, group in (("torque and", self.sensors), ("torque from", self.tests)):
             header = ("symbol", "reported", *(f"{kind} {one.name}" for one in group), "unit")
@@ -139,8 +159,7 @@ class Advice(Documented):
                 stds = (number(2 * one.std[name] if one.std else None, 2) for one in group)
                 rows.append((self.symbols[name], number(2 * std, 2), *stds, self.units[name]))
             blocks.append(Table(header, tuple(rows), words=(0, len(header) - 1)))
-        title = f"Predicted 2-sigma intervals of {self.record} with other sensors or motions"
-        return Document(title, (*blocks, Listing(self.sentences)))
+        return Document(self.sentence, (*blocks, Listing(self.sentences)))
 
 
 def advise(

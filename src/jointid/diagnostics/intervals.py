@@ -18,6 +18,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Heading, Listing, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, follow, ignore_progress
+from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -55,13 +56,25 @@ class Intervals(Documented):
     transmission: Transmission | None = None
     parabolic: tuple[str, ...] = ()
 
+    @property
+    def sentence(self) -> str:
+        """The first interval that was found."""
+        drawn = self.over_time or self.over_place
+        if self.profiles or drawn is None:
+            return (
+                f"{self.profiles[0]}." if self.profiles else "The criterion is a parabola out to the intervals' ends."
+            )
+        low, high = drawn.intervals[0]
+        first = f"{drawn.parameters[0].symbol} = {number(float(drawn.estimate[0]))}"
+        return f"{first}, {100 * drawn.level:.4g} % bootstrap interval {number(low)} to {number(high)}."
+
     def to_document(self, *, details: bool = False) -> Document:
         """Return profiles and bootstraps one after the other; there are no further details."""
         del details
-        blocks = Facts(common_facts(None, self.transmission)), Listing(tuple(map(str, self.profiles)))
+        blocks = Facts(common_facts(None, self.transmission)), Listing(tuple(map(str, self.profiles[1:])))
         drawn = [one.to_document() for one in (self.over_time, self.over_place) if one is not None]
         parts = (block for each in drawn for block in (Heading(each.title), *each.blocks))
-        return Document("Intervals, by other ways than the covariance", (*blocks, *parts))
+        return Document(self.sentence, (*blocks, *parts))
 
 
 def intervals(

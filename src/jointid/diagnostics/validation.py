@@ -239,8 +239,7 @@ class Validation(Documented):
         allowed = "" if least is None else f", and one identified from it {_format_share(least)}"
         again = "identify it from this record, too, and"
         if code is Prediction.OWN_RECORD:
-            words = f"The {who} was identified from {self.record} and {share}; that it predicts another record is shown"
-            words += " by that record only: validate it on one"
+            words = f"The {who} was identified from {self.record} and {share}; validate it on another record"
         elif code is Prediction.NOT_AS_DECLARED:
             wrong = "controller, channels or scales are" if self.method == "didim" else "channels or scales are"
             words = f"The {who} does not predict {self.record}: it {share}{allowed}; {wrong} not as declared there"

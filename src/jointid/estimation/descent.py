@@ -11,7 +11,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress
+from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import Iteration
 from jointid.simulation.closed_loop import Simulation
@@ -98,7 +98,7 @@ class History:
         which = f"start {self._starts}, " if self._starts > 1 else ""
         best = f" (best so far {100 * self._best:.4f} %)" if which and error > self._best else ""
         self._best = min(self._best, error)
-        self.progress(f"{which}iteration {number}: torque error {100 * error:.4f} %{best}")
+        self.progress(Detail(f"{which}iteration {number}: torque error {100 * error:.4f} %{best}"))
 
     def note(
         self,

@@ -19,7 +19,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.messages import Progress
+from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Parameter, adjust_parameters
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
@@ -107,7 +107,7 @@ def identify_log(
     if settings.settling is None:
         needed = samples(measure_settling(window, record, start) * sample_time)
         settling = min(needed, length // (2 * keep) * keep)
-        progress(f"a window forgets how it began in {needed * sample_time:g} s")
+        progress(Detail(f"a window forgets how it began in {needed * sample_time:g} s"))
         if needed > settling:
             warnings.append(
                 f"a window forgets how it began in no less than {needed * sample_time:g} s; give longer windows"
@@ -232,7 +232,7 @@ class StreamingGaussNewton:
                 stop = f"the last pass moved the parameters by {far:.2g} deviations (limit {self.tolerance:g})"
                 return end(x + step, found.shift(step), Status.STEP, f"converged: {stop}", whole)
             before, x = _Before(x, every, level, found), x + step
-            problem.progress(f"{len(found.windows)} windows move the parameters by {far:.2g} deviations")
+            problem.progress(Detail(f"{len(found.windows)} windows move the parameters by {far:.2g} deviations"))
             if number >= self.sparse_passes or far < 1.0:
                 every = 1
         assert before is not None

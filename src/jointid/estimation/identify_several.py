@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, ignore_progress
+from jointid.common.messages import Detail, Progress, ignore_progress
 from jointid.common.parameters import Parameter, adjust_parameters
 from jointid.estimation.descent import History
 from jointid.estimation.identify_record import identify_record
@@ -116,7 +116,7 @@ def identify_several(
     progress(f"{len(records)} records together, {len(criterion.free)} parameters")
     begin = [problem.vector(one.acting(gain)) for problem, one in zip(problems, alone, strict=True)]
     end = solve(criterion, SOLVER, criterion.vector(begin))
-    progress(end.message)
+    progress(Detail(end.message))
     used = sum(fit.simulations for fit in fits) + sum(one.simulations for one in alone)
     simulations = used + (end.evaluations + 2) * len(records)
     about = tuple(

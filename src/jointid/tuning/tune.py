@@ -152,6 +152,7 @@ def tune(
         position_unit=POSITION_UNIT[estimate.settings.joint.kind],
         torque_unit=estimate.data.torque_unit,
         notes=tuple(notes),
+        doubts=tuple(doubt.partition(",")[0] for doubt, _ in _doubts(estimate)),
     )
 
 
@@ -208,12 +209,17 @@ def _gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[str, 
     return tuple(gains)
 
 
+def _doubts(estimate: Estimate) -> list[tuple[str, str]]:
+    return [
+        (_DOUBTED[v.subject], v.said) for v in estimate.checks.verdicts if v.good is False and v.subject in _DOUBTED
+    ]
+
+
 def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> list[str]:
     estimate, found = case.estimate, []
     if not estimate.fit.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")
-    doubted = [v for v in estimate.checks.verdicts if v.good is False and v.subject in _DOUBTED]
-    found += [f"{_DOUBTED[v.subject]}: {v.said}" for v in doubted]
+    found += [f"{doubt}: {said}" for doubt, said in _doubts(estimate)]
     if estimate.checks.bounds:
         found.append(
             'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '

@@ -35,9 +35,10 @@ from jointid.common.document import (
     data_frame,
 )
 from jointid.common.matplotlib_backend import Charted
-from jointid.common.text import number
+from jointid.common.text import in_words, join, number
 from jointid.common.transmission import Transmission
-from jointid.models.controllers import CONTROLLER_UNITS, Controller, Notch, in_torque
+from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, Notch, in_torque
+from jointid.models.controllers.drive_numbers import name_in_words
 from jointid.models.linear import ComplexArray
 from jointid.tuning.margins import Margins
 from jointid.tuning.proposals import FeedForward, Tuning
@@ -162,7 +163,9 @@ class MinimumDetectableChange(Documented):
         rows = []
         for c in self.changes:
             percent = number(100 * c.size / abs(c.value), 2) if c.value else "-"
-            rows.append((c.name, number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit, c.formula))
+            rows.append(
+                (in_words(c.name), number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit, c.formula)
+            )
         header = ("quantity", "value", "detectable", "%", "alarm above", "unit", "symbol")
         said = (
             f"Smallest change detectable with another record of this motion ({100 * self.false_alarm:g} % false "
@@ -183,6 +186,7 @@ class Tuned(Charted, Documented):
         detectable: smallest changes of the joint that the same motion detects.
         joint: response of the motor's velocity to the torque, in continuous time.
         notes: what the reader must know, a sentence each.
+        doubts: why the loop may be another one than the declared, a clause each.
     """
 
     record: str
@@ -200,21 +204,32 @@ class Tuned(Charted, Documented):
     position_unit: str
     torque_unit: str
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
-        """Present worst-case margins and the proposal, in one sentence."""
+        """What to set, and what that does to the margin that is nearest to its requirement, in one sentence."""
         present, asked = self.present.worst, self.settings
-        if not present.stable:
-            return "In the worst case of the estimate's interval the loop as it is would not be stable."
-        where = f"{number(present.modulus, 2)} from -1 at its nearest ({number(asked.modulus, 2)} is asked)"
+        cascade = isinstance(self.present.controller, Cascade)
         gains = [
-            f"{name.replace('_', ' ')} from {number(before, 4)} to {number(after, 4)} {unit}".rstrip()
+            f"{name_in_words(name, cascade=cascade)} from {number(before, 4)} to {number(after, 4)} {unit}".rstrip()
             for name, before, after, unit in (gain.in_drive for gain in self.gains)
         ]
-        proposal = f"proposed: {', '.join(gains)}" if gains else "no gains are proposed"
-        notch = "" if self.notch is None else f", and a notch at {number(self.notch.notch.frequency, 3)} Hz"
-        return f"The loop as it is comes, in the worst case, {where}; {proposal}{notch}."
+        if self.notch is not None:
+            gains.append(f"a notch at {number(self.notch.notch.frequency, 3)} Hz")
+        beware = f"Beware: {join(self.doubts)}. " if self.doubts else ""
+        advice = f"{beware}Set {join(gains)}" if gains else f"{beware}No gains are proposed"
+        if not present.stable:
+            return f"{advice}: in the worst case of the estimate's interval the present loop is not stable."
+        required = {"gain": asked.gain_margin, "phase": math.radians(asked.phase_margin), "modulus": asked.modulus}
+        name = min(required, key=lambda one: getattr(present, one) / required[one])
+        unit, degree = (" degrees", math.degrees(1.0)) if name == "phase" else ("", 1.0)
+        margin, least = (number(degree * one, 3) for one in (getattr(present, name), required[name]))
+        if self.proposed is None:
+            margin = f"is {margin}"
+        else:
+            margin = f"goes from {margin} to {number(degree * getattr(self.proposed.worst, name), 3)}"
+        return f"{advice}: in the worst case the {name} margin {margin}{unit} ({least} required)."
 
     def to_dataframe(self) -> DataFrame:
         """Pandas data frame of the gains: before and after, unit and formula."""
@@ -226,7 +241,8 @@ class Tuned(Charted, Documented):
         del details
         worst = ("worst case over", self.interval)
         change = self.detectable.to_document()
-        blocks: list[Block] = [Facts((worst, *common_facts(None, self.transmission))), *self.proposal()]
+        joint = ("joint", f"{self.model}, of {self.record}")
+        blocks: list[Block] = [Facts((joint, worst, *common_facts(None, self.transmission))), *self.proposal()]
         blocks.append(self._feedforward())
         units = [f.in_drive[-1] for f in self.feedforward] + [g.in_drive[-1] for g in self.gains]
         if any(CONTROLLER_UNITS in one for one in units):
@@ -235,7 +251,7 @@ class Tuned(Charted, Documented):
             blocks.append(Paragraph(said))
         blocks += [Heading(change.title), *change.blocks]
         notes = Facts(tuple(("note", note) for note in self.notes))
-        return Document(f"Tuning for {self.record}, a {self.model} joint", (*blocks, notes))
+        return Document(self.sentence, (*blocks, notes))
 
     def proposal(self) -> tuple[Block, ...]:
         """Present and proposed margins, gains and notch."""

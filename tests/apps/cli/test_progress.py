@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import sys
+from collections.abc import Callable
 from itertools import count
 
 import numpy as np
@@ -14,7 +15,17 @@ from rich.console import Console
 import jointid as ji
 from jointid.apps.cli import console
 from jointid.apps.cli.terminal import Bars
-from jointid.common.messages import Work, describe_pace, describe_time, follow, ignore_progress
+from jointid.common.messages import (
+    Detail,
+    Pace,
+    Suspicion,
+    Work,
+    describe_pace,
+    describe_time,
+    follow,
+    ignore_progress,
+    name_progress,
+)
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import ordinal
 from jointid.estimation.descent import History
@@ -144,6 +155,53 @@ def test_who_listens_depends_on_the_terminal(terminal: bool, monkeypatch: pytest
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
     assert console.listen(quiet=True) is ignore_progress
     assert isinstance(console.listen(quiet=False), Bars) == terminal
+
+
+def test_details_are_for_who_asks_for_them(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def search(listener: Callable[[str], None]) -> list[str]:
+        listener("searching the spring")
+        listener(Detail("iteration 0: torque error 17 %"))
+        listener(Suspicion("searching by least squares", "The loop is not stable; check the gain."))
+        name_progress(listener, "record 2")(Detail("iteration 1: torque error 10 %"))
+        listener("searching by least squares")
+        return capsys.readouterr().err.splitlines()
+
+    assert search(console.listen(quiet=False)) == ["searching the spring", "searching by least squares"]
+    monkeypatch.setattr(console, "details", True)
+    told = search(console.listen(quiet=False))
+    assert told[1] == "iteration 0: torque error 17 %" and told[2].endswith("check the gain.")
+    assert told[3] == "record 2: iteration 1: torque error 10 %"
+
+
+def test_a_long_stage_says_now_and_then_how_long_it_has_gone_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seconds = count()
+    monkeypatch.setattr("time.monotonic", lambda: float(next(seconds)))
+    listener = console.Lines()
+    listener("searching the spring")
+    for number in range(25):
+        listener(Detail(f"iteration {number}"))
+    listener(Pace("bootstrapping: 2 of 15 draws, 9 s left"))
+    for number in range(12):
+        listener(Detail(f"draw {number}"))
+    said = capsys.readouterr().err.splitlines()
+    assert said[:3] == ["searching the spring", *(f"searching the spring: {n} s so far" for n in (10, 20))]
+    assert said[3] == "bootstrapping: 2 of 15 draws, 9 s left" and said[4].startswith("searching the spring: ")
+
+
+def test_a_terminal_rewrites_the_line_of_the_stage() -> None:
+    file = io.StringIO()
+    bars = Bars(Console(file=file, force_terminal=True, width=80))
+    for message in ("reading", "searching the spring", Detail("iteration 3: torque error 17 %")):
+        bars(message)
+    assert [task.description for task in bars._progress.tasks] == ["searching the spring"]
+    bars.draw("bootstrapping", 1, 40, "draws")
+    assert [task.description for task in bars._progress.tasks] == ["bootstrapping"]
+    bars("checking loop and log, " + 10 * "which takes a while, ")
+    bars.clear()
+    assert "which takes a while" in file.getvalue() and "torque error" not in file.getvalue()
+    assert not bars._progress.live.is_started
 
 
 def test_another_start_does_not_read_as_divergence() -> None:

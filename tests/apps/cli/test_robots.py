@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,7 +122,7 @@ def test_a_saved_estimate_is_taken_by_every_command(
     run("identify", joint, *unseen, "--json", other)
     capsys.readouterr()
     run("compare", found, other, "--json", tmp_path / "compared.json")
-    assert "Two estimates of one robot, compared" in capsys.readouterr().out
+    assert re.match(r"\d+ of \d+ quantities changed significantly: |None of \d+ quantities", capsys.readouterr().out)
     rows = json.loads((tmp_path / "compared.json").read_text("utf-8"))["quantities"]
     viscous, lumped = (
         rows["joint2.viscous"],
@@ -133,7 +134,7 @@ def test_a_saved_estimate_is_taken_by_every_command(
 def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("diagnose", folder / "robot.toml", "--json", tmp_path / "found.json")
     printed = " ".join(capsys.readouterr().out.split())
-    assert "The model explains the torques of all joints but for noise" in printed
+    assert printed.startswith("The model explains the torques of all joints but for noise")
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.diagnosis/1" and answer["explained"] and answer["as_declared"] is None
     assert answer["axes"][1]["parameters"]["joint2.viscous"]["known"] == "told"
@@ -220,7 +221,8 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     joint, found = folder / "robot.toml", tmp_path / "found.json"
     records = "--without", folder / "one.csv", "--with", folder / "loaded.csv"
     run("payload", joint, *records, "--json", found)
-    assert "The payload weighs 3.0" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert re.match(r"The payload weighs 3\.0\d* ± [\d.]+ kg, 2 sigma, with its centre at \(.*\) m of link6\. ", said)
     answer = json.loads(found.read_text(encoding="utf-8"))
     mass = answer["parameters"]["mass"]
     assert answer["link"] == "link6" and answer["ways_agree"] and mass["unit"] == "kg"
@@ -249,6 +251,6 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # The file says torques, so a payload of the known mass finds that they are.
     changes = "--set", "method.estimator=weighted", "--set", "method.fixed={}"
     run("payload", joint, *records, "--mass", "3", "--json", found, *changes)
-    assert "Gains of the drives" in capsys.readouterr().out
+    assert "\nMultiply the logged torque of joint1 by " in capsys.readouterr().out
     gains = json.loads(found.read_text(encoding="utf-8"))["gains"]
     assert all(abs(one["value"] - 1) < 3.5 * one["std"] < 0.05 for one in gains.values())

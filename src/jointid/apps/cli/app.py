@@ -1,9 +1,4 @@
-"""The program: its commands, and how errors leave it.
-
-Exit code 0 when it worked, 2 for a mistake of the user's (one sentence each) or a result that cannot be written, 1 for
-a failure of ours, 3 where `examine` finds something wrong with a record, 130 when interrupted, 143 when ended by
-SIGTERM; `--debug` shows the traceback and the warnings of libraries too, and changes no exit code.
-"""
+"""The program: its commands, and how errors leave it, with the exit codes of docs/commands.md."""
 
 from __future__ import annotations
 
@@ -15,15 +10,16 @@ import signal
 import sys
 import traceback
 import warnings
+from collections.abc import Callable
 from functools import partial
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from cyclopts import App, CycloptsError, UnknownOptionError
+from cyclopts import App, CycloptsError, Group, UnknownOptionError
 
 from jointid import __version__
 from jointid.apps import SIGNALLED
 from jointid.apps.cli import campaign as campaigns
-from jointid.apps.cli import endings, streams
+from jointid.apps.cli import console, endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.demo import demo
@@ -36,32 +32,112 @@ from jointid.apps.cli.simulate import reproduce, simulate
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import remove_rooms
 
+if TYPE_CHECKING:
+    from cyclopts.help import HelpPanel
+    from rich.console import Console, ConsoleOptions
+
 USERS_MISTAKE, OUR_FAILURE = 2, 1
+
+_ENDING = "Exit codes and --debug: docs/commands.md"
+
+
+def _spread(console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
+    """Print a panel of help, with the commands within a command below it."""
+    from cyclopts.help import DefaultFormatter
+
+    entries = []
+    for entry in panel.entries:
+        entries.append(entry)
+        name = entry.display_labels[0]
+        for one in (word for word in _FAMILIES.get(name, ()) if not word.startswith("-")):
+            first = (_FAMILIES[name][one].help or "").partition("\n")[0]
+            entries.append(entry.copy(positive_names=(f"{name} {one}",), description=first))
+    DefaultFormatter()(console, options, panel.copy(entries=entries))
+
 
 app = App(
     name="jointid",
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
-    help_epilogue="Exit code: 0 it worked, 2 a mistake in the command, the joint file or the record (one sentence "
-    "each) or a result that cannot be written, 1 a fault of jointid's, 3 examine finds something wrong with a record, "
-    "130 interrupted, 143 ended by SIGTERM. --debug, with any command, also prints the traceback and the libraries' "
-    "warnings; the exit code stays.",
+    help_epilogue=f"Begin with: jointid demo\n{_ENDING}",
+    group_commands=Group("Options", sort_key=9),
     version=__version__,
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
 data = App(name="data", help="Look into files of records, and convert them.", help_format="plaintext")
 diagnose = App(name="diagnose", help_format="plaintext")
-campaign = App(name="campaign", help="Many joints and many runs, here or on a cluster.", help_format="plaintext")
-for parent, commands in (
-    (app, (demo, examine, identify, validate, report, compare, advise)),
-    (diagnose, (methods, springs, friction, intervals)),
-    (app, (diagnose, learn_controller, tune, design, simulate, export, payload, data, campaign, serve, reproduce)),
-    (data, (inspect, convert)),
-    (campaign, (campaigns.run, campaigns.work, campaigns.status, campaigns.report, campaigns.export)),
-):
-    for command in commands:
-        parent.command(command)
+campaign = App(name="campaign", help="Many joints and runs, here or on a cluster.", help_format="plaintext")
+_FAMILIES = {"data": data, "diagnose": diagnose, "campaign": campaign}
+
+_START, _IDENTIFY, _ASK, _USE, _MANY = (
+    Group(name, sort_key=place, help_formatter=_spread)
+    for place, name in enumerate(("Start", "Identify", "Ask what the result is worth", "Use the result", "Many"))
+)
+_WITHIN = Group("Commands")
+_EXAMPLES: dict[str, dict[Callable[..., Any], str]] = {
+    "": {
+        demo: "jointid demo",
+        serve: "jointid serve --open",
+        reproduce: "jointid reproduce",
+    },
+    "jointid demo": {
+        examine: "jointid examine joint.toml",
+        inspect: "jointid data inspect record.csv",
+        convert: "jointid data convert record.csv record.mat",
+        identify: "jointid identify joint.toml",
+        learn_controller: "jointid learn-controller joint.toml --write learned.toml",
+        report: "jointid report joint.toml --html report.html",
+        diagnosis: "jointid diagnose joint.toml",
+        methods: "jointid diagnose methods joint.toml",
+        springs: "jointid diagnose springs joint.toml",
+        friction: "jointid diagnose friction joint.toml",
+        intervals: "jointid diagnose intervals joint.toml --of stiffness",
+        validate: "jointid validate joint.toml --estimate estimate.json",
+        compare: "jointid compare estimate.json estimate.json",
+        advise: "jointid advise joint.toml",
+        tune: "jointid tune joint.toml",
+        design: "jointid design joint.toml --out next-test",
+        simulate: "jointid simulate joint.toml --estimate estimate.json --out run.csv",
+        export: "jointid export joint.toml --estimate estimate.json --out joint.urdf",
+    },
+    "jointid demo --fleet": {
+        campaigns.run: "jointid campaign run campaign.toml --out results",
+        campaigns.work: "jointid campaign work campaign.toml --shard 1/4 --out results",
+        campaigns.status: "jointid campaign status results",
+        campaigns.report: "jointid campaign report results",
+        campaigns.export: "jointid campaign export results --out results.csv",
+    },
+    "the drive of a robot": {payload: "jointid payload robot.toml --without empty.csv --with loaded.csv"},
+}
+"""An example of each command, by what writes the folder that it runs in."""
+
+
+def _ending(command: Callable[..., Any]) -> str:
+    """Return the last lines of a command's help."""
+    where = next(where for where, each in _EXAMPLES.items() if command in each)
+    folder = f", in the folder that {where} writes" if where else ""
+    return f"Example{folder}:\n  {_EXAMPLES[where][command]}\n{_ENDING}"
+
+
+_ORDER: tuple[tuple[App, Group, tuple[Any, ...]], ...] = (
+    (app, _START, (demo, examine, data, serve, reproduce)),
+    (data, _WITHIN, (inspect, convert)),
+    (app, _IDENTIFY, (identify, learn_controller, report, payload)),
+    (app, _ASK, (diagnose, validate, compare, advise)),
+    (diagnose, _WITHIN, (methods, springs, friction, intervals)),
+    (app, _USE, (tune, design, simulate, export)),
+    (app, _MANY, (campaign,)),
+    (campaign, _WITHIN, (campaigns.run, campaigns.work, campaigns.status, campaigns.report, campaigns.export)),
+)
+for parent, group, commands in _ORDER:
+    for place, command in enumerate(commands):
+        if isinstance(command, App):
+            command.group, command.sort_key = group, place
+            parent.command(command)
+        else:
+            parent.command(command, group=group, sort_key=place, help_epilogue=_ending(command))
 diagnose.default(diagnosis)
+diagnose.help_epilogue = _ending(diagnosis)
 
 
 def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoReturn:
@@ -72,7 +148,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
         signals: whether Ctrl-C and a request to end are this program's to answer.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words
+    console.details = debug = "--debug" in words
     # Matrices here are thousands of rows by ten columns: a second thread only waits for the first, and holds up others.
     for library in ("OPENBLAS", "MKL"):  # each reads this once, when NumPy is loaded
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

@@ -28,7 +28,9 @@ def run(
     again: Flag = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify all that a campaign file names, or simulates, on all cores; given again, it goes on where it was ended.
+    """Identify all that a campaign file names, on all cores.
+
+    Given again, it goes on where it was ended; a file may name runs that are simulated.
 
     Every result is kept as it comes, once; Ctrl-C, a kill or a full disk loses none of them.
 
@@ -60,7 +62,9 @@ def run(
 
 
 def work(campaign: Path, /, *, shard: str, out: Path, workers: int = 1, quiet: Quiet = False) -> None:
-    """Carry out a part of a campaign without a client: a task of a SLURM array, or a pod of a Kubernetes job.
+    """Carry out a part of a campaign without a client.
+
+    As a task of a SLURM array, or a pod of a Kubernetes job.
 
     Every shard appends its results to a file of its own; status, report and export read all files of a folder as one.
 
@@ -87,7 +91,7 @@ def work(campaign: Path, /, *, shard: str, out: Path, workers: int = 1, quiet: Q
 
 
 def status(results: Path, /, *, details: Flag = False) -> None:
-    """Print the progress of a campaign: finished cases, rate and time left.
+    """Print finished cases, rate and time left.
 
     Args:
         results: folder of the results.
@@ -108,7 +112,7 @@ def report(
     markdown: Path | None = None,
     csv: Path | None = None,
 ) -> None:
-    """Report the results of a campaign: joints that drifted, distributions, outliers, scatter.
+    """Report joints that drifted, outliers and scatter.
 
     Args:
         results: folder of the results.
@@ -139,7 +143,9 @@ def report(
 
 
 def export(results: Path, /, *, out: Path) -> None:
-    """Write the results of a campaign as a table: a row for each case, with versions, settings and hashes.
+    """Write the results as a table, a row for each case.
+
+    With versions, settings and hashes.
 
     Args:
         results: folder of the results.

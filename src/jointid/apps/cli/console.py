@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +16,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.places import NOTHING, Outputs
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.messages import Progress, Suspicions, ignore_progress
+from jointid.common.messages import BETWEEN, Detail, Pace, Progress, Suspicions, describe_time, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
@@ -36,6 +37,9 @@ Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative
 F = TypeVar("F", "JointFile", "RobotFile", "JointFile | RobotFile")
 
 FilteringName = Literal["default", "published", "as-printed"]
+
+details = False
+"""Whether each step of a search is printed, too: with --debug."""
 
 _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
 
@@ -167,8 +171,29 @@ def show(result: object = "", *, details: bool = False) -> None:
 
 
 def tell(message: str) -> None:
-    """Print a line of progress."""
+    """Print a line on the standard error."""
     print(printable(message), file=sys.stderr, flush=True)  # noqa: T201
+
+
+class Lines:
+    """Prints progress where no line can be rewritten: each stage once, and every ten seconds that it goes on."""
+
+    def __init__(self) -> None:
+        self._stage, self._began = "", time.monotonic()
+        self._told = self._began
+
+    def __call__(self, message: str) -> None:
+        """Print the stage that a line of progress begins."""
+        now, stage = time.monotonic(), message.brief if isinstance(message, Detail) else message
+        if isinstance(message, Pace):
+            self._told = now
+            tell(message)
+        elif stage and stage != self._stage:
+            self._stage, self._began, self._told = stage, now, now
+            tell(stage)
+        elif now - self._told >= BETWEEN:
+            self._told = now
+            tell(f"{self._stage or 'searching'}: {describe_time(now - self._began)} so far")
 
 
 @lru_cache(maxsize=1)
@@ -179,10 +204,12 @@ def _bars() -> Bars:
 
 
 def listen(quiet: bool) -> Progress:
-    """Return the listener to progress: bars on a terminal, else lines."""
+    """Return the listener to progress: bars on a terminal, else lines; with --debug every detail."""
     if quiet:
         return ignore_progress
-    return _bars() if sys.stderr.isatty() else tell
+    if details:
+        return tell
+    return _bars() if sys.stderr.isatty() else Lines()
 
 
 def clear_bars() -> None:

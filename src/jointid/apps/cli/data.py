@@ -24,8 +24,9 @@ def inspect(
     json: Path | None = None,
     figure: Path | None = None,
 ) -> None:
-    """List what is in a file: every channel with its rows, unit, sample time, range and a small picture.
+    """List what is in a file, channel by channel.
 
+    Each with its rows, unit, sample time, range and a small picture.
     Any format that records are read from, and the folder of a ROS 2 bag. What is taken for a clock is said.
 
     Args:
@@ -55,8 +56,9 @@ def convert(
     header: Header = None,
     mat_version: Literal["7", "7.3"] | None = None,
 ) -> None:
-    """Write the columns of a file into a file of another format, and say what was renamed or had no place.
+    """Write the columns of a file in another format.
 
+    What was renamed or had no place is said.
     Every number is kept to the last bit. The suffix of the target tells its format; a target without a suffix becomes
     the folder of a ROS 2 bag.
 

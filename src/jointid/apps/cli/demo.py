@@ -47,8 +47,9 @@ def demo(
     seed: int = 1,
     quiet: Quiet = False,
 ) -> None:
-    """Make the digital twin of the paper's flexible axis and identify it, its stiffness too, from torque alone.
+    """Try all of it on a simulated axis, robot or fleet.
 
+    The axis is the digital twin of the paper's flexible one, and is identified from torque alone, its stiffness too.
     Writes the record, the joint file, the answer and the figure; change the joint file and run
     `jointid identify FOLDER/joint.toml` to see what follows.
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def diagnosis(joint: Path, /, *, options: Options = DEFAULTS) -> None:
-    """Ask what an estimate is worth, axis by axis: what its record tells, and whether loops and models are as declared.
+    """Find what is wrong with loop, log and model.
 
     Of each axis: which parameters it determines, what is left of the torque and what that follows, whether the declared
     controller makes the logged torque, and which faults of loop, log and mechanics the record shows.
@@ -44,7 +44,9 @@ def diagnosis(joint: Path, /, *, options: Options = DEFAULTS) -> None:
 
 
 def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
-    """Identify a joint by every method that the record and the joint file allow, and set the answers side by side.
+    """Compare the methods of identification on a record.
+
+    Those that the record and the joint file allow.
 
     Args:
         joint: the joint file (TOML); of its method the settings of didim are used.
@@ -55,7 +57,7 @@ def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
 
 
 def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
-    """Identify a flexible joint with every law of its spring, and say which one the record shows.
+    """Find the law of the spring that the record shows.
 
     Each law is judged by how well it predicts parts of the record that were kept from its fit.
 
@@ -68,7 +70,7 @@ def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
 
 
 def friction(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
-    """Identify a joint with every law of friction, and say which one the record shows.
+    """Find the law of friction that the record shows.
 
     Each law is judged by how well it predicts parts of the record that were kept from its fit.
 
@@ -103,7 +105,9 @@ def intervals(
     bootstrap: Flag = False,
     refit: Flag = False,
 ) -> None:
-    """Identify a joint by didim, then follow its criterion along single quantities, or draw bootstraps.
+    """Check intervals by profiles and bootstraps.
+
+    The joint is identified by didim first.
 
     Args:
         joint: the joint file (TOML).
@@ -131,7 +135,9 @@ def advise(
     encoder_step: float | None = None,
     noise: Literal["loop", "log"] = "loop",
 ) -> None:
-    """Identify a joint from torque and reference, and predict what an encoder or another motion would add.
+    """Predict what an encoder or another motion would add.
+
+    The joint is identified from torque and reference first.
 
     Args:
         joint: the joint file (TOML); its method is didim.

@@ -32,8 +32,9 @@ FAULTY = 3
 
 
 def examine(joint: Path, /, *, options: Options = DEFAULTS) -> int:
-    """Look a record over before its numbers are used: what is wrong with it, what it can tell, what to change.
+    """Check a record before its numbers are used.
 
+    It tells what is wrong with it, what it can tell, and what to change.
     The clock, the torque and its limit, the motion, the controller (where the motor's position was logged), then what
     is left once the joint is identified. Exit code 0 where nothing is wrong, 3 where something is.
 
@@ -84,7 +85,9 @@ def identify(
     details: Flag = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify a joint from a record, from several in one fit, or from hours of its log in bounded memory.
+    """Identify a joint or a robot from its record.
+
+    Or from several records in one fit, or from hours of a log in bounded memory.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
@@ -144,8 +147,9 @@ def identify(
 
 
 def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path | None = None) -> None:
-    """Learn the controller from a record that has reference, motor position and torque.
+    """Learn the controller from a record.
 
+    The record has reference, motor position and torque.
     How long it takes is said before it begins. Ctrl-C ends the search with the best law so far, which is printed and
     written as at its end.
 
@@ -195,7 +199,9 @@ def tune(
     power: float = 0.9,
     figure: Path | None = None,
 ) -> None:
-    """Identify a joint by didim, then say how far its loop is from instability, and what to set in the drive.
+    """Propose gains, and tell the margins of the loop.
+
+    The joint is identified by didim first.
 
     Args:
         joint: the joint file (TOML).
@@ -233,8 +239,9 @@ def payload(
     json: Path | None = None,
     quiet: Quiet = False,
 ) -> None:
-    """Identify what a robot carries: mass, centre and inertia, from a record without it and one with it.
+    """Weigh what a robot carries: mass, centre and inertia.
 
+    From a record without it and one with it.
     By IDIM from motor positions and torques, by DIDIM from torques and references, or on the drive side from torques
     and motor positions of a flexible robot, as the robot file asks.
 

@@ -171,8 +171,9 @@ def design(
     out: Path | None = None,
     figure: Path | None = None,
 ) -> None:
-    """Plan the next test from a first record: the one that tells most of the joint within what its axis may do.
+    """Plan the next test within the limits of the axis.
 
+    It is the one that tells most of the joint.
     The joint, or the robot, is identified from the record. Tests that a drive can play are then searched for, of a
     joint also at others of its interval. Ctrl-C ends the search and keeps the best test there is. With --noise-log or
     --noise-force nothing is identified, and no record is needed: the joint is as an earlier answer, or [parameters],

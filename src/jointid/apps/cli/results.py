@@ -50,7 +50,9 @@ def report(
     held_out: Path | None = None,
     estimate: Path | None = None,
 ) -> None:
-    """Identify a joint from a record, and report it as one page: result, verdicts, figures, and how to repeat it.
+    """Identify, and report it on one page with figures.
+
+    The page has the result, the verdicts, figures, and how to repeat it.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
@@ -181,7 +183,9 @@ def validate(
     figure: Path | None = None,
     residuals: Path | None = None,
 ) -> None:
-    """Test whether an estimate predicts a record within the noise, with a remedy if not.
+    """Test whether an estimate predicts a record.
+
+    Within the noise, and with a remedy if not.
 
     That is the cross test, on another record than the one it came from; on its own, the direct test only says
     what is left.
@@ -222,7 +226,9 @@ def validate(
 
 
 def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:
-    """Compare two estimates of the same joint or robot, and test whether they differ by more than their errors.
+    """Test whether two estimates differ.
+
+    They are of the same joint or robot; a difference counts if it is larger than their errors.
 
     Args:
         before: the first (A): what identify --json wrote, or the page of a report.
@@ -254,8 +260,9 @@ def export(
     delay: float | None = None,
     timestep: float | None = None,
 ) -> None:
-    """Write an estimate for another tool, and list what its language cannot represent.
+    """Write an estimate for another tool.
 
+    What its language cannot represent is listed.
     The ending of the file says for which: .toml a joint file with the values filled in, .json a linear state space for
     SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .mo Modelica.
 

@@ -26,8 +26,9 @@ def serve(
     folder: Path = Path("jointid-page"),
     open_: Annotated[bool, Parameter(name=["--open", "-o"], negative=())] = False,
 ) -> None:
-    """Serve a page on which a log is dropped, its columns are mapped, and the joint is identified.
+    """Serve the page in the browser.
 
+    A log is dropped on it, its columns are mapped, and the joint is identified.
     The printed address holds a token, new at each start: who has it uses the page, and nobody else does. Nothing leaves
     this machine. Ctrl-C stops the page; the record and the answers stay in the folder.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
+from jointid.common.text import in_words, interval
 
 if TYPE_CHECKING:
     from jointid.config import JointFile
@@ -30,8 +31,9 @@ def simulate(
     noise: Noise = "disturbance",
     seed: int = 1,
 ) -> None:
-    """Simulate a joint under its controller, driven by the reference of a record, and write what its drive would log.
+    """Simulate a joint or a robot under its controller.
 
+    It is driven by the reference of a record, and what its drive would log is written.
     The reference of --record, and the injected signal if it has one, drive the loop; --json takes a summary. The
     parameters are those of an estimate, or the fixed values and starts of the file. With --twin no joint file is
     needed: the paper's flexible axis is simulated, under one of its two loops.
@@ -153,7 +155,9 @@ def _simulate_twin(loop: Loop, added_mass: bool, noise: Noise, seed: int, out: P
 
 
 def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet: Quiet = False) -> None:
-    """Run the paper end to end on its digital twin; its tables show printed, recomputed and newly identified values.
+    """Run the paper end to end on its digital twin.
+
+    Its tables show printed, recomputed and newly identified values.
 
     Args:
         out: folder for the HTML page, the Markdown page and the figures; it is made if it is not there.
@@ -175,9 +179,8 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]
-        show(
-            f"{best[name].symbol:4} {value:.5g} +- {2 * std:.2g} {best[name].unit}, truth {truth:g}, from torque alone"
-        )
+        said = f"{interval(value, 2 * std)} {best[name].unit}, truth {truth:g}, from torque alone"
+        show(f"{in_words(name):14} {said}")
     show(
         f"Nelder-Mead took {didim.fit.simulations} simulations, least squares from a grid of starts "
         f"{best.fit.simulations}; "

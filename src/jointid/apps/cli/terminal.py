@@ -14,9 +14,10 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from jointid.common.document import Block, Code, Document, Facts, Heading, Listing, Paragraph, Picture, Table, Verdicts
-from jointid.common.messages import describe_pace
+from jointid.common.messages import Detail, describe_pace, describe_time
 from jointid.common.text import printable
 
+_STAGE, _BESIDE = "", 30  # the key of a stage, and the characters of its bar and time
 _MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow"), "noted": ("noted", "cyan")}
 
 
@@ -64,7 +65,9 @@ def _text(text: str, style: str = "") -> Text:
 
 
 class Bars:
-    """Draws on the standard error; a piece of work that is done leaves nothing there.
+    """Draws on the standard error one line that is rewritten: the stage, or a bar for each piece of work.
+
+    What is done leaves nothing there, but for a sentence that is longer than a line.
 
     Args:
         console: to draw on; one of the standard error when None.
@@ -82,29 +85,39 @@ class Bars:
         self._tasks: dict[str, TaskID] = {}
 
     def __call__(self, message: str) -> None:
-        """Print a sentence above the bars."""
-        self._progress.console.print(Text(printable(message)), soft_wrap=True)
+        """Rewrite the line of the stage; print a sentence that is long, or beside bars, above them."""
+        stage = printable(message.brief if isinstance(message, Detail) else message)
+        if len(stage) > self._progress.console.width - _BESIDE or (stage and self._tasks.keys() - {_STAGE}):
+            self._progress.console.print(Text(stage), soft_wrap=True)
+        elif stage and not (_STAGE in self._tasks and self._progress.tasks[-1].description == stage):
+            self._remove(_STAGE)
+            self._add(_STAGE, stage, math.inf, "")
 
     def draw(self, what: str, done: float, total: float, unit: str) -> None:
         """Draw how far a piece of work is."""
         if what not in self._tasks and done < total:
-            self._progress.start()
-            self._tasks[what] = self._progress.add_task(
-                printable(what), total=total if math.isfinite(total) else None, unit=unit
-            )
+            self._remove(_STAGE)
+            self._add(what, printable(what), total, unit)
         if what in self._tasks:
             if done < total:
                 self._progress.update(self._tasks[what], completed=done)
             else:
-                self._progress.remove_task(self._tasks.pop(what))
+                self._remove(what)
                 if not self._tasks:
                     self._progress.stop()
 
+    def _add(self, key: str, text: str, total: float, unit: str) -> None:
+        self._progress.start()
+        self._tasks[key] = self._progress.add_task(text, total=total if math.isfinite(total) else None, unit=unit)
+
+    def _remove(self, key: str) -> None:
+        if key in self._tasks:
+            self._progress.remove_task(self._tasks.pop(key))
+
     def clear(self) -> None:
         """Take all bars off."""
-        for one in self._tasks.values():
-            self._progress.remove_task(one)
-        self._tasks.clear()
+        for key in list(self._tasks):
+            self._remove(key)
         self._progress.stop()
 
 
@@ -113,9 +126,11 @@ def _whole() -> Column:
 
 
 class _Pace(ProgressColumn):
-    """How much is done, the rate, and the time left."""
+    """How much is done, the rate, and the time left; of a stage how long it has gone on."""
 
     def render(self, task: Task) -> Text:
+        if not task.fields["unit"]:
+            return Text(describe_time(task.elapsed or 0.0))
         return Text(
             describe_pace(
                 task.completed, math.inf if task.total is None else task.total, task.fields["unit"], task.elapsed or 0.0

@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress
+from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.problems.prescribed import DriveSideProblem
 from jointid.records.record import Record
@@ -100,7 +100,7 @@ def judge_endogeneity(
     if not found.converged or not np.isin([p.name for p in problem.free], _PHYSICAL)[found.moving].any():
         return replace(tested, warnings=(MOTION_MEASURED, _NOT_CONVERGED))
     probability, blind = contrast(problem, solution, found)
-    progress(f"instruments from {' and '.join(channels)}: probability of the contrast {probability:.2g}")
+    progress(Detail(f"instruments from {' and '.join(channels)}: probability of the contrast {probability:.2g}"))
     biased = probability < _ACCEPTED
     warnings = [_words(problem, solution, found, probability)] if biased else []
     if blind > _BLIND:

@@ -27,7 +27,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress
+from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.methods.endogeneity import judge_endogeneity
@@ -239,7 +239,7 @@ def _report_steps(progress: Progress) -> Watch:
     numbers = itertools.count(1)
 
     def watch(step: Step) -> None:
-        progress(f"iteration {next(numbers)}: residual {step.norm:.6g}")
+        progress(Detail(f"iteration {next(numbers)}: residual {step.norm:.6g}"))
 
     return watch
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
+from jointid.common.messages import Detail
 from jointid.common.text import number
 from jointid.estimation.descent import History, Solved
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
@@ -200,7 +201,7 @@ class RegressorSteps:
         if end.status.converged or self.form == "paper":
             return end
         # Where the torque stands at its limit, or the loop is slow, the regressor is no approximation of the Jacobian.
-        self.history.progress("the regressor does not lead there; going on with the output sensitivities")
+        self.history.progress(Detail("the regressor does not lead there; going on with the output sensitivities"))
         exact = replace(solver, iterations=self.iterations, worst=1.0 + self.tolerance)
         return self._repeat(end.state, lambda at: self._residual_step(at, at.J), exact)
 
@@ -232,7 +233,7 @@ class RegressorSteps:
             self._note(state, None)
             return self._solve(state, self._newton_step, solver)
         except MethodError:  # a wrong guess of the velocity may make the loop impossible to simulate
-            self.history.progress("the motor cannot have been moving at the first sample")
+            self.history.progress(Detail("the motor cannot have been moving at the first sample"))
             return None
 
     def _regressor_step(self, state: State) -> FloatArray:

@@ -24,7 +24,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, Suspicion
+from jointid.common.messages import Detail, Progress, Suspicion
 from jointid.common.parameters import Quantity
 from jointid.estimation.descent import History, Solved, least_squares, or_moving, roughly
 from jointid.estimation.methods.registry import Method, Task, method_of
@@ -139,7 +139,7 @@ class StiffnessSearch:
         try:
             return self._refine(explore(wide, None, self.frequency, history))
         except MethodError as error:
-            history.progress(Suspicion("with the joint that would follow its reference to begin with", error))
+            history.progress(Suspicion("starting from a joint that follows its reference", error))
         filtering = Filtering(cutoff=RIGID_CUTOFF / self.problem.sample_time)
         loop = _rigid_loop(self.task)
         follows = regular_start(torque_problem(self.task.record, loop, filtering, loop.joint.parameters)).values
@@ -208,7 +208,9 @@ def search_by_simplex(
     if frequency is not None:
         start = problem.vector(start_with_mode(problem, rigid.values, frequency, 0.5))
         if np.linalg.norm(history.count_evaluations(problem).residual(start)) > problem.size:
-            history.progress("the halved inertia (13) makes an unstable loop here; starting from another load share")
+            history.progress(
+                Detail("the halved inertia (13) makes an unstable loop here; starting from another load share")
+            )
             start = None
     if start is None:
         start = problem.vector(explore(problem, rigid.values, frequency, history)[0].values)
@@ -244,7 +246,7 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> F
             found = identify_rigid(edge)
             break
         except MethodError as error:
-            progress(Suspicion(f"not below {edge:.3g} Hz", error))
+            progress(Suspicion(f"no rigid joint was found below {edge:.3g} Hz", error))
             edge /= lower
     found = found or identify_rigid(edge)
     law = rigid.controller.law(sample_time)
@@ -301,9 +303,8 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
     best = int(np.argmin(left))
     if not left[best] < (1 - _BETTER) * left[0] - _REST * problem.size:
         return None
-    history.progress(
-        f"with {100 * _DIVISIONS[best - 1]:.0f} % of the Coulomb friction on the motor the model explains more"
-    )
+    share = 100 * _DIVISIONS[best - 1]
+    history.progress(Detail(f"with {share:.0f} % of the Coulomb friction on the motor the model explains more"))
     return tried[best]
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, follow, ignore_progress
+from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.problems.base import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
@@ -293,7 +293,7 @@ class LogProblem:
         count = len(windows)
         if count >= FEW and count % max(10 ** (len(str(count)) - 1), FEW) == 0:
             error = 100 * total([w.sums for w in windows]).relative_error
-            self.progress(f"{count} windows, {windows[-1].end / 3600:.2f} h: torque error {error:.4f} %")
+            self.progress(Detail(f"{count} windows, {windows[-1].end / 3600:.2f} h: torque error {error:.4f} %"))
 
 
 def window_problem(

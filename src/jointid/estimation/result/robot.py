@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from jointid.common.arrays import FloatArray
+from jointid.common.text import interval
 from jointid.models.robots.robot import Robot
 from jointid.uncertainty.covariance import Covariance
 
@@ -44,7 +45,7 @@ class SpringVerdict:
         if self.stiffness is None or self.deviation is None:
             least = f"{self.at_least:.3g} {self.unit}"
             return f"{self.joint}: the records do not show a spring; its stiffness is at least {least}"
-        return f"{self.joint}: stiffness {self.stiffness:.5g} +- {_TWO * self.deviation:.2g} {self.unit}"
+        return f"{self.joint}: stiffness {interval(self.stiffness, _TWO * self.deviation)} {self.unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

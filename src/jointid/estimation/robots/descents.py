@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Progress
+from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Quantity
 from jointid.estimation.descent import roughly
 from jointid.estimation.robots.fit import RobotFit, conclude
@@ -186,4 +186,4 @@ class Descents:
         return End(problem, found, reach)
 
     def _watch(self, step: Step) -> None:
-        self.progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
+        self.progress(Detail(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}"))

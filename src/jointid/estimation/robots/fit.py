@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Progress
+from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run
@@ -91,7 +91,7 @@ def fixed_point(
         problem = problem.reweight(left, x.size, floor)
         step, std, left = problem.step(W, error)
         share = problem.norms(error) / size
-        progress(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint")
+        progress(Detail(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint"))
         after = bounds.clip(x + step)
         arrived = bool(np.all(np.abs(after - x) <= settled * std))
         made = number + 1

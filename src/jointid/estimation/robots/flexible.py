@@ -34,6 +34,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, describe_time, no_choice
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
+from jointid.common.text import pluralise
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.descents import OFF, UNSEEN, Descents
 from jointid.estimation.robots.didim import identify_rigid_robot
@@ -176,7 +177,8 @@ def tell_time(problem: RobotProblem[Any], seconds: float, looks: int, progress: 
     rough, whole = _DESCENTS
     share = len(problem.roughly().poses) / len(problem.poses)
     expected = seconds * (share * (looks / threads() + rough) + whole)
-    progress(f"searching {int(sum(problem.parameters.base.flexible))} springs takes about {describe_time(expected)}")
+    springs = pluralise(int(sum(problem.parameters.base.flexible)), "spring")
+    progress(f"searching {springs} takes about {describe_time(expected)}")
 
 
 def search_springs(

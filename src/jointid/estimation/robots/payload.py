@@ -21,8 +21,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError, require_type
-from jointid.common.messages import Progress, ignore_progress, no_choice
-from jointid.common.text import interval, join
+from jointid.common.messages import Progress, ignore_progress, name_progress, no_choice
+from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit_robot
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -137,10 +137,18 @@ class Payload(Documented):
         """True if a body can have the ten parameters as they were found."""
         return is_physical(self.payload.inertial)
 
+    @property
+    def sentence(self) -> str:
+        """The mass and the centre."""
+        mass, *centre = list(self.rows.values())[:4]
+        at = ", ".join(number(float(one["value"]), 3) for one in centre)
+        weight = interval(float(mass["value"]), _TWO * float(mass["std"]))
+        return f"The payload weighs {weight} kg, 2 sigma, with its centre at ({at}) m of {self.link}."
+
     def to_document(self, *, details: bool = False) -> Document:
         """Return the verdict first, then each number both ways; there are no further details."""
         del details
-        rows = self.rows
+        rows, said = self.rows, list[str]()
         lines = [
             (
                 name,
@@ -151,27 +159,25 @@ class Payload(Documented):
             )
             for name, row in rows.items()
         ]
-        mass = rows["mass"]
-        said = f"The payload weighs {interval(float(mass['value']), _TWO * float(mass['std']))} kg, 2 sigma."
         if self.payload is self.difference:
-            said += " It is the difference of two estimates, each with its own friction."
+            said.append("It is the difference of two estimates, each with its own friction.")
         elif self.agrees:
-            said += " The difference of two estimates says the same."
+            said.append("The difference of two estimates says the same.")
         else:
             far = [name for name, one in zip(rows, self.apart, strict=True) if abs(one) > _FAR]
-            said += (
-                f" The difference of two estimates, each with its own friction, says otherwise of {join(far)}: "
+            said.append(
+                f"The difference of two estimates, each with its own friction, says otherwise of {join(far)}: "
                 "something beside the payload changed between the records, as friction does that warms up. Believe the "
                 "difference."
             )
         if not self.possible:
-            said += " No body has just these numbers; those that are not known may be far off."
+            said.append("No body has just these numbers; those that are not known may be far off.")
         header = ("", "both records, 2 sigma", "unit", "verdict", "by difference, 2 sigma")
         return Document(
-            f"Payload on {self.link}, in its frame",
+            self.sentence,
             (
-                Paragraph(said, lead=True, tone="good" if self.agrees else "bad"),
-                Table(header, tuple(lines), "inertia at the centre, along the axes of the frame", (0, 1, 2, 3)),
+                Paragraph(" ".join(said), lead=True, tone="good" if self.agrees else "bad"),
+                Table(header, tuple(lines), f"in the frame of {self.link}; inertia at the centre", (0, 1, 2, 3)),
                 *_list_warnings(self.warnings),
             ),
         )
@@ -235,7 +241,7 @@ def identify_payload(
     def identify(records: Sequence[Record] | EstimateParts, which: str) -> EstimateParts:
         if isinstance(records, EstimateParts):
             return records
-        found = fit_robot(records, setup, free, filtering=filtering, progress=lambda text: progress(f"{which}: {text}"))
+        found = fit_robot(records, setup, free, filtering=filtering, progress=name_progress(progress, which))
         said_of[which] = (*found.checks.warnings, *robot_record_warnings(records, robot))
         return found
 
@@ -474,6 +480,13 @@ class DriveGains(Documented):
         pairs = zip(self.joints, map(float, self.values), map(float, self.std), strict=True)
         return {name: {"value": value, "std": std} for name, value, std in pairs}
 
+    @property
+    def sentence(self) -> str:
+        """What each torque is to be multiplied with."""
+        pairs = zip(self.joints, self.values, self.std, strict=True)
+        factors = [f"{name} by {interval(float(value), 2 * float(std))}" for name, value, std in pairs]
+        return f"Multiply the logged torque of {', '.join(factors)}."
+
     def to_document(self, *, details: bool = False) -> Document:
         """Return the gains with their intervals; there are no further details."""
         del details
@@ -482,11 +495,10 @@ class DriveGains(Documented):
             for name, value, std in zip(self.joints, self.values, self.std, strict=True)
         )
         said = (
-            "What each joint's torque, as the robot file reads it, is to be multiplied with; of a current read with "
-            "torque_constant = 1, the drive's gain."
+            "The torques are as the robot file reads them; of a current read with torque_constant = 1 it is the gain."
         )
         parts = Paragraph(said, lead=True), Table(("joint", "gain, 2 sigma", "sigma, %"), rows, words=(0, 1))
-        return Document("Gains of the drives, by a payload of known mass", (*parts, *_list_warnings(self.warnings)))
+        return Document(self.sentence, (*parts, *_list_warnings(self.warnings)))
 
 
 def identify_drive_gains(

@@ -106,7 +106,7 @@ def explore(
     ways.sort(key=lambda way: way[0].cost if way else math.inf)
     # Of both ways in turn: where one of them is misled the other is not.
     found = [one for pair in itertools.zip_longest(*ways) for one in pair if one is not None]
-    history.progress(f"tried {count} flexible joints; the best has its mode near {found[0].frequency:.3g} Hz")
+    history.progress(f"searching from a mode near {found[0].frequency:.3g} Hz, the best of {count} that were tried")
     found = [one for one in found if one.cost < math.inf]
     if given:  # starts that come with the parameters are tried first, and are no reason to try no others
         values = _inside(problem, found[0].values | given)

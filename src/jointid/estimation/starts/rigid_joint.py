@@ -62,7 +62,7 @@ def rigid_starts(problem: ClosedLoopProblem, asked: str, progress: Progress) -> 
     if not found or (asked not in found and asked != "inversion"):
         raise failures[0]
     if asked not in found:
-        progress(Suspicion("beginning with the inertia that the gains would suit", failures[0]))
+        progress(Suspicion("starting from an inertia that suits the gains", failures[0]))
     return found
 
 

@@ -6,6 +6,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+_LETTERS = {"position_gain": "Kv", "velocity_gain": "Kp", "integral_time": "Tn"}
+"""The letters of a drive's cascade."""
+
+
+def name_in_words(name: str, *, cascade: bool) -> str:
+    """Return a number's name with the letter that drives use for it: "position gain Kv"."""
+    letter = _LETTERS.get(name.rpartition(" ")[2]) if cascade else None
+    return " ".join(filter(None, (name.replace("_", " "), letter)))
+
 
 @dataclass(frozen=True, slots=True)
 class DriveNumber:
