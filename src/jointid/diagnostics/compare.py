@@ -358,7 +358,7 @@ class MethodComparison(Documented):
 
     @property
     def sentence(self) -> str:
-        """Whether the methods differ, and the stiffness or the inertia that they found."""
+        """Sentence of the difference of the methods, and of their stiffness or inertia."""
         found = self.estimates
         ran = f"{len(found)} of {len(self.methods)} methods"
         if len(found) < 2:

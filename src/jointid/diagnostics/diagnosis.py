@@ -330,7 +330,7 @@ class Diagnosis(Documented):
 
     @property
     def sentence(self) -> str:
-        """What is wrong, or that nothing is."""
+        """Sentence of the first fault, or of none."""
         return self._parts[0]
 
     @property

@@ -114,7 +114,7 @@ class Advice(Documented):
 
     @property
     def sentence(self) -> str:
-        """The change that narrows an interval most, by what is left of it; of two alike the simpler."""
+        """Sentence of the change that narrows an interval most; of two alike, the simpler."""
         left = [
             (min(std / self.std[name] for name, std in one.std.items()), one)
             for one in (*self.sensors, *self.tests)

@@ -208,7 +208,7 @@ class Tuned(Charted, Documented):
 
     @property
     def sentence(self) -> str:
-        """What to set, and what that does to the margin that is nearest to its requirement, in one sentence."""
+        """Sentence of the gains to set and of the margin nearest to its requirement."""
         present, asked = self.present.worst, self.settings
         cascade = isinstance(self.present.controller, Cascade)
         gains = [

@@ -83,7 +83,7 @@ def demo(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Made:
-    """What a demo has made.
+    """Output of a demo.
 
     Attributes:
         said: in a sentence.

@@ -103,7 +103,7 @@ def make_tables(draft: Draft, file: str, *more: str) -> dict[str, Any]:
 
 
 def _name_files(tables: dict[str, Any], sent: Sequence[str]) -> dict[str, Any]:
-    """Return tables of a joint file or a robot file in which each path is the name of a file that was sent.
+    """Return tables of a joint or robot file with paths replaced by names of sent files.
 
     Raises:
         JointFileError: one was not.
@@ -199,7 +199,7 @@ def make_reading_tables(draft: Draft, file: str, *more: str) -> dict[str, Any]:
 
 
 def make_robot_order(draft: Draft, sent: Sequence[str], folder: Path) -> tuple[str, list[str]]:
-    """Return the checked robot file that stands in the form, and its records, which are identified in one fit.
+    """Return the checked robot file of a form, and its records.
 
     Args:
         draft: the entries of the form; the further lines are the whole file.
@@ -267,7 +267,7 @@ def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) 
 
 
 def fill_in_form(text: str) -> dict[str, Any]:
-    """Return the entries of the form that a joint file or a robot file makes, and whether it is of a robot.
+    """Return the entries of a form from a joint file or a robot file.
 
     The text of a robot file stands in the further lines; how its record is read stands in the fields as well.
 

@@ -280,7 +280,7 @@ async def _replace_record(
 
 
 def _fit_draft(draft: Mapping[str, str], columns: Sequence[str]) -> dict[str, str]:
-    """Return what a form says that is true of a record with these columns, and guesses where it says nothing."""
+    """Return the entries of a form that suit these columns, and guesses for the others."""
     named = {text for key, text in draft.items() if key.endswith(".column") or key == "record.time"}
     kept = {
         key: text for key, text in draft.items() if text and (not key.startswith("record.") or named <= {"", *columns})

@@ -54,7 +54,7 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
         facts += [("stopped", fit.stop)]
     facts += _limits(estimate, details=details)
     if checks.verdicts:
-        facts += [("checks", _counted_checks(estimate))]
+        facts += [("checks", _count_checks(estimate))]
     notes = [] if checks.verdicts and not details else [("note", note) for note in checks.notes]
     warnings = [("warning", warning) for warning in checks.warnings]
     return Document(
@@ -68,8 +68,8 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
     )
 
 
-def _counted_checks(estimate: EstimateParts) -> str:
-    """Count the checks that passed, and those that did not and do not speak against the answer."""
+def _count_checks(estimate: EstimateParts) -> str:
+    """Count the checks that passed, and those that are noted."""
     marks = [mark_of(estimate, verdict) for verdict in estimate.checks.verdicts]
     passed, noted = marks.count(True), marks.count("noted")
     if passed == len(marks):
@@ -497,7 +497,7 @@ def field_symbol(p: EstimatedParameter) -> str:
 
 
 def describe_loop_remark(estimate: EstimateParts) -> str:
-    """Return what the remark "loop" of the table means."""
+    """Describe the remark "loop" of the table."""
     loop = loop_verdict(estimate)
     undecided = loop is not None and is_another_law(loop.reasons)
     when = "if the drive runs the other law" if undecided else "once the fault of loop or log is corrected"

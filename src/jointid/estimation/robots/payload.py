@@ -482,7 +482,7 @@ class DriveGains(Documented):
 
     @property
     def sentence(self) -> str:
-        """What each torque is to be multiplied with."""
+        """Sentence of the factors of the torques."""
         pairs = zip(self.joints, self.values, self.std, strict=True)
         factors = [f"{name} by {interval(float(value), 2 * float(std))}" for name, value, std in pairs]
         return f"Multiply the logged torque of {', '.join(factors)}."
