@@ -136,7 +136,7 @@ def test_a_record_without_noise_has_no_statistics() -> None:
 
 def test_what_is_free_is_not_suspected() -> None:
     where = setting("L19", brief=True)
-    made = problem(where, FAULTS["delay"], "white", 2).freeing("delay")
+    made = problem(where, FAULTS["delay"], "white", 1).freeing("delay")
     check = search_faults(made, solved(made, where))[0]
     assert check.as_declared
     assert "delay" not in {s.name for s in check.tests}
