@@ -41,9 +41,9 @@ FAULTS = (
 )  # fmt: skip
 RIGHT = {  # what the check should call them
     "cubic spring": ("cubic_spring",), "spring in pieces": ("cubic_spring",), "backlash": ("backlash",),
-    "load-dependent friction": ("load_dependent_friction",), "changing friction": ("changing_friction",),
-    "presliding": ("winding_friction", "presliding"), "cogging": ("cogging",), "second mode": ("second_mode",),
-    "stribeck": ("stribeck", "presliding"),
+    "load-dependent friction": ("load_dependent_friction", "motor_load_friction"),
+    "changing friction": ("changing_friction",), "presliding": ("winding_friction", "presliding"),
+    "cogging": ("cogging",), "second mode": ("second_mode",), "stribeck": ("stribeck", "presliding"),
 }  # fmt: skip
 _STEP = 1e-5  # s
 

@@ -56,6 +56,7 @@ from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widen
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
+_SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _SIGNIFICANT = 0.05  # a fault with a larger p-value explains nothing
@@ -530,6 +531,13 @@ def _make_finding(
     rivals = tuple(s for s in found.tests[1:] if s.p_value <= level and strength_of(s) ** 2 > least)
     values = after.problem.values(after.x)
     changes = _compute_shifts(state, {**values, **after.identified}, found, known)
+    for one in found.tests[1:]:  # another form of the same effect, which the record does not exclude
+        of_kin = suspect.fault.kin and one.fault.kin == suspect.fault.kin and one.fault.mechanical
+        if of_kin and one.p_value <= level and strength_of(one) > _SAME_EFFECT * strength_of(suspect):
+            other = _accept_fault(state, replace(found, tests=(one,)))
+            values_beside = {**other.problem.values(other.x), **other.identified}
+            beside = _compute_shifts(state, values_beside, found, known)
+            changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
     free = [p.name for p in after.problem.free]
     if len(after.corrected) > len(state.corrected) or suspect.name not in free:
         whole = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size

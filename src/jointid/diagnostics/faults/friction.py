@@ -49,23 +49,29 @@ def _vary_stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
     if isinstance(problem.joint.friction, StribeckFriction | PreslidingFriction):  # its own law has that
         return
     velocity = problem.simulate(x).motor_velocity
-    if velocity.size != problem.experiment.after_limit.size:
-        return  # a force at the controller's instants needs the motion there
-    small = _FORCE * float(np.max(np.abs(problem.measured)))
-
-    def simulate(force: FloatArray) -> FloatArray:
-        return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + force))
-
     for share in _SPEEDS:
         speed = share * float(np.max(np.abs(velocity), initial=0.0))
         if speed > 0:
             force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
-            raw = (simulate(small * force) - simulate(-small * force)) / (2 * small)
-            if problem.experiment.tap is Tap.MEASURED:
-                raw = raw - to_log(problem.experiment, force)  # the force itself is not logged
-            column = problem.filter(raw)
-            yield FaultSignature(STRIBECK, column, speed, raw)
-            yield FaultSignature(PRESLIDING, -column, speed, -raw)
+            for raw in _respond(problem, x, force):
+                column = problem.filter(raw)
+                yield FaultSignature(STRIBECK, column, speed, raw)
+                yield FaultSignature(PRESLIDING, -column, speed, -raw)
+
+
+def _respond(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> Iterator[FloatArray]:
+    """Yield the change of the torque, (samples,), by a force on the simulated motor; none at a rate of its own."""
+    if force.size != problem.experiment.after_limit.size:
+        return  # a force at the controller's instants needs the motion there
+    largest = float(np.max(np.abs(force), initial=0.0)) or 1.0
+    small = _FORCE * float(np.max(np.abs(problem.measured))) / largest
+
+    def simulate(by: float) -> FloatArray:
+        return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + by * force))
+
+    raw = (simulate(small) - simulate(-small)) / (2 * small)
+    # The force itself is not in a measured torque.
+    yield raw - to_log(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else raw
 
 
 def _along_stribeck(motion: AxisMotion) -> Iterator[FaultSignature]:
@@ -144,15 +150,35 @@ def _try_load_friction(joint: FlexibleJoint, _: Simulation, values: Mapping[str,
         yield Trial(LOAD_DEPENDENT_FRICTION, other, grows, _LOSS, without=without)
 
 
-def _describe_load_friction(finding: Finding, _: AxisFaults, spread: bool) -> str:
+def _vary_motor_load_friction(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    """Yield the signature of a motor's friction that grows with the torque through the spring."""
+    joint, run, values = problem.joint, problem.simulate(x), problem.values(x)
+    if not isinstance(joint, FlexibleJoint) or not joint.friction.linear or run.load_position is None:
+        return
+    assert run.load_velocity is not None
+    wound, rate = run.motor_position - run.load_position, run.motor_velocity - run.load_velocity
+    force = -np.abs(joint.spring.torque(values, wound, rate)) * np.sign(run.motor_velocity)
+    for raw in _respond(problem, x, force):
+        yield FaultSignature(MOTOR_LOAD_FRICTION, problem.filter(raw), raw=raw)
+
+
+def _describe_load_friction(said: str, finding: Finding, _: AxisFaults, spread: bool) -> str:
     size = finding.test.show_size("%", spread=spread, factor=100.0)
-    return "the load's friction grows with its torque" + (f", by {size} of it" if size else "")
+    return said + (f", by {size} of it" if size else "")
 
 
 LOAD_DEPENDENT_FRICTION = Fault(
-    "load_dependent_friction", "friction that grows with the load's torque", describe=_describe_load_friction,
-    try_mechanics=_try_load_friction, along=_along_load, mechanical=True, one_sided=True, measure=Measure.SHARE,
+    "load_dependent_friction", "friction that grows with the load's torque",
+    describe=partial(_describe_load_friction, "the load's friction grows with its torque"),
+    try_mechanics=_try_load_friction, along=_along_load, mechanical=True, one_sided=True, kin="load friction",
+    measure=Measure.SHARE,
     reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(LoadDependentFriction.name,),
+)  # fmt: skip
+MOTOR_LOAD_FRICTION = Fault(
+    "motor_load_friction", "motor friction that grows with the load's torque",
+    describe=partial(_describe_load_friction, "the motor's friction grows with the load's torque"),
+    vary=_vary_motor_load_friction, mechanical=True, one_sided=True, kin="load friction", measure=Measure.SHARE,
+    reason=Reason.FRICTION_NOT_AS_MODELLED,
 )  # fmt: skip
 
 
@@ -185,5 +211,6 @@ ASYMMETRIC_FRICTION = Fault(
     reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(AsymmetricFriction.name,),
 )  # fmt: skip
 FAULTS = (
-    STRIBECK, PRESLIDING, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION, ASYMMETRIC_FRICTION,
+    STRIBECK, PRESLIDING, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, MOTOR_LOAD_FRICTION, CHANGING_FRICTION,
+    ASYMMETRIC_FRICTION,
 )  # fmt: skip
