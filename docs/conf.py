@@ -66,11 +66,11 @@ html_theme_options = {
     "navigation_with_keys": False,
     "show_nav_level": 2,
     "show_toc_level": 2,
-    "header_links_before_dropdown": 7,
+    "header_links_before_dropdown": 8,
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],
     "footer_end": [],
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
-html_sidebars = {"index": [], "faq": [], "gallery": [], "glossary": []}
+html_sidebars = {"index": [], "faq": [], "gallery": [], "glossary": [], "symptoms": []}

@@ -189,7 +189,9 @@ def _law(rng: np.random.Generator, inertia: float) -> tuple[Structure, dict[str,
         structure = replace(structure, late=int(rng.integers(1, 4)))
     if extra == "rate":
         # Of lines an acceleration is all jerks, where they meet: between the log's samples, where no log shows it.
-        structure = replace(structure, rate=int(rng.choice([2, 4, 8])), curved=ACCELERATION in parts)
+        structure = replace(
+            structure, rate=int(rng.choice([2, 4, 8])), interpolation="cubic" if ACCELERATION in parts else "linear"
+        )
     if extra == "every" and cascade:
         every = int(rng.choice([2, 4, 8]))
         structure = replace(structure, every=every, offset=int(rng.integers(every)))

@@ -118,7 +118,7 @@ def _torque_apart(twin: TapsTwin, learned: LearnedController) -> float:
     log = prepare_loop_record(replace(twin.record, motor_position=seen))
     held = next((one.value for one in learned.numbers if one.name == INTEGRAL), 0.0)
     true = log.predict(twin.controller.law(_PERIOD))[20:]
-    found = log.predict(learned.controller.law(_PERIOD), held, learned.structure.curved)[20:]
+    found = log.predict(learned.controller.law(_PERIOD), held, learned.structure.interpolation)[20:]
     return float(np.sqrt(np.mean((found - true) ** 2) / np.mean(true**2)))
 
 

@@ -89,6 +89,7 @@ law = {
     "coulomb_feedforward": none_or_more,
     "constant_feedforward": st.floats(-1e9, 1e9),
     "torque_feedforward_delay": seconds,
+    "undeclared": st.sampled_from(("possible", "none")),
 }
 windups = st.sampled_from(("hold", "track", "none"))
 velocities = st.sampled_from(("difference", "channel", "none"))

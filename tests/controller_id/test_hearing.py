@@ -99,7 +99,7 @@ def test_a_slower_position_loop_folds_the_position_s_error(seed: int) -> None:
     task = Task(prepare_loop_record(twin.record), 1.0)
     on, rng, size = task.log, np.random.default_rng(2), 1e-6
     flat = replace(on, error=replace(on.error, shape=np.ones(on.samples // 2 + 1)))
-    law, inputs = task.law(twin.structure, twin.numbers), on.inputs(1, False)
+    law, inputs = task.law(twin.structure, twin.numbers), on.inputs(1, "linear")
     plain, before = on.predict(law), inputs[:, POSITION].copy()
     seen = np.zeros(160)
     for _ in range(20):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import jointid as ji
@@ -12,11 +13,14 @@ from jointid.diagnostics import check_loop as checking
 from jointid.diagnostics import find_causes as searching
 from jointid.diagnostics.check_loop import LoopTests
 from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.faults.other_laws import PERIOD
+from jointid.diagnostics.faults.other_laws import INTERPOLATIONS, PERIOD
 from jointid.diagnostics.find_causes import find_causes
 from jointid.models.controllers import PD, Cascade
-from jointid.models.joints import ClosedLoop
-from jointid.records.record import Record
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.records.record import Channel, Record, Timing
+from jointid.records.resampling import at_period
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.verdict import Reason, Status
 from tests.estimates import identify
 from tests.faster_drives import CASCADE, FLEXIBLE, LOG, RIGID, SERVO, drive
@@ -70,7 +74,7 @@ def test_a_declared_period_is_not_doubted(monkeypatch: pytest.MonkeyPatch) -> No
     def fails(*_: object) -> Any:
         raise AssertionError
 
-    monkeypatch.setattr(checking, "faster_problem", fails)
+    monkeypatch.setattr(checking, "faster_laws", fails)
     record, loop = drive(CASCADE, 8)
     declared = replace(loop, controller=replace(CASCADE, delay=LOG / 8, period=LOG / 8))
     assert faults_of(identify(record, declared), record).as_declared
@@ -143,3 +147,56 @@ def test_what_a_record_does_not_exclude_speaks_against_the_stiffness() -> None:
     if not check.findings and check.undecided is not None:
         assert check.status is Status.UNKNOWN
         assert "if it has the log's period, declare that" in check.sentences[0]
+
+
+def _filled_in(way: str, law: Cascade | PD = CASCADE) -> tuple[Record, ClosedLoop]:
+    """Return the log of a drive of 8 kHz whose reference is filled in by a way, and its loop without the way."""
+    times = 8
+    fine, joint = LOG / times, RigidJoint("revolute")
+    commands = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, LOG, duration=6.0)
+    log = Channel(commands, "rad", LOG, Timing.SAMPLED)
+    controller = replace(law, delay=fine, period=fine, interpolation=way)
+    reference = at_period(log, fine, times * commands.size, "reference", controller.interpolation)
+    record = simulated_record(ClosedLoop(joint, controller), reference, RIGID, sample_time=fine, name="drive")
+    assert record.torque is not None
+    noise = 0.05 * np.random.default_rng(1).standard_normal(commands.size)
+    torque = replace(record.torque, values=record.torque.values[::times] + noise, sample_time=LOG)
+    shown = replace(record, torque=torque, reference=log, motor_position=None, load_position=None)
+    return shown, ClosedLoop(joint, replace(controller, interpolation=None))
+
+
+@pytest.mark.parametrize(("law", "way"), [(CASCADE, "hold"), (SERVO, "cubic")])
+def test_a_reference_that_is_filled_in_otherwise_is_named(law: Cascade | PD, way: str) -> None:
+    """Without the check the inertia is many deviations off, and relied on."""
+    record, loop = _filled_in(way, law)
+    estimate = ji.identify(record, loop)
+    row = estimate["inertia"]
+    assert row.value is not None
+    assert row.stderr is not None
+    assert abs(row.value - RIGID["inertia"]) > 2 * row.stderr
+    assert not estimate.answer.reliable
+    assert f'declare interpolation = "{way}"' in str(estimate.answer)
+    declared = replace(loop, controller=replace(loop.controller, interpolation=way))
+    right = ji.identify(record, declared)
+    assert right.answer.reliable
+    assert abs(right["inertia"].value - RIGID["inertia"]) < 3 * right["inertia"].stderr
+
+
+def test_a_reference_that_is_filled_in_as_declared_is_not_blamed() -> None:
+    record, loop = _filled_in("linear")
+    assert faults_of(identify(record, loop), record).as_declared
+
+
+def test_the_search_for_a_cause_tries_a_held_reference() -> None:
+    record, loop = _filled_in("hold", SERVO)
+    first = find_causes(record, loop).tried[0]
+    assert first.fault is INTERPOLATIONS["hold"]
+    assert first.words == 'the reference is held between its samples: declare interpolation = "hold"'
+
+
+def test_a_held_reference_is_left_open_where_no_period_is_declared() -> None:
+    """Lines through it at another rate explain as much, with another inertia."""
+    record, loop = _filled_in("hold")
+    estimate = ji.identify(record, replace(loop, controller=replace(loop.controller, period=None)))
+    assert not estimate.answer.reliable
+    assert "with its reference held" in str(estimate.answer)

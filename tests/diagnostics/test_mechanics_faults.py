@@ -11,6 +11,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
+from jointid.diagnostics.check_loop import LoopTests, search_faults
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.diagnostics.faults.forces import COGGING
 from jointid.diagnostics.faults.friction import (
@@ -25,9 +26,12 @@ from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MO
 from jointid.diagnostics.faults.trials import solve_with_fault, vary_mechanics
 from jointid.diagnostics.identify import worst_shift
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.descent import descend
+from jointid.estimation.methods.force_in_loop import find_force
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
 from jointid.uncertainty.verdict import Reason
@@ -135,6 +139,29 @@ def test_a_joint_with_a_fault_is_identified_near_the_truth() -> None:
     assert fit is not None
     assert fit.values["stiffness"] == pytest.approx(made.truth["stiffness"], rel=0.05)
     assert fit.values["swinging_share"] == pytest.approx(1 / 3, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", [4, 8])
+def test_noise_on_the_log_does_not_hide_a_friction_that_grows_with_the_load(seed: int) -> None:
+    """A little of the noise passes for a force in the loop; scaled to all of it, none of the faults was significant."""
+    truth = {
+        "motor_inertia": 0.006, "motor_viscous": 0.004, "motor_coulomb": 0.05, "stiffness": 95.0, "damping": 0.04,
+        "load_inertia": 0.009, "load_viscous": 0.01, "load_coulomb": 0.02, "offset": 0.01,
+    }  # fmt: skip
+    law = ji.controller.Cascade(position_gain=4.0, velocity_gain=0.4, integral_gain=3.0)
+    reference = ji.excitation.trapezoids((0.5, 1.0, 1.5), 14.0, 1.0, 1e-3, rest=0.15, duration=8.0)
+    noise = 0.004 * np.random.default_rng(seed).standard_normal(reference.size)
+    wrong = ji.ClosedLoop(ji.FlexibleJoint("revolute", friction=ji.friction.LoadDependentFriction()), law)
+    faulty = {**truth, "load_friction_per_torque": 0.06}
+    record = ji.simulated_record(wrong, reference, faulty, sample_time=1e-3, torque_noise=noise)
+    loop = replace(wrong, joint=ji.FlexibleJoint("revolute"))
+    posed = torque_problem(record, loop, Filtering(), loop.joint.parameters).keeping({"initial_velocity": 0.0})
+    x = descend(posed, posed.vector(truth | {"initial_position": 0.0, "initial_torque": 0.0}), 1e-8).x
+    run = posed.simulate(x)
+    force = find_force(posed, x, run, posed.measured - run.torque)
+    assert force is not None and 0.003 < force.noise < 0.005
+    check = search_faults(posed, x, LoopTests(most=1))[0]
+    assert [one.test.fault for one in check.findings] == [LOAD_DEPENDENT_FRICTION]
 
 
 @pytest.mark.slow

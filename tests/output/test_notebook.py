@@ -103,7 +103,7 @@ def test_a_notebook_shows_what_takes_longer_to_make(make: Callable[[], Any]) -> 
 
 
 def test_a_learned_controller_and_a_comparison_begin_with_the_numbers_of_the_drive() -> None:
-    assert re.match(r"The controller is .* with position gain Kv 40\.\d+ 1/s and velocity gain Kp", learned().sentence)
+    assert re.match(r"Position gain Kv 40\.\d+ 1/s and velocity gain Kp .*: the controller is P-P", learned().sentence)
     assert re.match(r"Inertia [\d.]+ to [\d.]+ kg m2 by \d+ of \d+ methods; ", comparison().sentence)
 
 

@@ -52,10 +52,11 @@ _RULES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r" >= ", " ≥ "),
     (r" <= ", " ≤ "),
     (r"(?<=[a-z])\^(-?\d)", lambda found: found[1].translate(_SUPERSCRIPTS)),
+    (r"(?:(?<=\bkg m)|(?<=/[sm])|(?<=\b[AV] s))2\b", "²"),  # of units alone: m2 is also the symbol of a mass
     (r"(?<=\d)e([+-])0*(\d+)\b", lambda found: f"·10{(found[1].strip('+') + found[2]).translate(_SUPERSCRIPTS)}"),
     (rf"(?<=\d) (?={_UNITS}(?![\w/]|\s*=))", _THIN),
     (r"(?<=\d) (?=(?:N|kg|rad|m|A|V)(?:[ /](?:m|s|rad)\b|²))", _THIN),
-    (r"(?<=\bN) (?=m\b|s/)|(?<=\bN\u202fm) (?=s/)|(?<=\bkg) (?=m²)|(?<=\bA) (?=s/)|(?<=\bV) (?=s/)", _THIN),
+    (r"(?<=\bN) (?=m\b|s/)|(?<=\bN\u202fm) (?=s/)|(?<=\bkg) (?=m²)|(?<=\b[AV]) (?=s[²/])", _THIN),
     (r"\bsigma\b", "σ"),
     (r"(?<![\w.)\]⁻-])-(?=\d)", "−"),
 )
@@ -129,6 +130,7 @@ class Picture:
         text: the caption, which says what to see.
         plot: the same as JSON for bokeh, for a page; none when empty.
         wide: whether it may be as wide as the page.
+        inline: whether it is SVG of our own, escaped, that stands in the HTML itself.
     """
 
     name: str
@@ -136,6 +138,7 @@ class Picture:
     text: str
     plot: str = ""
     wide: bool = True
+    inline: bool = False
 
     @property
     def kind(self) -> str:
@@ -374,8 +377,11 @@ def _picture_html(block: Picture) -> str:
     stem = escape(PurePath(block.name).stem)
     data = f'<script type="application/json" class="plot-data">{inert(block.plot)}</script>'
     plot = f'<div class="plot" id="plot-{stem}"></div>\n{data}\n' if block.plot else ""
-    source = f"data:{block.kind};base64,{base64.b64encode(block.draw()).decode('ascii')}"
-    image = f'<img class="still" src="{source}" alt="{escape(block.text)}">'
+    if block.inline:
+        image = block.draw().decode()
+    else:
+        source = f"data:{block.kind};base64,{base64.b64encode(block.draw()).decode('ascii')}"
+        image = f'<img class="still" src="{source}" alt="{escape(block.text)}">'
     narrow = "" if block.wide else " class=narrow"
     return f"<figure{narrow}>\n{plot}{image}\n<figcaption>{escape(block.text)}</figcaption>\n</figure>"
 

@@ -64,6 +64,10 @@ class Suspicion(Detail):
         return made
 
 
+class Pace(str):
+    """A line on how far a piece of work is, beside the stage."""
+
+
 def name_progress(progress: Progress, name: str) -> Progress:
     """Return a listener that puts a name before each line; a detail stays one."""
 
@@ -140,7 +144,7 @@ class Work:
         now = time.monotonic()
         if done < self.total and now - self._reported >= BETWEEN:
             self._reported = now
-            self._progress(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}")
+            self._progress(Pace(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}"))
 
     def add(self) -> None:
         """Report one more step, from any thread."""

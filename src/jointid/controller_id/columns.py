@@ -46,7 +46,7 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
     """
     rate, period = structure.rate, log.period / structure.rate
     lead, slope = _LEAD * rate, _SLOPE * rate
-    inputs = log.inputs(rate, structure.curved)
+    inputs = log.inputs(rate, structure.interpolation)
     r, q = (_prepend_line(inputs[:, i] - inputs[0, POSITION], lead, slope) for i in (REFERENCE, POSITION))
     r = _delay(r, numbers.get("reference_delay", 0.0) / period)
     velocity, torque = _filters(structure, numbers)
@@ -81,7 +81,7 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
 def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Torque injected before the limit, as logged, (samples, 1)."""
     rate, (_, torque) = structure.rate, _filters(structure, numbers)
-    signal = log.inputs(rate, structure.curved)[:, [INJECTED]]
+    signal = log.inputs(rate, structure.interpolation)[:, [INJECTED]]
     return log.to_log(_filter_signals(torque, signal, log.period / rate), rate)
 
 

@@ -20,7 +20,7 @@ from jointid.common.document import (
     data_frame,
 )
 from jointid.common.messages import Message
-from jointid.common.text import join, number, pluralise
+from jointid.common.text import join, number, pluralise, sentence
 from jointid.common.transmission import Transmission
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import Structure
@@ -181,8 +181,8 @@ class LearnedController(Documented):
             for name, value, unit in shown
             if name.endswith(_TUNED)
         ]
-        numbers = f" with {join(gains)}" if gains else ""
-        said = f"The controller is {self.structure}{numbers}; it leaves {100 * self.share:.2g} % of the torque."
+        found = f"the controller is {self.structure}, and leaves {100 * self.share:.2g} % of the torque."
+        said = sentence(f"{join(gains)}: {found}" if gains else found)
         if self.alike:
             said += f" The record does not distinguish it from {pluralise(len(self.alike), 'other structure')}."
         return said

@@ -12,7 +12,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import join
 from jointid.controller_id.noise import PositionError, informative_frequencies, position_error
-from jointid.controller_id.structures import LATE, RATES, SLOWER
+from jointid.controller_id.structures import INTERPOLATIONS, LATE, RATES, SLOWER
 from jointid.models.controllers import INJECTED, POSITION, Interpolation, SampledLaw, law_inputs, run
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
@@ -51,7 +51,7 @@ class LoopRecord:
     plateau: float | None
     error: PositionError
     informative: FloatArray
-    _inputs: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
+    _inputs: dict[tuple[int, Interpolation], FloatArray] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
@@ -76,30 +76,30 @@ class LoopRecord:
         kept[:_SETTLED] = 0.0
         rows = slice(begin, begin + samples)
         inputs = {}
-        for rate, curved in ((1, False), *product(RATES, (False, True))):
+        for rate, way in ((1, INTERPOLATIONS[0]), *product(RATES, INTERPOLATIONS)):
             window = slice(begin * rate, (begin + samples) * rate)
-            inputs[rate, curved] = self.inputs(rate, curved)[window].copy()
+            inputs[rate, way] = self.inputs(rate, way)[window].copy()
             if rate > 1:  # the whole record is only asked for the rates of the laws that are judged on it
-                del self._inputs[rate, curved]
+                del self._inputs[rate, way]
         return _build_loop_record(self.record, self.torque[rows], self.added[rows], kept, self.plateau, inputs)
 
-    def inputs(self, rate: int, curved: bool) -> FloatArray:
+    def inputs(self, rate: int, interpolation: Interpolation) -> FloatArray:
         """Inputs of a law with `rate` periods per sample, (periods, INPUTS)."""
-        if (rate, curved) not in self._inputs:
-            filled: Interpolation | None = "cubic" if curved else "linear" if rate > 1 else None
-            self._inputs[rate, curved] = _read_inputs(self.record, self.period, self.samples, rate, filled)
-        return self._inputs[rate, curved]
+        if (rate, interpolation) not in self._inputs:
+            filled = interpolation if rate > 1 else None
+            self._inputs[rate, interpolation] = _read_inputs(self.record, self.period, self.samples, rate, filled)
+        return self._inputs[rate, interpolation]
 
-    def predict(self, law: SampledLaw, content: float = 0.0, curved: bool = False) -> FloatArray:
+    def predict(self, law: SampledLaw, content: float = 0.0, interpolation: Interpolation = "linear") -> FloatArray:
         """Predict the logged torque of a law, (samples,).
 
         Args:
             law: the law.
             content: integral torque at the first sample.
-            curved: whether cubics interpolate the reference between samples.
+            interpolation: how the reference is filled in between samples.
         """
         rate = round(self.period / law.period)
-        inputs = self.inputs(rate, curved)
+        inputs = self.inputs(rate, interpolation)
         position = inputs[: 5 * rate + 1, POSITION]
         slope = (position[-1] - position[0]) / (5 * self.period)
         state = law.known_memory(inputs) + law.memory(POSITION, float(position[0]), float(slope))
@@ -161,7 +161,7 @@ def prepare_loop_record(record: Record) -> LoopRecord:
         )
     kept = np.ones(samples)
     kept[:_BEGIN] = 0.0
-    inputs = {(1, False): _read_inputs(record, period, samples, 1, None)}
+    inputs = {(1, INTERPOLATIONS[0]): _read_inputs(record, period, samples, 1, None)}
     return _build_loop_record(record, torque, added, kept, _plateau(torque, added), inputs)
 
 
@@ -171,11 +171,11 @@ def _build_loop_record(
     added: FloatArray,
     kept: FloatArray,
     plateau: float | None,
-    inputs: dict[tuple[int, bool], FloatArray],
+    inputs: dict[tuple[int, Interpolation], FloatArray],
 ) -> LoopRecord:
     """Select samples, with position error and informative frequencies."""
     assert record.torque is not None and record.motor_position is not None
-    own = inputs[1, False]
+    own = inputs[1, INTERPOLATIONS[0]]
     error = position_error(own[:, POSITION], find_encoder_step(record.motor_position))
     informative = informative_frequencies(own, torque, added, kept * _below_limit(torque, plateau), error)
     return LoopRecord(record, record.torque.sample_time, torque, added, kept, plateau, error, informative, inputs)

@@ -23,6 +23,7 @@ from jointid.controller_id.structures import (
     COMMON,
     FREE_TAPS,
     INTEGRAL_GAINS,
+    INTERPOLATIONS,
     LATE,
     RATES,
     SLOWER,
@@ -202,5 +203,5 @@ def _frames(plain: Structure) -> Iterator[Structure]:
         yield like
         if filtered in COMMON:
             yield from (replace(like, torque_filter=one) for one in TORQUE_FILTERS[1:])
-            yield from (replace(like, rate=n, curved=curved) for n in RATES for curved in (False, True))
+            yield from (replace(like, rate=n, interpolation=way) for n in RATES for way in INTERPOLATIONS)
             yield from (replace(like, every=n, offset=k) for n in SLOWER for k in range(n))

@@ -18,7 +18,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.controller_id.columns import coefficient_columns, columns, design, injected_torque, response, split_taps
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise, lagged_columns, regress, signal_and_past
-from jointid.controller_id.structures import LATE, NumberedStructure, Structure, bounds, without_taps
+from jointid.controller_id.structures import INTERPOLATIONS, LATE, NumberedStructure, Structure, bounds, without_taps
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, REFERENCE_VELOCITY
 
 _DEPENDENT = 1e-9  # of a column: what is left of it beside the others is rounding
@@ -293,7 +293,7 @@ def compare_with_regression(log: LoopRecord, residual: FloatArray) -> BesideRegr
         log: the record.
         residual: (samples,) logged less the law's torque.
     """
-    inputs, kept = log.inputs(1, False), log.free
+    inputs, kept = log.inputs(1, INTERPOLATIONS[0]), log.free
     r, q = (inputs[:, i] - inputs[0, REFERENCE] for i in (REFERENCE, POSITION))
     asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *signal_and_past(r, LAGS)]
     beside = (inputs[:, DIRECTION], inputs[:, REFERENCE_VELOCITY], inputs[:, INJECTED], log.added)

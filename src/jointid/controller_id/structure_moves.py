@@ -11,6 +11,7 @@ from jointid.controller_id.structures import (
     FEEDFORWARDS,
     FIELDS,
     FREE_TAPS,
+    INTERPOLATIONS,
     LATE,
     LONGEST,
     MEANS,
@@ -148,9 +149,9 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
     for rate in (1, *RATES) if not structure.taps else (1,):
         slower = rate if structure.every > 1 else 1
         mean = _mean_over_same_time(structure.velocity_filter, rate / structure.rate)
-        for curved in (False, True) if rate > 1 else (False,):
+        for way in INTERPOLATIONS if rate > 1 else INTERPOLATIONS[:1]:
             for filtered in {structure.velocity_filter, mean}:
-                yield replace(structure, rate=rate, curved=curved, every=slower, offset=0, velocity_filter=filtered)
+                yield replace(structure, rate=rate, interpolation=way, every=slower, offset=0, velocity_filter=filtered)
     if not structure.cascade:
         return
     pairs = [(structure.rate, 0)] if structure.rate > 1 else [(n, k) for n in SLOWER for k in range(n)]

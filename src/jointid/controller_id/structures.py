@@ -9,7 +9,17 @@ from itertools import product
 from typing import Any, Literal
 
 from jointid.common.text import ordinal
-from jointid.models.controllers import PD, PID, Cascade, Controller, Filter, FirstOrder, Notch, SecondOrder
+from jointid.models.controllers import (
+    PD,
+    PID,
+    Cascade,
+    Controller,
+    Filter,
+    FirstOrder,
+    Interpolation,
+    Notch,
+    SecondOrder,
+)
 
 Law = Literal["P-P", "P-PI", "PD", "PID"]
 
@@ -22,6 +32,7 @@ TORQUE_FILTERS = ("none", "first order", "second order", "notch")
 
 RATES = (2, 4, 8, 16)  # periods per log sample of a loop faster than the log
 SLOWER = (2, 4, 8)  # loop periods per evaluation of a slower position loop
+INTERPOLATIONS: tuple[Interpolation, ...] = ("linear", "cubic", "hold")  # of its reference, the plainest first
 LATE = (1, 2, 3, 4)  # delays of the logged torque, in samples
 VELOCITY, ACCELERATION, COULOMB, CONSTANT = "velocity", "acceleration", "coulomb", "constant"
 FEEDFORWARDS = (VELOCITY, ACCELERATION, COULOMB, CONSTANT)
@@ -45,7 +56,7 @@ class Structure:
         reference_delay: whether the law sees the reference later.
         late: samples by which the log shows the torque later than the position it follows from.
         rate: periods of the law in one sample of the log.
-        curved: whether a law that is faster than the log fills in its reference by cubics; else by straight lines.
+        interpolation: how a law that is faster than the log fills in its reference.
         every, offset: of a cascade's position loop, in periods of the law.
         limited: whether the limit acts in the record.
     """
@@ -58,7 +69,7 @@ class Structure:
     reference_delay: bool = False
     late: int = 0
     rate: int = 1
-    curved: bool = False
+    interpolation: Interpolation = "linear"
     every: int = 1
     offset: int = 0
     limited: bool = False
@@ -106,14 +117,18 @@ class Structure:
     @property
     def parts(self) -> int:
         """Number of parts: parameters, and each delay, rate or offset not in a plain law."""
-        return len(self.names) + (self.rate > 1) + self.curved + (self.every > 1) + (self.late > 0)
+        return len(self.names) + (self.rate > 1) + (self.interpolation != "linear") + (self.every > 1) + (self.late > 0)
 
     def weight(self, rows: float) -> float:
         """Penalty in the criterion: Schwarz's log(rows) for each part.
 
         A clock costs 2 log(choices) more, by the extended criterion (Chen and Chen 2008, Biometrika 95(3)).
         """
-        choices = (len(RATES) * 2, self.rate > 1), (sum(SLOWER), self.every > 1), (len(LATE), self.late > 0)
+        choices = (
+            (len(RATES) * len(INTERPOLATIONS), self.rate > 1),
+            (sum(SLOWER), self.every > 1),
+            (len(LATE), self.late > 0),
+        )
         return self.parts * math.log(rows) + sum(2.0 * math.log(number) for number, chosen in choices if chosen)
 
     def __str__(self) -> str:
@@ -132,7 +147,7 @@ class Structure:
         if self.late:
             said.append(f"torque {self.late} samples late")
         if self.rate > 1:
-            said.append(f"{self.rate} periods per sample" + (" on a curved reference" if self.curved else ""))
+            said.append(f"{self.rate} periods per sample" + _ON_REFERENCE[self.interpolation])
         if self.every > 1:
             said.append(f"position loop every {self.every} periods, from the {ordinal(self.offset + 1)}")
         return ", ".join(said)
@@ -160,6 +175,7 @@ FIELDS = {
     CONSTANT: "constant_feedforward",
 }
 
+_ON_REFERENCE = {"linear": "", "cubic": " on a curved reference", "hold": " on a held reference"}
 _REFERENCE_VELOCITY = {
     (True, "share"): "velocity feed-forward",
     (True, "full"): "full velocity feed-forward",
@@ -318,7 +334,7 @@ def controller(structure: Structure, numbers: Mapping[str, float], period: float
         settings["delay"] = structure.late * period
     own_period = period / structure.rate
     if structure.rate > 1:
-        settings |= {"period": own_period, "interpolation": "cubic" if structure.curved else "linear"}
+        settings |= {"period": own_period, "interpolation": structure.interpolation}
     if structure.cascade:
         if structure.every > 1:
             settings |= {"position_period": structure.every * own_period}

@@ -25,16 +25,19 @@ from jointid.diagnostics.fault_tests import (
     strength_of,
 )
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest, Hint
-from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
+from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, ParameterShift
 from jointid.diagnostics.faults.forces import OFFSET, free_number
 from jointid.diagnostics.faults.other_laws import (
+    INTERPOLATIONS,
     MEASURED_VELOCITY,
+    OTHER_LAWS,
     PERIOD,
     PRESENT_SAMPLE,
     TIMES_FASTER,
     Refit,
     faster_laws,
-    faster_problem,
+    other_interpolations,
+    prepare_anew,
     refit,
     refit_other_laws,
     runs_at_the_logs_rate,
@@ -153,7 +156,7 @@ def search_faults(
         if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filter(problem.measured)):
             first, others = first or found, []
             break
-        others = _test_other_laws(state, found, settings)
+        others = _test_other_laws(state, found, settings, known, record)
         if first is None:
             first, faster = found, _test_faster_laws(state, found, settings, known, record)
         laws = others if findings else [*others, *faster]
@@ -178,7 +181,8 @@ def search_faults(
         findings.append(_make_finding(state, after, found, settings.level, known))
         state = after
     open_ones: list[Finding] = []
-    if possible := [one for one in others if one.possible and one.test.fault is PRESENT_SAMPLE]:
+    open_laws = (PRESENT_SAMPLE, *INTERPOLATIONS.values())
+    if possible := [one for one in others if one.possible and one.test.fault in open_laws]:
         solved = state if findings else replace(state, x=descend(problem, state.x, _TOLERANCE).x)
         open_ones += [_find_other_law(solved, one, found, settings.level, known) for one in possible]
     if first is not None and (rates := _list_rates_left_open(faster, first, findings, first_law)):
@@ -217,7 +221,7 @@ def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
     residual, own, signatures = compute_signatures(state.problem, state.x)
     known = {a.fault.name: a.fault for a in signatures}
     searched = (one.name for one in FAULTS if one.applies is not None and one.applies(state.problem.joint))
-    laws = (PRESENT_SAMPLE.name, MEASURED_VELOCITY.name, PERIOD.name, *searched)
+    laws = (*(one.name for one in OTHER_LAWS), *searched)
     wrong = [name for name in settings.faults or () if name not in (*known, *state.named, *laws)]
     if wrong:
         choice = ", ".join((*known, *laws))
@@ -253,10 +257,15 @@ def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OtherLawTest:
-    """Solution under another law, and its test: size 0 is the declared law, size 1 the other one."""
+    """Solution under another law, and its test: size 0 is the declared law, size 1 the other one.
+
+    Attributes:
+        gain: decrease of the squared norm of the residual from the declared law to this one.
+    """
 
     refit: Refit
     test: FaultTest
+    gain: float
 
     @property
     def possible(self) -> bool:
@@ -282,21 +291,50 @@ class _OtherLawTest:
         return self.possible and self.likelihood >= max(stated, default=0.0) - _RIVAL
 
     def as_likely(self, others: Sequence[_OtherLawTest]) -> bool:
-        """Whether none of others is far likelier."""
-        return self.likelihood >= max(one.likelihood for one in others) - _RIVAL
+        """Whether none of others is far likelier.
+
+        The residuals are compared by the variance of the likeliest law's test: each law has its own spectrum of the
+        noise in its test, so two likelihoods differ even where two laws leave the same residual.
+        """
+        best = max(others, key=lambda one: one.likelihood)
+        if self.likelihood >= best.likelihood - _RIVAL:
+            return True
+        return best.gain > 0 and (best.gain - self.gain) * best.likelihood <= _RIVAL * best.gain
 
 
-def _test_other_laws(state: SearchState, found: _TestResults, settings: LoopTests) -> list[_OtherLawTest]:
+def _test_other_laws(
+    state: SearchState, found: _TestResults, settings: LoopTests, known: Mapping[str, float], record: Record | None
+) -> list[_OtherLawTest]:
     """Return the tests of the other laws of the controller, as far as the settings name them."""
-    tests = []
+    tests = _test_interpolations(state, found, settings, known, record)
     wrong = settings.faults is not None or any(one.p_value <= settings.level for one in found.tests)
     laws = (PRESENT_SAMPLE, *((MEASURED_VELOCITY,) if wrong else ()))
     names = {one.name for one in laws}
     asked = names & set(settings.faults or names)
     for refitted in refit_other_laws(state.problem, state.x, asked - {*state.named}):
-        test = _test_signature(state, found, refitted.signature)
-        if test.std > 0:
-            tests.append(_OtherLawTest(refitted, test))
+        tests += _judge_law(state, found, refitted)
+    return tests
+
+
+def _test_interpolations(
+    state: SearchState, found: _TestResults, settings: LoopTests, known: Mapping[str, float], record: Record | None
+) -> list[_OtherLawTest]:
+    """Return the tests of the ways to fill in the reference that are not declared and may matter."""
+    if record is None:
+        return []
+    problem = state.problem
+    tests: list[_OtherLawTest] = []
+    for law in other_interpolations(problem, record):
+        if law.fault.name in state.named or not (settings.faults is None or law.fault.name in settings.faults):
+            continue
+        try:
+            other = prepare_anew(problem, law, record)
+            if _screen_law(state, found, law, other, known) is None:
+                continue
+            refitted = refit(problem, state.x, law, other, state.x)
+        except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable under it is not that of the record
+            continue
+        tests += _judge_law(state, found, refitted)
     return tests
 
 
@@ -310,39 +348,57 @@ def _test_faster_laws(
     problem, asked = state.problem, settings.faults is None or PERIOD.name in settings.faults
     if record is None or not (asked and runs_at_the_logs_rate(problem)):
         return []
-    slowest = next(faster_laws(problem, TIMES_FASTER[0]))
     try:
-        moved = found.residual - faster_problem(problem, slowest, record).residual(state.x)
+        steps = [
+            _screen_law(state, found, law, prepare_anew(problem, law, record), known)
+            for law in faster_laws(problem, record, TIMES_FASTER[0])
+        ]
     except JointidError:  # no law of that period
         return []
-    step = _test_signature(state, found, FaultSignature(PERIOD, moved, raw=np.zeros(0)))
-    if not _may_matter(state, found, step, moved, known):
+    if not any(steps):
         return []
-    evident = step.size > 0 and step.p_value <= settings.level
+    evident = any(step is not None and step.size > 0 and step.p_value <= settings.level for step in steps)
     tests: list[_OtherLawTest] = []
     start = state.x
     for times in TIMES_FASTER if evident else _TIMES_UNDECIDED:
-        here = []
-        for law in faster_laws(problem, times):
+        here: list[_OtherLawTest] = []
+        for law, step in zip(faster_laws(problem, record, times), steps, strict=True):
+            if step is None:
+                continue
             try:
-                refitted = refit(problem, state.x, law, faster_problem(problem, law, record), start)
+                refitted = refit(problem, state.x, law, prepare_anew(problem, law, record), start)
             except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable under it is not that of the record
                 continue
-            start, test = refitted.x, _test_signature(state, found, refitted.signature)
-            here += [_OtherLawTest(refitted, test)] if test.std > 0 else []
+            start = refitted.x
+            here += _judge_law(state, found, refitted)
         if not any(one.possible for one in here):
             break
-        plain, best = here[0], max(here, key=lambda one: one.likelihood)
-        tests.append(best if best.likelihood > plain.likelihood + _RIVAL else plain)
+        tests += (one for one in here if one.possible and one.as_likely(here))
     return tests
+
+
+def _judge_law(state: SearchState, found: _TestResults, other: Refit) -> tuple[_OtherLawTest, ...]:
+    """Return the test of another law; none where it changes nothing."""
+    test = _test_signature(state, found, other.signature)
+    left = other.problem.residual(other.x)
+    return (_OtherLawTest(other, test, float(found.residual @ found.residual - left @ left)),) if test.std > 0 else ()
+
+
+def _screen_law(
+    state: SearchState, found: _TestResults, law: OtherLaw, other: ClosedLoopProblem, known: Mapping[str, float]
+) -> FaultTest | None:
+    """Return the test of what another law changes at the same parameters; None where it cannot matter."""
+    moved = found.residual - other.residual(state.x)
+    step = _test_signature(state, found, FaultSignature(law.fault, moved, raw=np.zeros(0)))
+    return step if _may_matter(state, found, step, moved, known) else None
 
 
 def _may_matter(
     state: SearchState, found: _TestResults, step: FaultTest, moved: FloatArray, known: Mapping[str, float]
 ) -> bool:
-    """Whether a faster drive is not excluded, and either is evident or would shift a parameter.
+    """Whether another law is not excluded, and either is evident or would shift a parameter.
 
-    `step` is the test of the change of the torque, `moved`, (rows,), by half of the log's period.
+    `step` is the test of the change of the torque, `moved`, (rows,), by it or by half of the log's period.
     """
     if not step.std > 0 or step.size + 3 * step.std < _AT_LEAST:
         return False
@@ -419,12 +475,16 @@ def _assign_cells(state: SearchState) -> Cells:
 
 
 def _simulate_forces(state: SearchState) -> list[FloatArray]:
-    """Return the residuals, (rows,), of random forces like the one in the record's loop; none without one."""
+    """Return the residuals, (rows,), of random forces and noise like those of the record; none without a force."""
     problem, run = state.problem, state.problem.simulate(state.x)
     force = find_force(problem, state.x, run, problem.measured - run.torque)
     if force is None:
         return []
-    return [problem.filter(one - run.torque) for one in simulate_with_force(problem, state.x, force, _FORCES)]
+    random = np.random.default_rng(1)
+    return [
+        problem.filter(one - run.torque + force.noise * random.standard_normal(one.size))
+        for one in simulate_with_force(problem, state.x, force, _FORCES)
+    ]
 
 
 def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:

@@ -175,10 +175,12 @@ def _compare_laws(
     made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
     laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
     # A rigid joint is judged beside the laws of a spring.
-    for law in (None, *laws) if among == "springs" else laws:
+    tried = [None, *laws] if among == "springs" else [*laws]
+    history.progress = lambda message: progress(Detail(message))  # the bar says how far it is
+    for law in follow(tried, progress, f"comparing {among}", len(tried), among):
         name, of_law = (RIGID, ()) if law is None else (law.name, _parameters(joint, law))
         named = f"a {name} spring" if kind == "spring" else f"{name} friction"
-        progress(f"fitting {'a rigid joint' if law is None else named}")
+        history.progress(f"fitting {'a rigid joint' if law is None else named}")
         try:
             if law is None:
                 end = _rigid(solved, record, plain, tolerance, history)

@@ -32,7 +32,7 @@ from jointid.common.document import Block, Document, Documented, Facts, Listing,
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, Work, follow, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import number
+from jointid.common.text import in_words, number
 from jointid.common.transmission import Transmission, transmission_lines
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.other_experiments import (
@@ -127,8 +127,8 @@ class Advice(Documented):
         name = min(best.std, key=lambda n: best.std[n] / self.std[n])
         what = best.description if best in self.tests else f"a {best.name}" if best.name != "both" else "both encoders"
         return (
-            f"Most is gained by {what}: {name.replace('_', ' ')} {self.symbols[name]} known to "
-            f"+- {number(2 * best.std[name], 2)} instead of +- {number(2 * self.std[name], 2)} {self.units[name]}."
+            f"Most is gained by {what}: {in_words(name)} {self.symbols[name]} known to "
+            f"± {number(2 * best.std[name], 2)} instead of ± {number(2 * self.std[name], 2)} {self.units[name]}."
         )
 
     def _sentence(self, change: Prediction) -> str:

@@ -18,7 +18,8 @@ The noise model need not be right: the deviation is the autocorrelation-robust o
 position-dependent residual (`position_dependent_error`). It is scaled to the residual before the fit, frequency by
 frequency: a slow motion has few of them, and the remainder of a dozen columns there is too small.
 A random force in the loop is no small noise of each row while friction holds the motor. So such forces are simulated,
-and a fault is compared with the sizes that they alone show, if these are clearly larger.
+each with noise on the log, in the shares of the residual's spectrum. A fault is compared with the sizes that they alone
+show, if these are clearly larger.
 
 All tests of loop and log are one family, and all of the mechanics another, at a tenth of its level: p-values are
 multiplied by the number of faults in it, and of shapes tried for one (Bonferroni). Faults whose columns are collinear,
@@ -117,7 +118,7 @@ def score_signatures(
         signatures: of all faults: none of them is noise.
         declared: value of each fault to be tested.
         where: returns the rows' cells; called only where a test is significant, as is the next.
-        by_forces: returns residuals, (rows,) each, that random forces in the loop would leave alone.
+        by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone.
     """
     basis = _find_basis(np.column_stack([own, *(a.column for a in signatures)]))
     whiten = fit_whitener(_give_back(residual - basis @ (basis.T @ residual), _fitted_share(basis)))
@@ -265,8 +266,8 @@ def _test_group(
     if test.p_value > _WIDENED or not simulate_forces().size:
         return test
     shown = simulate_forces() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes
-    # A spectrum tells the size of a force roughly; forces that leave less than what is left are too small.
-    larger = max(1.0, float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(simulate_forces() ** 2, axis=1)))))
-    spread = larger * float(np.sqrt(np.mean(shown**2)))
+    # A spectrum shows the size of force and noise roughly, and with them the fault: the remainder has their size.
+    scale = float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(simulate_forces() ** 2, axis=1))))
+    spread = scale * float(np.sqrt(np.mean(shown**2)))
     # A fault of another kind may look like a force: so its size stands, and its place among those that are significant.
     return replace(test, p_value=judge(spread, shown.size).p_value) if spread > _MORE * test.std else test

@@ -27,7 +27,17 @@ from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypo
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.record import find_lost_motion, find_plain_cause, find_standstill
 from jointid.diagnostics.faults.registry import FAULTS
-from jointid.diagnostics.hypothesis_fits import ASTRAY, MORE, Fit, descend, fit_flexible, fit_rigid, pose, start_at
+from jointid.diagnostics.hypothesis_fits import (
+    ASTRAY,
+    MORE,
+    Fit,
+    descend,
+    fit_below_resonance,
+    fit_flexible,
+    fit_rigid,
+    pose,
+    start_at,
+)
 from jointid.diagnostics.model_free import MEMORY, find_unexplained_share
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
@@ -49,6 +59,8 @@ _NAMED = 3
 _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, whatever sensitivities show
 _MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
 _MUCH_LATER = 0.5  # periods
+_POOR_START = 0.05  # of the torque: a rigid joint that leaves more far below its resonance has a cause to be searched
+_SCREENED = 6000  # samples from the first motion, which show a gross cause
 
 
 _Found: TypeAlias = tuple[Fault, float | None, float]
@@ -80,6 +92,12 @@ class Causes(Documented):
     def found(self) -> bool:
         """True if there is a cause to report, if only the nearest one."""
         return bool(self.explanations or self.nearest or self.plain)
+
+    @property
+    def is_clear(self) -> bool:
+        """True if a cause leaves far less than the drive as declared, or shows in the samples."""
+        first = self.explanations[:1]
+        return self.plain is not None or any(one.error <= _CLEARLY * min(self.declared_error, 1.0) for one in first)
 
     @property
     def message(self) -> Message:
@@ -141,6 +159,7 @@ def find_causes(
     *,
     shown: Sequence[DriveNumber] = (),
     progress: Progress = ignore_progress,
+    low: Sequence[Fit] = (),
 ) -> Causes:
     """Search for the cause of a misfit between a record and the declared drive.
 
@@ -151,6 +170,7 @@ def find_causes(
         shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.drive_numbers` has it;
             without it they are given in SI.
         progress: called with each step.
+        low: fits by `screen_causes`; made anew without them.
 
     Raises:
         RecordError: a channel of the loop is missing, or the torque is 0 in every sample.
@@ -168,13 +188,13 @@ def find_causes(
     tried = list_hypotheses(record, loop, filtering)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
-    def suspect(best: Fit) -> None:
-        if best.hypothesis.fault is not None:
-            told = explain(best.hypothesis.fault, best.number, best.error, loop, shown)
-            words = ", or ".join(one.words for one in told)
-            progress(Suspicion(f"the likeliest cause so far: {words}", words))
-
-    fits = fit_flexible(tried, loop, suspect) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
+    if isinstance(loop.joint, FlexibleJoint):
+        if not low:
+            low = fit_below_resonance(tried, loop.joint)
+            _suspect(low, math.inf, loop, shown, progress)
+        fits = fit_flexible(tried, loop, low)
+    else:
+        fits = fit_rigid(tried, loop.joint)
     found = _judge_faults(tried[0], fits, loop)
     declared = min((f.error for f in fits if f.hypothesis.fault is None), default=math.inf)
     if estimate is not None:
@@ -197,6 +217,56 @@ def find_causes(
     if not left and (problem := pose(tried[0], loop)) is not None and record.reference is not None:
         left = find_unexplained_share(problem, record.reference.values)
     return Causes(declared, (), tried_out, unexplained=left, plain=find_lost_motion(record, loop, left))
+
+
+def screen_causes(
+    record: Record, loop: ClosedLoop, shown: Sequence[DriveNumber] = (), progress: Progress = ignore_progress
+) -> list[Fit]:
+    """Return a rigid joint's fits under each hypothesis to the begin of a record, far below the resonance.
+
+    There are none where the declared drive fits. The likeliest cause is told as soon as it is far likelier than that
+    drive; hypotheses without a free number, and the gain of the loop, come first, and alone if one of them fits.
+
+    Args:
+        record: with torque and reference.
+        loop: as declared, of a flexible joint.
+        shown: see `find_causes`.
+        progress: called with the likeliest cause.
+    """
+    joint = loop.joint
+    if not isinstance(joint, FlexibleJoint) or record.torque is None or record.reference is None:
+        return []
+    if find_plain_cause(record) is not None or find_standstill(record, loop) is not None:
+        return []
+    moves = np.flatnonzero(np.diff(record.reference.values))[:1] * record.reference.sample_time
+    until = float(moves.sum()) + _SCREENED * record.torque.sample_time
+    part = record.with_channels(
+        {name: replace(one, values=one.values[: math.ceil(until / one.sample_time)]) for name, one in record.items()}
+    )
+    declared, *others = list_hypotheses(part, loop, Filtering().resolve(record.torque.sample_time, joint.model))
+    fits = fit_below_resonance([declared], joint)
+    error = min((fit.error for fit in fits), default=math.inf)
+    if error < _POOR_START:
+        return []
+    clear = _CLEARLY * min(error, 1.0)
+    for cheap in (True, False):
+        least = min((fit.error for fit in fits), default=math.inf)
+        if least <= min(clear, _POOR_START):
+            break
+        group = [one for one in others if (one.free in (None, "gain")) is cheap]
+        fits = sorted((*fits, *fit_below_resonance(group, joint, least)), key=lambda fit: fit.error)
+        _suspect(fits, clear, loop, shown, progress)
+    return fits
+
+
+def _suspect(
+    fits: Sequence[Fit], most: float, loop: ClosedLoop, shown: Sequence[DriveNumber], progress: Progress
+) -> None:
+    """Tell the fault of the best fit, if its error is at most that."""
+    if fits and (fault := fits[0].hypothesis.fault) is not None and fits[0].error <= most:
+        told = explain(fault, fits[0].number, fits[0].error, loop, shown)
+        words = ", or ".join(one.words for one in told)
+        progress(Suspicion(f"the likeliest cause so far: {words}", words))
 
 
 def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
@@ -237,6 +307,24 @@ def _fit_free_responses(fit: Fit) -> float:
     return find_unexplained_share(fit.problem, fit.hypothesis.record.reference.values, memory)
 
 
+def find_gross_cause(
+    estimate: Estimate,
+    record: Record,
+    progress: Progress = ignore_progress,
+    shown: Sequence[DriveNumber] = (),
+    low: Sequence[Fit] = (),
+) -> Causes | None:
+    """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
+
+    Args: see `find_causes`.
+    """
+    loop = estimate.settings.loop
+    assert loop is not None
+    if estimate.fit.filtered_error <= _SUSPICIOUS:
+        return None
+    return find_causes(record, loop, estimate, shown=shown, progress=progress, low=low)
+
+
 def explain_misfit(
     estimate: Estimate,
     record: Record,
@@ -244,6 +332,7 @@ def explain_misfit(
     progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
     left: float | None = None,
+    known: Causes | None = None,
 ) -> Causes | None:
     """Return the causes of a misfit between an estimate and its record; None if it fits or no cause comes near.
 
@@ -256,6 +345,7 @@ def explain_misfit(
         progress: called with each step.
         shown: see `find_causes`.
         left: residual share of the torque under the law that the loop check found for the controller, if it did.
+        known: causes that `find_gross_cause` found.
     """
     loop = estimate.settings.loop
     assert loop is not None
@@ -277,7 +367,7 @@ def explain_misfit(
         return None
     if left is not None and not gross and left <= _MORE_OF_A_LAW * _response_residual(estimate, record, loop):
         return None  # under that law nothing more is wrong
-    causes = find_causes(record, loop, estimate, shown=shown, progress=progress)
+    causes = known or find_causes(record, loop, estimate, shown=shown, progress=progress)
     return causes if causes.found or estimate.fit.filtered_error > POOR_FIT else None
 
 

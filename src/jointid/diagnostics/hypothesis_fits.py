@@ -8,7 +8,7 @@ size; only the remaining hypotheses are fitted to the whole band.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,35 +70,39 @@ class Fit:
         return self.values[name] if name else self.hypothesis.factor
 
 
-def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0) -> list[Fit]:
-    """Fit a rigid joint under each hypothesis; one that is worse by less than the share `loss` is not given up."""
+def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0, least: float = math.inf) -> list[Fit]:
+    """Fit a rigid joint under each hypothesis; one that is worse by less than the share `loss` is not given up.
+
+    `least` is the least error of hypotheses fitted before.
+    """
 
     def begin(hypothesis: Hypothesis) -> list[Fit]:
         loops = [replace(loop, joint=joint) for loop in hypothesis.loops]
         problems = [p for loop in loops if (p := pose(hypothesis, loop)) is not None]
         return _choose_best(start_at(hypothesis, p, p.vector(values)) for p in problems for values in _rigid_starts(p))
 
-    return _race(in_threads(begin, tried), loss)
+    return _race(in_threads(begin, tried), loss, least)
 
 
-def fit_flexible(
-    tried: Sequence[Hypothesis], loop: ClosedLoop, suspect: Callable[[Fit], None] | None = None
-) -> list[Fit]:
-    """Fit a flexible joint under the hypotheses that a rigid one does not exclude far below the resonance.
-
-    The best of the rigid joints is passed to `suspect`, if given, long before the flexible ones are fitted.
-    """
-    assert isinstance(loop.joint, FlexibleJoint)
+def fit_below_resonance(tried: Sequence[Hypothesis], joint: FlexibleJoint, least: float = math.inf) -> list[Fit]:
+    """Fit a flexible joint as rigid, far below its resonance, under each hypothesis; see `fit_rigid`."""
     low = []
     for one in tried:
         assert one.record.torque is not None
         period = one.record.torque.sample_time
         low.append(replace(one, filtering=Filtering(cutoff=RIGID_CUTOFF / period).resolve(period)))
-    fits = fit_rigid(low, loop.joint.rigid, _ROUGHLY)
+    return fit_rigid(low, joint.rigid, _ROUGHLY, least)
+
+
+def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop, low: Sequence[Fit] = ()) -> list[Fit]:
+    """Fit a flexible joint under the hypotheses that a rigid one does not exclude far below the resonance.
+
+    `low` are the fits of that rigid joint, if they are known.
+    """
+    assert isinstance(loop.joint, FlexibleJoint)
+    fits = low or fit_below_resonance(tried, loop.joint)
     wide = {(one.fault, one.factor, one.free): one for one in tried}
     least = min((fit.error for fit in fits), default=math.inf)
-    if fits and suspect is not None:
-        suspect(fits[0])
 
     def begin(rigid: Fit) -> list[Fit]:
         of = rigid.hypothesis
@@ -176,10 +180,10 @@ def _choose_best(starts: Iterable[Fit]) -> list[Fit]:
     return free
 
 
-def _race(started: Sequence[list[Fit]], loss: float) -> list[Fit]:
+def _race(started: Sequence[list[Fit]], loss: float, least: float = math.inf) -> list[Fit]:
     """Return the solutions, the best first; a hypothesis far behind the best one is given up early."""
     first = [list(filter(None, in_threads(lambda fit: descend(fit, FIRST), starts))) for starts in started]
-    least = min((fit.error for fits in first for fit in fits), default=math.inf)
+    least = min((least, *(fit.error for fits in first for fit in fits)))
     bound = max(_BEHIND * least, least + loss)
     ends = []
     for fits in first:

@@ -18,7 +18,9 @@ from jointid.common.text import join
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.record import find_too_short
-from jointid.diagnostics.find_causes import explain_misfit
+from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, screen_causes
+from jointid.diagnostics.hypothesis_fits import Fit
+from jointid.diagnostics.undeclared import widen_for_undeclared
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.methods.registry import Method
@@ -121,27 +123,36 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    progress = Suspicions(progress)
+    progress, low = Suspicions(progress), list[Fit]()
+    tells = method is None or method.tells_of_its_loop
+    if checks and tells and isinstance(record, Record) and isinstance(model, ClosedLoop):
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the identification says what is wrong
+            low = screen_causes(record, model, shown, progress)
     fit = fit_records(
         record, model, method, filtering=filtering, parameters=parameters, several=several, windows=windows,
         progress=progress,
     )  # fmt: skip
     of_joint = fit.record is not None and fit.problem is not None
-    to_check = fit.robot is not None or (of_joint and (method is None or method.tells_of_its_loop))
+    to_check = fit.robot is not None or (of_joint and tells)
     if not to_check:
         return assemble(fit, torque_constant=torque_constant)
     if not checks:
         return assemble(fit, _left_out("not checked: the checks were left out"), torque_constant=torque_constant)
     if unchecked is not None:
         unchecked(assemble(fit, _left_out("not checked yet"), torque_constant=torque_constant))
-    return assemble(fit, run_checks(fit, progress, shown), torque_constant=torque_constant)
+    return assemble(fit, run_checks(fit, progress, shown, low), torque_constant=torque_constant)
 
 
 def _left_out(why: str) -> CheckResults:
     return CheckResults((skip_test(Subject.LOOP, why),))
 
 
-def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequence[DriveNumber] = ()) -> CheckResults:
+def run_checks(
+    fit: FitResult,
+    progress: Progress = ignore_progress,
+    shown: Sequence[DriveNumber] = (),
+    low: Sequence[Fit] = (),
+) -> CheckResults:
     """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
     A parameter that is not identifiable leaves the loop unchecked. If a cause explains a misfit (`find_causes`), it is
@@ -152,12 +163,18 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
         fit: the result of a method.
         progress: called with each step in a sentence.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
+        low: fits by `screen_causes`.
     """
     if fit.robot is not None:
         return _check_robot(fit, fit.robot, progress)
     record, problem, x = fit.record, fit.problem, fit.x
     if record is None or problem is None or x is None:
         return CheckResults()
+    gross = None
+    with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # nor does a search for a cause end one
+        gross = find_gross_cause(assemble(fit), record, progress, shown, low)
+    if gross is not None and gross.is_clear:
+        return CheckResults((Verdict(Subject.LOOP, Status.FAILED, (gross.message,)),))
     progress("checking loop and log")
     found = check = state = rest = None
     verdict = skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
@@ -177,7 +194,7 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     faults = None if check is None else tuple(finding.test for finding in findings)
     left = next((finding.left for finding in findings if finding.left is not None), None)
     try:
-        causes = explain_misfit(assemble(fit), record, faults, progress, shown, left)
+        causes = explain_misfit(assemble(fit), record, faults, progress, shown, left, gross)
     except (JointidError, np.linalg.LinAlgError):  # nor does the search for a cause
         causes = None
     if causes is not None:
@@ -186,6 +203,8 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     if short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     widenings = [] if check is None else widen_for_faults(check)
+    if found is not None:
+        widenings += widen_for_undeclared(fit, found.torques)
     if rest is None or not rest.follows or state is None:
         return CheckResults((verdict,), tuple(widenings), found)
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
@@ -231,7 +250,8 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
     tested = part.has_controllers or of_logs
-    return CheckResults((residual, loop) if tested else (residual,), diagnosis=found)
+    wider = widen_for_undeclared(fit, found.torques)
+    return CheckResults((residual, loop) if tested else (residual,), tuple(wider), diagnosis=found)
 
 
 def widen_for_faults(check: AxisFaults) -> list[Widening]:

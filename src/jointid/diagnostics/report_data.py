@@ -17,7 +17,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.messages import Message, Progress, Work, ignore_progress
+from jointid.common.messages import Detail, Message, Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
@@ -166,7 +166,7 @@ def collect_report_data(
     work = Work(progress, "collecting the report", 3 + bool(estimate.checks.bounds), "parts")
 
     def attempt(name: str, step: str, compute: Callable[[], _Part]) -> _Part | None:
-        progress(step)
+        progress(Detail(step))
         try:
             return compute()
         except JointidError as error:

@@ -44,7 +44,12 @@ TABLE_4 = MappingProxyType({**TABLES[4].values, "offset": _OFFSET})
 CONTROLLERS = MappingProxyType(
     {
         "L19": Cascade(
-            position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=_GAIN, limit=_WIDE_OPEN
+            position_gain=160.18,
+            velocity_gain=243.45,
+            velocity_filter=(0.5, 0.5),
+            gain=_GAIN,
+            limit=_WIDE_OPEN,
+            undeclared="none",
         ),
         "L30": Cascade(
             position_gain=134.7,
@@ -53,6 +58,7 @@ CONTROLLERS = MappingProxyType(
             gain=_GAIN,
             limit=_WIDE_OPEN,
             delay=SAMPLE_TIME,
+            undeclared="none",
         ),
     }
 )

@@ -312,6 +312,11 @@ def update_interval(values: FloatArray) -> int:
     return int(np.gcd.reduce(np.diff(changes))) if changes.size >= _CHANGES else 1
 
 
+def default_interpolation(channel: Channel) -> Interpolation:
+    """Return how a channel that is slower than the controller is filled in unless it is declared."""
+    return "linear" if channel.timing is Timing.SAMPLED else "hold"
+
+
 def at_period(
     channel: Channel, period: float, periods: int, name: str, interpolation: Interpolation | None = None
 ) -> FloatArray:
@@ -322,7 +327,7 @@ def at_period(
     """
     every, repeat = period_ratio(period, channel.sample_time, name)
     if interpolation is None:
-        interpolation = "linear" if channel.timing is Timing.SAMPLED else "hold"
+        interpolation = default_interpolation(channel)
     if repeat == 1 or interpolation == "hold" or channel.values.size < 2:
         return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
     values, at = channel.values, np.minimum(np.arange(periods) / repeat, channel.values.size - 1)

@@ -98,7 +98,7 @@ def test_advise_says_what_a_load_encoder_would_do(
     words = ("--record", brief, "--encoder-step", "1e-6", "--json", out, "-q")
     assert run("advise", tmp_path / "joint.toml", *words) == 0
     said = capsys.readouterr().out
-    assert said.startswith("Most is gained by a load encoder: load viscous Fv2 known to +- ")
+    assert said.startswith("Most is gained by a load encoder: load viscous Fv2 known to ± ")
     assert "load encoder: steps of 1e-06 m; narrows" in said
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.advice/1"

@@ -17,6 +17,7 @@ from jointid.apps.cli import console
 from jointid.apps.cli.terminal import Bars
 from jointid.common.messages import (
     Detail,
+    Pace,
     Suspicion,
     Work,
     describe_pace,
@@ -181,8 +182,12 @@ def test_a_long_stage_says_now_and_then_how_long_it_has_gone_on(
     listener("searching the spring")
     for number in range(25):
         listener(Detail(f"iteration {number}"))
+    listener(Pace("bootstrapping: 2 of 15 draws, 9 s left"))
+    for number in range(12):
+        listener(Detail(f"draw {number}"))
     said = capsys.readouterr().err.splitlines()
-    assert said == ["searching the spring", *(f"searching the spring: {n} s so far" for n in (10, 20))]
+    assert said[:3] == ["searching the spring", *(f"searching the spring: {n} s so far" for n in (10, 20))]
+    assert said[3] == "bootstrapping: 2 of 15 draws, 9 s left" and said[4].startswith("searching the spring: ")
 
 
 def test_a_terminal_rewrites_the_line_of_the_stage() -> None:

@@ -17,6 +17,9 @@ from tests.apps.web.testclient import TestClient
 TOKEN = "kept-secret"
 ADDRESS = f"http://127.0.0.1:8765/{TOKEN}/"
 LAW = {"controller.law": "cascade", "controller.position_gain": "60", "controller.velocity_gain": "500"}
+MADE = {"name": "joint.toml", "text": "[joint]", "records": ["log.csv"], "learn": False}
+"""What `order` makes of a form."""
+
 UNITS = {
     "joint.kind": "prismatic",
     "record.channels.torque.unit@prismatic": "N",

@@ -16,7 +16,7 @@ from jointid.apps.web import worker
 from jointid.apps.web.folder import FULL, Folder
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
-from tests.apps.web.asking import LAW, UNITS, Asker
+from tests.apps.web.asking import LAW, MADE, UNITS, Asker
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bounds on files")
 
@@ -99,9 +99,9 @@ def test_an_identification_begins_whole_or_not_at_all_and_none_runs_for_ever(fol
     page = Folder(folder)
     (folder / "log.csv").write_bytes(log)
     with full_disk(), pytest.raises(RecordError, match="cannot be written"):
-        page.new_run("log.csv", "log.csv", "[joint]", learn=False)
+        page.new_run({"log.csv": "log.csv"}, MADE)
     assert page.runs == []
-    run = page.new_run("log.csv", "log.csv", "[joint]", learn=False)
+    run = page.new_run({"log.csv": "log.csv"}, MADE)
     assert run.active
     with full_disk():
         run.update(state="done")

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from jointid.apps.web.application import build_application
-from tests.apps.web.asking import TOKEN, UNITS, Asker
+from tests.apps.web.asking import MADE, TOKEN, UNITS, Asker
 from tests.apps.web.testclient import TestClient
 
 PAGE = "http://127.0.0.1:8765"
@@ -46,7 +46,7 @@ def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> 
     asker.send("log.csv", log)
     asker.post("/channels", UNITS)
     (asker.folder.path / "log.csv").write_bytes(log)
-    asker.folder.new_run("log.csv", "log.csv", "[joint]", learn=False).update(state="done")
+    asker.folder.new_run({"log.csv": "log.csv"}, MADE).update(state="done")
     paths = ["/", "/channels", "/joint", "/runs/1", "/runs/1/joint.toml", "/plot/0.svg", "/static/page.js", "/nothing"]
     answers = [client.get(path) for path in paths] + [client.post("/runs/1/cancel"), client.get(f"{PAGE}/wrong/")]
     assert not any("set-cookie" in one.headers for answer in answers for one in [*answer.history, answer])
@@ -121,7 +121,7 @@ def test_a_place_in_the_progress_that_is_no_number_is_the_beginning(
     client: TestClient, asker: Asker, last: str
 ) -> None:
     (asker.folder.path / "log.csv").write_text("t\n", encoding="utf-8")
-    asker.folder.new_run("log.csv", "log.csv", "", learn=False).update(state="done")
+    asker.folder.new_run({"log.csv": "log.csv"}, MADE).update(state="done")
     answer = client.get("/runs/1/events", headers={"last-event-id": last.encode("latin-1")})
     assert "event: end" in answer.text
 

@@ -111,7 +111,7 @@ class Visit:
 
 def upload(visit: Visit, record: Path) -> None:
     visit.page.set_input_files("#file", record)
-    visit.page.get_by_role("button", name="Read this file").click()
+    visit.page.get_by_role("button", name="Read it").click()
     visit.on("channels")
 
 
@@ -138,6 +138,7 @@ def plan(visit: Visit) -> None:
     page = visit.page
     page.get_by_role("button", name="Plan it").click(timeout=PATIENCE)  # the report is whole
     page.wait_for_selector("#plan:has-text('identifying again')", timeout=PATIENCE)
+    assert "proposed: position gain" in page.inner_text("#tuning")
     visit.looked_at("8-planning")
     page.locator("#plan").get_by_role("button", name="Cancel").click()
     page.wait_for_selector("#plan:has-text('You cancelled it')")
@@ -176,7 +177,7 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
     visit.looked_at("4-identify")
     page.reload()
     page.wait_for_selector(".log li")  # the progress again, from its beginning
-    page.wait_for_selector("h1:has-text('The answer')", timeout=PATIENCE)
+    page.wait_for_selector("p.found", timeout=PATIENCE)
     page.wait_for_selector("p.trust:not(:has-text('not checked'))", timeout=PATIENCE)  # nor does it wait for its check
     assert "It is being written" in page.inner_text("[data-run]")  # the answer does not wait for the report
     assert page.inner_text("p.found") == "Inertia 95.4 ± 1.3\u202fkg."
@@ -311,6 +312,23 @@ def test_a_field_that_a_message_names_is_opened_and_marked(browser: Any, address
     page.reload()
     page.wait_for_selector("[name='record.channels.load_position.column']:focus")
     assert page.locator(".field.named").count() == 1
+
+
+def test_a_step_that_is_left_at_once_keeps_what_was_typed(browser: Any, address: str, emps_path: Path) -> None:
+    visit = Visit(browser, address)
+    upload(visit, emps_path)
+    visit.page.goto(f"{address}joint")
+    visit.field("joint.name").press_sequentially("gantry")
+    visit.page.get_by_role("link", name="Channels").click()
+    visit.on("channels")
+    visit.page.get_by_role("link", name="Axis and controller").click()
+    visit.on("joint")
+    assert visit.field("joint.name").input_value() == "gantry"
+    visit.field("joint.name").fill("tower")
+    visit.page.go_back()
+    visit.page.wait_for_timeout(500)
+    visit.page.goto(f"{address}joint")
+    assert visit.field("joint.name").input_value() == "tower"
 
 
 def test_a_decimal_comma_is_shown_as_it_is_read(browser: Any, address: str, emps_path: Path) -> None:

@@ -39,7 +39,7 @@ def identified(tmp_path: Path, log: bytes, monkeypatch: pytest.MonkeyPatch) -> t
     """A run whose profiles and tuning are never there in a moment."""
     (tmp_path / "log.csv").write_bytes(log)
     (tmp_path / "joint.toml").write_text(make_order(DRAFT, "log.csv")[0], encoding="utf-8")
-    (tmp_path / "work.json").write_text(json.dumps({"file": "log.csv", "learn": False}))
+    (tmp_path / "work.json").write_text(json.dumps({"file": "log.csv", "records": ["log.csv"], "learn": False}))
     kept = Kept()
     replace = Path.replace
 

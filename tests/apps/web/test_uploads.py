@@ -17,8 +17,7 @@ from python_multipart.exceptions import FormParserError
 from starlette.requests import Request
 
 from jointid.apps.web.application import build_application
-from jointid.apps.web.folder import Limits, name_in_run, read_json, write_json
-from jointid.apps.web.pages import clean_name
+from jointid.apps.web.folder import Limits, clean_name, name_in_run, read_json, write_json
 from jointid.common.errors import RecordError
 from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker
 from tests.apps.web.testclient import TestClient

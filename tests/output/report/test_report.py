@@ -96,12 +96,12 @@ def test_a_refused_stiffness_is_told_in_words_and_bounds(emps_path: Path) -> Non
 
 
 def test_it_begins_with_the_answer() -> None:
-    """Title with axis and date, then the answer's line, as a box that says good or bad news."""
+    """Title with axis, date and tool, then the answer's line, as a box that says good or bad news."""
     told = replace(reports.flexible(), name="Axis 1", repetition=Repetition(date="2026-11-21"))
     answer = typeset(str(told.estimate.answer))
-    assert told.markdown().startswith(f"# Axis 1, 2026-11-21\n\n## Result\n\n{answer}\n")
+    assert told.markdown().startswith(f"# Axis 1, 2026-11-21, jointid {ji.__version__}\n\n## Result\n\n{answer}\n")
     html = told.html()
-    assert "<h1>Axis 1, 2026-11-21</h1>" in html
+    assert f"<h1>Axis 1, 2026-11-21, jointid {ji.__version__}</h1>" in html
     assert f'<p class="lead good">{answer}</p>' in html.replace("lead open", "lead good")
 
 
@@ -182,7 +182,9 @@ def test_a_profile_that_would_say_what_the_table_says_is_left_out() -> None:
 @pytest.mark.parametrize(("plain", "printed"), [
     ("7.67 +- 1.9 N smaller", "7.67 ± 1.9\u202fN smaller"), ("(p < 1e-6)", "(p < 0.001)"), ("p = 0", "p < 0.001"),
     ("p = 0.0123", "p = 0.012"), ("by -12.2 N s/m (3.0 sigma)", "by −12.2\u202fN\u202fs/m (3.0\u202fσ)"),
-    ("4.5 % raw", "4.5\u202f% raw"), ("kg m^2", "kg\u202fm²"), ("1.2e-05", "1.2·10⁻⁵"), ("2026-11-21", "2026-11-21"),
+    ("4.5 % raw", "4.5\u202f% raw"), ("kg m^2", "kg\u202fm²"),
+    ("2 kg m2, m2 = 3 kg", "2\u202fkg\u202fm², m2 = 3\u202fkg"), ("0.3 A s2/rad", "0.3\u202fA\u202fs²/rad"),
+    ("m/s2", "m/s²"), ("1.2e-05", "1.2·10⁻⁵"), ("2026-11-21", "2026-11-21"),
 ])  # fmt: skip
 def test_numbers_are_set_as_print_has_them(plain: str, printed: str) -> None:
     assert typeset(plain) == printed
@@ -386,7 +388,7 @@ def test_figures_and_markdown_need_no_extra(
     assert written[0].name == "report.md"
     text = written[0].read_text(encoding="utf-8")
     for name in re.findall(r"\]\(([a-z]+\.svg)\)", text):
-        assert (tmp_path / "markdown" / name).read_bytes().startswith(b"<?xml")
+        assert (tmp_path / "markdown" / name).read_bytes().startswith((b"<?xml", b"<svg"))
     names = {path.name for path in told.save_figures(tmp_path / "figures")}
     assert {"torque.png", "torque.svg", "spectra.png", "profiles.svg"} <= names
     with pytest.raises(ji.ExtraError, match=r'pip install "jointid\[report\]"'):

@@ -16,7 +16,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.places import NOTHING, Outputs
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.messages import BETWEEN, Detail, Progress, Suspicions, describe_time, ignore_progress
+from jointid.common.messages import BETWEEN, Detail, Pace, Progress, Suspicions, describe_time, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
@@ -185,7 +185,10 @@ class Lines:
     def __call__(self, message: str) -> None:
         """Print the stage that a line of progress begins."""
         now, stage = time.monotonic(), message.brief if isinstance(message, Detail) else message
-        if stage and stage != self._stage:
+        if isinstance(message, Pace):
+            self._told = now
+            tell(message)
+        elif stage and stage != self._stage:
             self._stage, self._began, self._told = stage, now, now
             tell(stage)
         elif now - self._told >= BETWEEN:

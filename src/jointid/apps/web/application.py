@@ -186,6 +186,8 @@ def build_application(folder: Path, token: str, host: str = "127.0.0.1", limits:
 _ROUTES = [
     Route("/", routes.show_record),
     Route("/record", routes.take_record, methods=["POST"]),
+    Route("/more", routes.add_records, methods=["POST"]),
+    Route("/only", routes.leave_records_out, methods=["POST"]),
     Route("/example", routes.make_example, methods=["POST"]),
     Route("/again", routes.read_again, methods=["POST"]),
     Route("/channels", routes.show_channels, methods=["GET"]),

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import secrets
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ _OF_A_RUN = ("answer.txt", "learned.txt", "log.txt", "progress.txt", "test.csv",
 """Names of ours, in a format of records."""
 
 _LONGEST = 255  # bytes of a file's name
+_LONGEST_CLEAN = 80  # characters
+_OTHER = re.compile(r"[^\w .()+-]")
 _UPLOAD = "upload-"
 
 DRAFT, PREVIEW, CHECKED = ".draft.json", ".preview.json", ".checked.json"
@@ -117,6 +120,11 @@ class Run:
         self.update(state=self.status.get("before", "done"), unplanned=sentence)
 
     @property
+    def file(self) -> str:
+        """The name of its joint file or robot file."""
+        return "robot.toml" if self.has("robot.toml") else "joint.toml"
+
+    @property
     def answered(self) -> bool:
         """Whether its answer is there; its report may still be missing."""
         return self.has("answer.json")
@@ -180,24 +188,48 @@ class Folder:
 
     @property
     def record(self) -> dict[str, Any] | None:
-        """The record: `file` in this folder, `name` for the eye, `size` in bytes, `format`; None if there is none."""
-        return read_json(self.path / "record.json")
+        """The record: `file` in this folder, `name` for the eye, `size` in bytes, `format`; None if there is none.
 
-    def save_record(self, fresh: Path, name: str, draft: Mapping[str, str]) -> None:
+        `more` has `file` and `name` of each further file, and `robot` says whether they are of a robot file.
+        """
+        found = read_json(self.path / "record.json")
+        return found if found is None else {"more": [], "robot": False, **found}
+
+    @property
+    def sent(self) -> dict[str, str]:
+        """The files of the record and of its robot's model: by their names in a run, the first record first."""
+        record = self.record
+        every = [] if record is None else [record, *record["more"]]
+        return {name_in_run(one["name"]): one["file"] for one in every}
+
+    def save_record(
+        self,
+        fresh: Path,
+        name: str,
+        draft: Mapping[str, str],
+        more: Sequence[tuple[Path, str]] = (),
+        *,
+        robot: bool = False,
+    ) -> None:
         """Put a file of this folder in the record's place, with the name it came with and its entries of the form.
+
+        Beside it come further files of this folder, of one robot or one joint.
 
         All that belongs to a record is called by its file, so that `record.json`, written last, is the one switch: on a
         disk that is full the record before stays, with all that belongs to it.
         """
-        old = self._file
+        old = ["", *self.sent.values()]
         size, kind = fresh.stat().st_size, format_of(fresh).name
+        stated = {"file": fresh.name, "name": name, "size": size, "format": kind, "robot": robot}
+        others = [{"file": path.name, "name": called} for path, called in more]
         write_json(self.path / f"{fresh.name}{DRAFT}", draft)
-        write_json(self.path / "record.json", {"file": fresh.name, "name": name, "size": size, "format": kind})
-        self.discard(old)
+        write_json(self.path / "record.json", {**stated, "more": others})
+        for file in old:
+            self.discard(file)
 
     def discard(self, file: str) -> None:
-        """Remove a rejected upload and its companions; keep the current record."""
-        if file != self._file:
+        """Remove a rejected upload and its companions; keep the current record and what belongs to it."""
+        if file not in (self._file, *self.sent.values()):
             for of_it in (DRAFT, PREVIEW, CHECKED, *([""] if file else [])):
                 (self.path / f"{file}{of_it}").unlink(missing_ok=True)
 
@@ -234,8 +266,12 @@ class Folder:
         run = Run(self.path / "runs" / str(number))
         return run if run.folder.is_dir() else None
 
-    def new_run(self, file: str, name: str, joint: str, *, learn: bool) -> Run:
-        """Make the folder of an identification that begins; the record has the name in it that its joint file says.
+    def new_run(self, files: Mapping[str, str], made: Mapping[str, Any]) -> Run:
+        """Make the folder of an identification that begins; its records have the names in it that its file says.
+
+        Args:
+            files: those of this folder, by their names in the run; the first is the record.
+            made: `name` and `text` of the joint file or robot file, `records` that it names, and whether to `learn`.
 
         Raises:
             RecordError: it cannot be written; there is nothing of it then.
@@ -245,12 +281,10 @@ class Folder:
         run.folder.parent.mkdir(exist_ok=True)
         with beside(run.folder) as fresh:
             fresh.mkdir()
-            try:  # without a copy where the disk can
-                os.link(self.path / file, fresh / name)
-            except OSError:
-                shutil.copyfile(self.path / file, fresh / name)
-            write_whole(fresh / "joint.toml", joint)
-            write_json(fresh / "work.json", {"file": name, "learn": learn})
+            link_files(self.path, files, fresh)
+            write_whole(fresh / made["name"], made["text"])
+            work = {"file": made["records"][0], "records": made["records"], "learn": made["learn"], "files": [*files]}
+            write_json(fresh / "work.json", work)
             write_json(fresh / "run.json", {"state": "running", "sentence": "", "started": time.time()})
         return run
 
@@ -260,9 +294,9 @@ class Folder:
 
     def finish_interrupted_runs(self) -> None:
         """Mark an interrupted run as ended, and remove partial uploads."""
-        kept = self._file
+        kept = tuple(self.sent.values())
         for path in self.path.glob(f"{_UPLOAD}*"):
-            if not (kept and path.name.startswith(kept)):
+            if not path.name.startswith(kept):
                 path.unlink(missing_ok=True)
         for run in self.runs:
             if run.status["state"] == "planning":
@@ -270,6 +304,21 @@ class Folder:
             elif run.active:
                 sentence = "The page was stopped before this had ended; press Identify again."
                 run.update(state="failed", sentence=sentence, ended=time.time())
+
+
+def link_files(folder: Path, files: Mapping[str, str], into: Path) -> None:
+    """Put files of a folder into another one under other names; without a copy where the disk can."""
+    for name, file in files.items():
+        try:
+            os.link(folder / file, into / name)
+        except OSError:
+            shutil.copyfile(folder / file, into / name)
+
+
+def clean_name(raw: str) -> str:
+    """Return the last part of a path without any character that has a meaning; fit to be shown and for an archive."""
+    name = _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])
+    return name[-_LONGEST_CLEAN:].strip(" .") or "record"
 
 
 def name_in_run(name: str) -> str:

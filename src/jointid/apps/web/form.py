@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAW, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
+from jointid.apps.web.fields import (
+    EXTRA,
+    EXTRA_LAW,
+    FIELDS,
+    LAW,
+    LAWS,
+    LEARN,
+    NAMES,
+    TEXT,
+    WITHOUT,
+    Draft,
+    Field,
+    usual,
+)
+from jointid.apps.web.folder import clean_name, name_in_run
 from jointid.apps.web.guesses import find_unit
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
-from jointid.config import JointFile, dumps
+from jointid.config import JointFile, dumps, loads
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
@@ -24,8 +39,8 @@ _LAW = "controller.law"
 _FILTER_KINDS = ("controller.velocity_filter.kind", "controller.torque_filters.0.kind")
 _DECIDING = ("joint.kind", "joint.model", "transmission.lead", *_FILTER_KINDS)
 """Keys on which it depends whether other fields apply."""
-_SEVERAL = {"records": "[[records]]", "together": "[together]"}
-"""Tables of a joint file that read other records than the one that was sent."""
+MODELS = (".urdf", ".xml", ".mjcf")
+"""Suffixes of a robot's model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +69,16 @@ def clean_entries(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
     return draft
 
 
-def make_tables(draft: Draft, file: str) -> dict[str, Any]:
+def make_tables(draft: Draft, file: str, *more: str) -> dict[str, Any]:
     """Return the tables of the joint file that a form describes, not checked yet but for the further lines.
 
+    Args:
+        draft: the entries of the form.
+        file: the record.
+        more: further records, which are identified together with it unless the further lines join them to one.
+
     Raises:
-        JointFileError: the further lines are no TOML, name other records, or say again what a field says.
+        JointFileError: the further lines are no TOML, name files that were not sent, or say again what a field says.
     """
     made: dict[str, Any] = {"record": {"file": file}}
     for one in FIELDS:
@@ -77,7 +97,46 @@ def make_tables(draft: Draft, file: str) -> dict[str, Any]:
     extra = _parse(draft.get(EXTRA, ""), EXTRA)
     if draft.get(_LAW) == WITHOUT and _at(extra, ["method", "name"]) is None:
         made.setdefault("method", {})["name"] = "idim"
-    return _merge(made, extra)
+    if _at(extra, ["record", "files"]) is not None:
+        del made["record"]["file"]
+    return _name_files(_merge(made, extra), (file, *more))
+
+
+def _name_files(tables: dict[str, Any], sent: Sequence[str]) -> dict[str, Any]:
+    """Return tables of a joint file or a robot file in which each path is the name of a file that was sent.
+
+    Raises:
+        JointFileError: one was not.
+    """
+    faults, record, robot = list[Fault](), tables.get("record", {}), tables.get("robot")
+
+    def find(path: Any, *place: str | int) -> Any:
+        name = name_in_run(clean_name(path)) if isinstance(path, str) else None
+        if name is None or name in sent:  # what is no text is refused by the schema
+            return path if name is None else name
+        rest = f' is "{name}", which was not sent; add that file in step 1, or correct the name.'
+        faults.append(Fault(f"{dot_path(place)}{rest}", place))
+        return path
+
+    records = [name for name in sent if not name.lower().endswith(MODELS)]
+    joined = record.get("files") if isinstance(record, dict) else None
+    if isinstance(robot, dict) and "model" in robot:
+        tables["robot"] = {**robot, "model": find(robot["model"], "robot", "model")}
+    if isinstance(joined, list):
+        tables["record"] = {**record, "files": [find(path, "record", "files") for path in joined]}
+    elif robot is not None:
+        if isinstance(record, dict):
+            tables["record"] = {**record, "file": find(record.get("file", records[0]), "record", "file")}
+    elif "records" in tables or len(records) > 1:
+        rows = tables.get("records", [])
+        if isinstance(rows, list) and all(isinstance(row, dict) for row in rows):
+            named = [row | {"file": find(row.get("file", ""), "records", k, "file")} for k, row in enumerate(rows)]
+            others = [name for name in records if all(row["file"] != name for row in named)]
+            tables["records"] = [*named, *({"file": name} for name in others)]
+        _drop(tables, ["record", "file"])
+    if faults:
+        raise JointFileError(faults)
+    return tables
 
 
 def require_answers(draft: Draft) -> None:
@@ -124,13 +183,13 @@ def with_units(draft: Draft) -> dict[str, str]:
     return said
 
 
-def make_reading_tables(draft: Draft, file: str) -> dict[str, Any]:
-    """Return the tables for reading the record, with a rigid joint and a placeholder controller.
+def make_reading_tables(draft: Draft, file: str, *more: str) -> dict[str, Any]:
+    """Return the tables for reading the records, with a rigid joint and a placeholder controller.
 
     Raises:
         JointFileError: see `make_tables`.
     """
-    said = make_tables(draft, file)
+    said = make_tables(draft, file, *more)
     made: dict[str, Any] = {key: said[key] for key in ("transmission", "record", "drive") if key in said}
     joint = {"kind": "prismatic", **said.get("joint", {})}  # before the kind is known only columns are read
     made["joint"] = {key: joint[key] for key in ("kind", "torque_constant") if key in joint}
@@ -139,7 +198,27 @@ def make_reading_tables(draft: Draft, file: str) -> dict[str, Any]:
     return made | {"method": {"name": "didim"}, "controller": _STAND_IN}
 
 
-def make_order(draft: Draft, file: str) -> tuple[str, bool]:
+def make_robot_order(draft: Draft, sent: Sequence[str], folder: Path) -> tuple[str, list[str]]:
+    """Return the checked robot file that stands in the form, and its records, which are identified in one fit.
+
+    Args:
+        draft: the entries of the form; the further lines are the whole file.
+        sent: names of the records, the first of the file first, and of the robot's model.
+        folder: where the model is.
+
+    Raises:
+        JointFileError: with a sentence for each fault.
+    """
+    text = draft.get(EXTRA, "")
+    said = _parse(text, EXTRA)
+    named = _name_files(dict(said), sent)
+    made = text if named == said else tomli_w.dumps(named)
+    source = loads(made, folder).source
+    others = [] if source.files else [one for one in sent if one != source.file and not one.lower().endswith(MODELS)]
+    return made, [str(source.first), *others]
+
+
+def make_order(draft: Draft, file: str, *more: str) -> tuple[str, bool]:
     """Return the checked joint file of a form, and whether to learn its controller.
 
     One that is to be learned has gains of 1 in it, and the gain of the drive's chain where that is given.
@@ -153,7 +232,7 @@ def make_order(draft: Draft, file: str) -> tuple[str, bool]:
         )
     if not draft.get(_LAW):
         raise JointFileError(_make_fault(_LAW, "is not chosen; choose the law, or say that it is not known."))
-    said = make_tables(draft, file)
+    said = make_tables(draft, file, *more)
     learn = draft[_LAW] == LEARN
     lacking = [name for name in ("torque", "reference", "motor_position") if name not in _channels(said)]
     if learn and lacking:
@@ -187,11 +266,26 @@ def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) 
     return Faults(beside, tuple(general))
 
 
+def fill_in_form(text: str) -> dict[str, Any]:
+    """Return the entries of the form that a joint file or a robot file makes, and whether it is of a robot.
+
+    The text of a robot file stands in the further lines; how its record is read stands in the fields as well.
+
+    Raises:
+        JointFileError: it is no TOML.
+    """
+    tables = _parse(text, "The file")
+    if "robot" not in tables:
+        return {"robot": False, "draft": with_units(read_joint_file(text))}
+    options = {one.name: one.write(_at(tables, one.key.split("."))) for one in TEXT}
+    return {"robot": True, "draft": {EXTRA: text, **{key: value for key, value in options.items() if value}}}
+
+
 def read_joint_file(text: str) -> dict[str, str]:
     """Return a joint file as a draft: what has a field in its field, everything else in the further lines.
 
     Raises:
-        JointFileError: it is no TOML, or of several records.
+        JointFileError: it is no TOML.
     """
     rest = _parse(text, "The joint file")
     draft: dict[str, str] = {}
@@ -202,6 +296,9 @@ def read_joint_file(text: str) -> dict[str, str]:
     if not isinstance(law, str) or law not in dict(LAW.choices):
         known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
     _drop(rest, ["record", "file"])
+    rows = rest.get("records")
+    if isinstance(rows, list) and all(isinstance(row, dict) and {*row} == {"file"} for row in rows):
+        _drop(rest, ["records"])  # the page lists the records that are sent
     for one in FIELDS:
         if one.applies(known) and (shown := one.write(_at(rest, one.key.split(".")))) is not None:
             draft[one.name] = shown
@@ -311,18 +408,9 @@ def _parse(text: str, place: str) -> dict[str, Any]:
     """Return the tables of a joint file, or of some lines of one; its place begins the sentence on a fault.
 
     Raises:
-        JointFileError: it is no TOML, or says what this page does not do.
+        JointFileError: it is no TOML.
     """
     try:
-        said = tomllib.loads(text)
+        return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
         raise JointFileError(Fault(f"{place} is not TOML ({error}); correct it.", (place,))) from None
-    if several := [written for key, written in _SEVERAL.items() if key in said]:
-        raise JointFileError(
-            Fault(
-                f"{place} says {' and '.join(several)}, and this page identifies one record, the one that was sent; "
-                "remove that, or use jointid identify for several records.",
-                (place,),
-            )
-        )
-    return said

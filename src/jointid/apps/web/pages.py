@@ -11,6 +11,7 @@ import re
 import shutil
 from collections.abc import AsyncIterator, Collection, Mapping
 from contextlib import asynccontextmanager
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,8 +26,8 @@ from starlette.types import Message as Sent
 
 from jointid import __version__
 from jointid.apps.web import fields
-from jointid.apps.web.folder import Folder, Limits, PageError, Run, read_json
-from jointid.apps.web.form import clean_entries, place_faults
+from jointid.apps.web.folder import Folder, Limits, PageError, Run, clean_name, name_in_run, read_json
+from jointid.apps.web.form import MODELS, clean_entries, place_faults
 from jointid.apps.web.jobs import Jobs
 from jointid.common.document import typeset
 from jointid.common.messages import Message
@@ -45,14 +46,12 @@ if TYPE_CHECKING:
 
 _FORM = 512 * 2**10  # bytes of a form without a file
 _AROUND = 2**16  # bytes of a form around its file
-_LONGEST = 80  # characters of a name
 _LAWS: tuple[Any, ...] = tuple(LAWS.values())  # mypy does not take a type for something with a hash
 _OF_LOOP = {*DRIVE_AND_LOG, *(one.name for law in _LAWS for one in settings_of(law))}
 """What of a loop may be free beside the joint, but for numbers of its filters."""
 
 _ORDER = ["failed", "unknown", "passed"]  # of the checks, on the page
 _DAMAGED = (HTTPException, FormParserError)  # of a form that cannot be parsed; older versions of Starlette pass it on
-_OTHER = re.compile(r"[^\w .()+-]")
 
 
 class AppState:
@@ -131,12 +130,6 @@ def format_size(size: float) -> str:
     return f"{size / 2**20:.0f} MB" if size >= 2**20 else f"{size / 2**10:.0f} kB"
 
 
-def clean_name(raw: str) -> str:
-    """Return the last part of a path without any character that has a meaning; fit to be shown and for an archive."""
-    name = _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])
-    return name[-_LONGEST:].strip(" .") or "record"
-
-
 def bound_body(request: Request, bound: int, sentence: str) -> Request:
     """Return a request whose body raises a `PageError` above a number of bytes."""
     sent = 0
@@ -152,36 +145,43 @@ def bound_body(request: Request, bound: int, sentence: str) -> Request:
     return Request(request.scope, receive)
 
 
-async def receive_file(request: Request, state: AppState, bound: int, suffixes: Collection[str]) -> tuple[Path, str]:
-    """Write the file of a form to the page's folder, under a name of ours; return its path and the name it came with.
+async def receive_files(
+    request: Request, state: AppState, bound: int, suffixes: Collection[str], most: int = 1
+) -> list[tuple[Path, str]]:
+    """Write the files of a form to the page's folder, under names of ours; return their paths and the names they had.
 
     Raises:
-        PageError: the form has no file, one of more bytes than the bound or of another suffix, or is damaged.
+        PageError: the form has no file or too many, more bytes than the bound, a file of another suffix or two of one
+            name, or is damaged; nothing of it is kept.
     """
     sentence = (
         f"The file is larger than {format_size(bound)}, which is the most this page takes; cut it, or log it slower."
     )
+    received: list[tuple[Path, str]] = []
     try:
-        body = bound_body(request, bound + _AROUND, sentence)
-        async with state.reserve(request, bound), body.form(max_files=1) as form:
-            file = form.get("file")
-            if not isinstance(file, UploadFile) or not file.filename:
+        body = bound_body(request, bound + most * _AROUND, sentence)
+        async with state.reserve(request, bound), body.form(max_files=most) as form:
+            files = [file for file in form.getlist("file") if isinstance(file, UploadFile) and file.filename]
+            if not files:
                 raise PageError("No file arrived; choose one, and send it again.")
-            name = clean_name(file.filename)
-            suffix = Path(name).suffix.lower()
-            if suffix not in suffixes:
-                fact = f'the suffix "{suffix}"' if suffix else "no suffix"
-                raise PageError(f"{name} has {fact}; expected one of {', '.join(suffixes)}: rename it.")
-            path = state.folder.new_upload(suffix)
-            try:
-                with path.open("wb") as place:
+            for file in files:
+                name = clean_name(file.filename or "")
+                suffix = Path(name).suffix.lower()
+                if suffix not in suffixes:
+                    fact = f'the suffix "{suffix}"' if suffix else "no suffix"
+                    raise PageError(f"{name} has {fact}; expected one of {', '.join(suffixes)}: rename it.")
+                if name_in_run(name) in [name_in_run(known) for _, known in received]:
+                    raise PageError(f"Two files are called {name}; rename one of them.")
+                received.append((state.folder.new_upload(suffix), name))
+                with received[-1][0].open("wb") as place:
                     await run_in_threadpool(shutil.copyfileobj, file.file, place)
-            except OSError:
-                path.unlink(missing_ok=True)
-                raise
-    except _DAMAGED:
-        raise PageError("The file did not arrive whole; send it again.") from None
-    return path, name
+    except (PageError, OSError, *_DAMAGED) as error:
+        for path, _ in received:
+            path.unlink(missing_ok=True)
+        if isinstance(error, _DAMAGED):
+            raise PageError("The file did not arrive whole; send it again.") from None
+        raise
+    return received
 
 
 def list_suffixes() -> list[str]:
@@ -189,11 +189,17 @@ def list_suffixes() -> list[str]:
     return [suffix for entry in FORMATS for suffix in entry.suffixes]
 
 
+def list_sent_suffixes() -> list[str]:
+    """Return the suffixes of all files of step 1: records, joint file or robot file, and the model of a robot."""
+    return [*list_suffixes(), ".toml", *MODELS]
+
+
 def show_record(state: AppState, refusal: Exception | None = None) -> Response:
     """Show step 1: the record, and why it was refused."""
     faults = [] if refusal is None else str(refusal).splitlines()
     return _render(
         "record", state, 422 if faults else 200, step=1, faults=faults, suffixes=list_suffixes(),
+        sent_suffixes=list_sent_suffixes(),
         bound=state.limits.upload, draft=state.folder.draft, text_fields=fields.TEXT,
     )  # fmt: skip
 
@@ -221,7 +227,7 @@ def show_joint(state: AppState, refusal: Exception | None = None, imported: str 
     return _render(
         "joint", state, 422 if faults else 200, step=3, faults=faults, draft=draft, joint=fields.JOINT,
         law=fields.LAW, controller=fields.CONTROLLER, method=fields.METHOD, extra=fields.EXTRA, imported=imported,
-        checked=state.folder.checked,
+        checked=state.folder.checked, sent=[*state.folder.sent], preview=state.folder.preview,
     )  # fmt: skip
 
 
@@ -229,15 +235,26 @@ def show_run(state: AppState, run: Run) -> Response:
     """Show steps 4 and 5: progress, then the answer, while its report is written and after."""
     status = run.status
     answer = read_json(run.folder / "answer.json")
-    texts = {name: run.folder / f"{name}.txt" for name in ("answer", "learned")}
+    about = read_json(run.folder / "about.json") or {}
+    texts = {name: run.folder / name for name in ("answer.txt", "learned.txt", "resonance.txt", "axis.svg")}
     return _render(
         "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
-        plan=read_json(run.folder / "plan.json"), goals=_list_goals(answer), no_goal=_say_no_goal(answer),
+        plan=read_json(run.folder / "plan.json"), tuning=read_json(run.folder / "tuning.json"),
+        unexplained=[] if answer is None else _build_errors(answer),
+        goals=_list_goals(answer), no_goal=_say_no_goal(answer),
         elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
         checks=[] if answer is None else _build_checks(answer),
         runs=[(one, one.status) for one in state.folder.runs],
         texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
+        title=_title_run(run, about, answer), checked=about.get("checked", True),
     )  # fmt: skip
+
+
+def _title_run(run: Run, about: Mapping[str, Any], answer: Mapping[str, Any] | None) -> str:
+    """Return the axis or robot, or else its record, the date of the identification, and the version."""
+    name = about.get("name") or ("" if answer is None else answer["record"]["name"])
+    date = datetime.fromtimestamp(run.status.get("started") or 0, UTC).date().isoformat()
+    return f"{name}, {date}, jointid {__version__}"
 
 
 def _list_goals(answer: Mapping[str, Any] | None) -> list[tuple[str, str]]:
@@ -251,6 +268,10 @@ def _list_goals(answer: Mapping[str, Any] | None) -> list[tuple[str, str]]:
 
 def _say_no_goal(answer: Mapping[str, Any] | None) -> str:
     """Return why no test can be planned from an answer; nothing where one can, or where none is offered."""
+    if answer is not None and answer.get("model") == "robot":
+        return "The next test of a robot is planned by the command: jointid design robot.toml."
+    if answer is not None and answer.get("records"):
+        return "A test is planned from one record; identify each of these alone for it."
     if answer is None or answer["method"] != "didim":
         return ""
     every = {name: p for name, p in answer["parameters"].items() if p["free"] and name not in INITIAL}
@@ -276,6 +297,7 @@ def _render(template: str, state: AppState, code: int = 200, **values: object) -
         "version": __version__,
         "folder": state.folder.path.name,
         "record": state.folder.record,
+        "robot": bool((state.folder.record or {}).get("robot")),
         "latest": f"/runs/{runs[0].number}" if runs else "",
     }
     return HTMLResponse(_load_templates().get_template(f"{template}.html").render(common | values), code)
@@ -319,13 +341,15 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
     )
     reasons = [Message(one["code"], one["words"], one["values"]) for one in of_loop]
     moved, when = sum_changes(reasons), "under the other law" if is_another_law(reasons) else "once corrected"
-    there = {} if answer["other_side"] is None else answer["other_side"]["parameters"]
+    other = answer.get("other_side")
+    there = {} if other is None else other["parameters"]
     return [
         {
-            "symbol": p["symbol"],
+            "symbol": "" if p["symbol"] == name else p["symbol"],
             "name": name.replace("_", " "),
             "value": _tell_value(p),
             "other": _tell_value(there[name]) if name in there else "",
+            "nominal": f"{number(p['nominal'], 4)} {p['unit']}" if "nominal" in p else "",
             "note": "at its bound"
             if p.get("at_bound") is not None
             else f"{format_signed(moved[name], 2)} {p['unit']} {when}"
@@ -345,6 +369,16 @@ def _tell_value(p: Mapping[str, Any]) -> str:
     return f"{interval(p['value'], 2 * p['std'])} {p['unit']}"
 
 
+def _build_errors(answer: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the share of the torque of each joint of a robot that estimate and model do not explain."""
+    robot = answer.get("robot") or {"joints": (), "left": (), "nominal_left": ()}
+    nominal = robot["nominal_left"] or [None] * len(robot["joints"])
+    return [
+        (name, *("-" if left is None else f"{number(100 * left, 3)} %" for left in shares))
+        for name, *shares in zip(robot["joints"], robot["left"], nominal, strict=True)
+    ]
+
+
 def _build_checks(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the checks, those that did not pass first."""
     checks = [
@@ -361,6 +395,7 @@ def _build_checks(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
 @cache
 def _load_templates() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
 
     made = Environment(
         loader=PackageLoader("jointid.apps.web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
@@ -371,5 +406,6 @@ def _load_templates() -> Environment:
     made.filters["fields"] = find_fields
     made.filters["id"] = field_id
     made.filters["typeset"] = typeset
+    made.filters["own"] = Markup  # HTML and SVG that the worker wrote, escaped
     made.tests["with_unit"] = lambda text: re.search(r"\d\s*[^\d\s.,;eE+-]", text) is not None
     return made

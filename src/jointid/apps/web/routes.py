@@ -6,9 +6,9 @@ import asyncio
 import json
 import re
 import zipfile
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
@@ -18,10 +18,10 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 
 from jointid.apps.web import pages
 from jointid.apps.web.fields import TEXT
-from jointid.apps.web.folder import PREVIEW, PageError, Run, name_in_run, read_json, refusal_of, write_json
-from jointid.apps.web.form import make_reading_tables, read_joint_file, with_units
+from jointid.apps.web.folder import PREVIEW, PageError, Run, clean_name, name_in_run, read_json, refusal_of, write_json
+from jointid.apps.web.form import MODELS, make_reading_tables, read_joint_file, with_units
 from jointid.apps.web.guesses import guess_draft
-from jointid.apps.web.pages import AppState, clean_name, receive_file
+from jointid.apps.web.pages import AppState, receive_files
 from jointid.apps.web.preview import draw_svg
 from jointid.common.errors import JointidError
 from jointid.common.files import beside
@@ -31,14 +31,19 @@ _WITH_OPTIONS = "CSV"  # the format whose files may need to be read in another w
 _EVERY = 0.25  # seconds between looks at the progress
 _ALIVE = 60  # of these, after which a line is sent that keeps the connection
 
+_MOST = 50
+"""Files of one upload, and of one identification."""
+
 FILES = {
     "joint.toml": "application/toml",
+    "robot.toml": "application/toml",
     "answer.json": "application/json",
     "answer.txt": "text/plain; charset=utf-8",
     "report.html": "text/html; charset=utf-8",
     "test.csv": "text/csv; charset=utf-8",
     "test.mat": "application/octet-stream",
     "test.png": "image/png",
+    "axis.svg": "image/svg+xml",
     "how-to-run.md": "text/markdown; charset=utf-8",
 }
 """The files of an answer that can be downloaded, beside all of it with the record."""
@@ -80,12 +85,102 @@ async def show_record(request: Request) -> Response:
 
 @_refusing(pages.show_record)
 async def take_record(request: Request, state: AppState) -> Response:
-    """Take a record in place of the one before."""
-    path, name = await receive_file(request, state, state.limits.upload, pages.list_suffixes())
+    """Take records in place of those before, with the joint file, or the robot file and its model, that came along."""
+    received = await receive_files(request, state, state.limits.upload, pages.list_sent_suffixes(), _MOST)
+    try:
+        return await _take_files(state, received)
+    finally:
+        for path, _ in received:
+            state.folder.discard(path.name)
+
+
+@_refusing(pages.show_record)
+async def add_records(request: Request, state: AppState) -> Response:
+    """Take further records of the same axis, or of the same robot."""
+    received = await receive_files(request, state, state.limits.upload, pages.list_suffixes(), _MOST)
+    try:
+        async with state.files:
+            record = state.folder.record
+            if record is None:
+                return state.redirect("/")
+            known = state.folder.sent
+            if twice := [name for _, name in received if name_in_run(name) in known]:
+                raise PageError(f"There is a file called {', '.join(twice)} already; rename the new one.")
+            if len(known) + len(received) > _MOST:
+                raise PageError(f"That would be more than {_MOST} files; identify fewer records together.")
+            for path, name in received:
+                await _read_columns(state, path, name, state.folder.draft)
+            _keep_files(state, record, [*_list_more(state, record), *received])
+    finally:
+        for path, _ in received:
+            state.folder.discard(path.name)
+    return state.redirect("/")
+
+
+@_refusing(pages.show_record)
+async def leave_records_out(_: Request, state: AppState) -> Response:
+    """Remove all records but the first; the model of a robot stays."""
     async with state.files:
-        kept = {key: value for key, value in state.folder.draft.items() if value and not key.startswith("record.")}
-        await _replace_record(state, path, name, kept)
-    return state.redirect("/channels")
+        record = state.folder.record
+        if record is not None:
+            models = [(path, name) for path, name in _list_more(state, record) if path.suffix in MODELS]
+            _keep_files(state, record, models)
+    return state.redirect("/")
+
+
+def _list_more(state: AppState, record: Mapping[str, Any]) -> list[tuple[Path, str]]:
+    return [(state.folder.path / one["file"], one["name"]) for one in record["more"]]
+
+
+def _keep_files(state: AppState, record: Mapping[str, Any], more: Sequence[tuple[Path, str]]) -> None:
+    """Keep the first record with other files beside it."""
+    first = state.folder.path / record["file"]
+    state.folder.save_record(first, record["name"], state.folder.draft, more, robot=record["robot"])
+
+
+async def _take_files(state: AppState, received: Sequence[tuple[Path, str]]) -> Response:
+    """Sort the files of an upload: a joint file or robot file, the model of a robot, and records.
+
+    Raises:
+        PageError: they do not belong together.
+        JointFileError: the joint file or robot file is no TOML.
+    """
+    tables = [one for one in received if one[0].suffix == ".toml"]
+    models = [one for one in received if one[0].suffix in MODELS]
+    records = [one for one in received if one not in (*tables, *models)]
+    if len(tables) > 1 or len(models) > 1:
+        names = ", ".join(name for _, name in (tables if len(tables) > 1 else models))
+        raise PageError(f"Expected one joint file or robot file with one model; received {names}: send one of them.")
+    made: dict[str, Any] = {"robot": False, "draft": {}}
+    for path, name in tables:
+        text = _read_toml(path, name, state.limits.joint_file)
+        made = await state.jobs.ask("fill_in", {"text": text}, state.folder.path)
+    robot = made["robot"]
+    if models and not robot:
+        raise PageError(f"{models[0][1]} is the model of a robot; send the robot file (TOML) and its record with it.")
+    if robot and not (models and records):
+        lacks = " and ".join(word for word, found in (("its model", models), ("its record", records)) if not found)
+        raise PageError(f"{tables[0][1]} is a robot file, and {lacks} did not come with it; choose all files at once.")
+    async with state.files:
+        if not records:
+            if state.folder.record is None or state.folder.record["robot"]:
+                raise PageError(f"{tables[0][1]} came without its record; choose both at once.")
+            state.folder.save_draft(made["draft"])
+            return state.redirect("/channels")
+        of_robot = state.folder.record is not None and state.folder.record["robot"]
+        options = {one.name for one in TEXT}
+        before = {} if of_robot else {key: text for key, text in state.folder.draft.items() if key not in options}
+        await _replace_record(state, records, made["draft"] or before, models, told=bool(tables), robot=robot)
+    return state.redirect("/joint" if robot else "/channels")
+
+
+def _read_toml(path: Path, name: str, most: int) -> str:
+    if path.stat().st_size > most:
+        raise PageError(f"{name} is larger than {pages.format_size(most)}, the most of a joint file; is it the record?")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise PageError(f"{name} is not text in UTF-8; save it so.") from None
 
 
 @_refusing(pages.show_record)
@@ -97,7 +192,7 @@ async def make_example(_: Request, state: AppState) -> Response:
         await state.jobs.read("simulate", state.folder.path)
         fresh = (state.folder.path / "example.csv").rename(state.folder.new_upload(".csv"))
         example = JOINT_FILE.replace(", optional = true", "")  # for other records; this one has all of them
-        await _replace_record(state, fresh, "example.csv", with_units(read_joint_file(example)))
+        await _replace_record(state, [(fresh, "example.csv")], with_units(read_joint_file(example)), told=True)
     return state.redirect("/channels")
 
 
@@ -120,6 +215,9 @@ async def read_again(request: Request, state: AppState) -> Response:
 async def show_channels(request: Request) -> Response:
     """Show step 2."""
     state = AppState.of(request)
+    record = state.folder.record
+    if record is not None and record["robot"]:
+        return state.redirect("/joint")
     return state.redirect("/") if state.folder.preview is None else pages.show_channels(state)
 
 
@@ -131,7 +229,7 @@ async def check_channels(request: Request, state: AppState) -> Response:
         record = state.folder.record
         if record is None:
             return state.redirect("/")
-        write_json(state.folder.path / "work.json", {"file": record["file"], "draft": draft})
+        write_json(state.folder.path / "work.json", {"files": state.folder.sent, "draft": draft})
         await state.jobs.read("check", state.folder.path, record["file"], record["name"])
     state.jobs.prepare()
     return state.redirect("/joint")
@@ -148,24 +246,46 @@ async def draw_column(request: Request) -> Response:
     return Response(draw_svg(column, end), media_type="image/svg+xml")
 
 
-async def _replace_record(state: AppState, fresh: Path, name: str, draft: Mapping[str, str]) -> None:
-    """Put a file in the record's place if it can be read, and guess the channels from the names of its columns.
+async def _replace_record(
+    state: AppState,
+    records: Sequence[tuple[Path, str]],
+    draft: Mapping[str, str],
+    models: Sequence[tuple[Path, str]] = (),
+    *,
+    told: bool = False,
+    robot: bool = False,
+) -> None:
+    """Put files in the record's place if they can be read, and guess the channels from the names of the columns.
 
-    A text file that cannot is kept as well: an option may be all that is missing. Where the disk is full the record
-    before stays as it was.
+    Nothing is guessed where they are told: a joint file or robot file said all. What the form says of columns that the
+    first record has as well stays. A text file that cannot be read is kept: an
+    option may be all that is missing. Where the disk is full the record before stays as it was.
     """
+    (fresh, name), *others = records
+    more = [*others, *models]
     try:
-        try:
-            await _read_columns(state, fresh, name, {})
-        except PageError:
-            if format_of(fresh).name == _WITH_OPTIONS:
-                state.folder.save_record(fresh, name, draft)
-            raise
+        for path, called in records:
+            try:
+                await _read_columns(state, path, called, draft)
+            except PageError:
+                if path == fresh and format_of(fresh).name == _WITH_OPTIONS:
+                    state.folder.save_record(fresh, name, draft, more, robot=robot)
+                raise
         preview = read_json(state.folder.path / f"{fresh.name}{PREVIEW}") or {"columns": []}
         columns = [column["name"] for column in preview["columns"]]
-        state.folder.save_record(fresh, name, {**guess_draft(columns), **draft})
+        state.folder.save_record(fresh, name, draft if told else _fit_draft(draft, columns), more, robot=robot)
     finally:
-        state.folder.discard(fresh.name)
+        for path, _ in (*records, *models):
+            state.folder.discard(path.name)
+
+
+def _fit_draft(draft: Mapping[str, str], columns: Sequence[str]) -> dict[str, str]:
+    """Return what a form says that is true of a record with these columns, and guesses where it says nothing."""
+    named = {text for key, text in draft.items() if key.endswith(".column") or key == "record.time"}
+    kept = {
+        key: text for key, text in draft.items() if text and (not key.startswith("record.") or named <= {"", *columns})
+    }
+    return {**guess_draft(columns), **kept}
 
 
 async def _read_columns(state: AppState, path: Path, name: str, draft: Mapping[str, str]) -> None:
@@ -187,14 +307,17 @@ async def show_joint(request: Request) -> Response:
 @_refusing(pages.show_joint)
 async def import_joint_file(request: Request, state: AppState) -> Response:
     """Fill in the form from a joint file."""
-    path, name = await receive_file(request, state, state.limits.joint_file, [".toml"])
+    ((path, name),) = await receive_files(request, state, state.limits.joint_file, [".toml"])
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise PageError(f"{name} is not text in UTF-8; save it so.") from None
+        text = _read_toml(path, name, state.limits.joint_file)
     finally:
         path.unlink(missing_ok=True)
-    state.folder.save_draft(await state.jobs.ask("fill_in", {"text": text}, state.folder.path))
+    made = await state.jobs.ask("fill_in", {"text": text}, state.folder.path)
+    record = state.folder.record
+    if made["robot"] != (record is not None and record["robot"]):
+        kind = "robot" if made["robot"] else "joint"
+        raise PageError(f"{name} is a {kind} file; choose it together with its records in step 1.")
+    state.folder.save_draft(made["draft"])
     return state.redirect(f"/joint?imported={quote(name)}")
 
 
@@ -205,13 +328,13 @@ async def identify(request: Request, state: AppState) -> Response:
     record = state.folder.record
     if record is None:
         return state.redirect("/")
-    name = name_in_run(record["name"])
-    made = await state.jobs.ask("order", {"draft": draft, "file": name}, state.folder.path)
+    sent = state.folder.sent
+    made = await state.jobs.ask("order", {"draft": draft, "files": sent, "robot": record["robot"]}, state.folder.path)
     async with state.files:
         if state.folder.record != record:
             raise PageError("Another record was sent meanwhile; look at its channels first.")
         await state.jobs.require_idle()
-        run = state.folder.new_run(record["file"], name, made["text"], learn=made["learn"])
+        run = state.folder.new_run(sent, made)
     state.jobs.start(run)
     return state.redirect(f"/runs/{run.number}")
 
@@ -306,12 +429,13 @@ async def _events(run: Run, begin: int) -> AsyncIterator[str]:
 
 
 def _bundle(run: Run) -> tuple[Path, str]:
-    """Return an archive of the answer and the stem of its record; in it `jointid identify joint.toml` repeats it."""
+    """Return an archive of the answer and the stem of its record; in it `jointid identify` repeats it."""
     work = read_json(run.folder / "work.json") or {}
     path, files = run.folder / BUNDLE, [run.folder / name for name in FILES if run.has(name)]
     if not path.exists() or path.stat().st_mtime_ns <= max(file.stat().st_mtime_ns for file in files):
         with beside(path) as fresh, zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in files:
                 archive.write(file, file.name)
-            archive.write(run.folder / work["file"], work["file"])
+            for name in work.get("files", [work["file"]]):
+                archive.write(run.folder / name, name)
     return path, Path(work["file"]).stem

@@ -11,20 +11,22 @@ import contextlib
 import json
 import os
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from jointid.apps.web.folder import CHECKED, PREVIEW
+from jointid.apps.web.folder import CHECKED, PREVIEW, Run, link_files, write_json
 from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import is_full, write_whole
 
 if TYPE_CHECKING:
     from jointid import Estimate, Record
-    from jointid.config import JointFile
+    from jointid.config.contents import File
+    from jointid.tuning.tuned import Tuned
 
 REFUSED, NO_ROOM = 2, 3
 
@@ -58,34 +60,43 @@ def simulate(folder: Path) -> None:
 
 
 def check(folder: Path) -> None:
-    """Read the record as the entries of the form in `work.json` say, and write what it holds."""
+    """Read the records as the entries of the form in `work.json` say, and write what the first one holds."""
     from jointid.apps.web.form import make_reading_tables, require_answers
     from jointid.config import JointFile
 
     work = _read_work(folder)
     require_answers(work["draft"])
-    tables = make_reading_tables(work["draft"], work["file"])
-    record = JointFile.of(tables).record(folder / work["file"])
-    torque = record.torque
-    assert torque is not None
-    size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration}
-    write_whole(folder / f"{work['file']}{CHECKED}", json.dumps({**size, "unit": torque.unit}))
+    with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as place:
+        link_files(folder, work["files"], Path(place))  # by the names that the joint file has
+        names = [*work["files"]]
+        file = JointFile.of(make_reading_tables(work["draft"], *names), Path(place) / "joint.toml")
+        first, *_ = [file.record(Path(place) / name) for name in ([names[0]] if file.source.files else names)]
+    assert first.torque is not None
+    size = {"samples": len(first.torque), "sample_time": first.torque.sample_time, "duration": first.torque.duration}
+    write_whole(folder / f"{work['files'][names[0]]}{CHECKED}", json.dumps({**size, "unit": first.torque.unit}))
 
 
 def fill_in(folder: Path) -> None:
-    """Write the entries of the form that the joint file in `work.json` makes to `made.json`."""
-    from jointid.apps.web.form import read_joint_file, with_units
+    """Write the entries of the form that the joint file or robot file in `work.json` makes to `made.json`."""
+    from jointid.apps.web.form import fill_in_form
 
-    write_whole(folder / "made.json", json.dumps(with_units(read_joint_file(_read_work(folder)["text"]))))
+    write_whole(folder / "made.json", json.dumps(fill_in_form(_read_work(folder)["text"])))
 
 
 def order(folder: Path) -> None:
-    """Write the joint file of the form in `work.json`, and whether to learn, to `made.json`."""
-    from jointid.apps.web.form import make_order
+    """Write the joint file or the robot file of the form in `work.json`, and whether to learn, to `made.json`."""
+    from jointid.apps.web.form import MODELS, make_order, make_robot_order
 
     work = _read_work(folder)
-    text, to_learn = make_order(work["draft"], work["file"])
-    write_whole(folder / "made.json", json.dumps({"text": text, "learn": to_learn}))
+    names = [*work["files"]]
+    if work["robot"]:
+        link_files(folder.parent, {n: f for n, f in work["files"].items() if n.lower().endswith(MODELS)}, folder)
+        text, records = make_robot_order(work["draft"], names, folder)
+        made = {"name": "robot.toml", "text": text, "records": records, "learn": False}
+    else:
+        text, to_learn = make_order(work["draft"], *names)
+        made = {"name": "joint.toml", "text": text, "records": names[:1], "learn": to_learn}
+    write_whole(folder / "made.json", json.dumps(made))
 
 
 def prepare(_: Path) -> None:
@@ -96,59 +107,96 @@ def prepare(_: Path) -> None:
 
 
 def identify(folder: Path) -> None:
-    """Identify as the joint file says, its controller learned first if `work.json` says so.
+    """Identify as the joint file or robot file says, a controller learned first if `work.json` says so.
 
     The answer is written as soon as it is known and checked, and the page shows it; the report follows.
     """
-    from jointid.config import load_joint
-    from jointid.diagnostics.find_causes import explain_failure
+    from jointid import Record
+    from jointid.config import load
     from jointid.simulation.warm_up import warm_up
 
     work = _read_work(folder)
     if work["learn"]:
         learn(folder, work)
-    file = load_joint(folder / "joint.toml")
+    file: File[Any] = load(folder / Run(folder).file)
+    paths = [folder / name for name in work["records"]]
+    about = {"name": file.name or "", "checked": False}
+    write_json(folder / "about.json", about)
+    if file.runs or len(paths) > 1:
+        _print_progress("identifying from several records")
+        _write_tuning(folder, "They are computed from one record; identify one alone.")
+        _write_answer(folder, file.identify_together([] if file.runs else paths, _print_progress))
+        return
     _print_progress("reading the record")
-    record = file.record(folder / work["file"])
-    _print_progress("preparing the simulation")
-    warm_up()
+    record = file.record(paths[0], judged=True)
+    if isinstance(record, Record):  # the engine of a robot is another
+        _print_progress("preparing the simulation")
+        warm_up()
     _print_progress("identifying")
     try:
         estimate = file.identify(record, _print_progress, unchecked=partial(_write_answer, folder))
     except JointidError as error:
-        raise explain_failure(error, record, file.loop, _print_progress, file.declared_numbers) from error
+        raise file.explain(error, record, _print_progress) from error
+    write_json(folder / "about.json", about | {"checked": True})
     _write_answer(folder, estimate)
     _print_progress("writing the report")
     _write_report(folder, file, estimate, record)
 
 
-def _write_report(folder: Path, file: JointFile, estimate: Estimate, record: Record) -> None:
+def _write_report(folder: Path, file: File[Any], estimate: Estimate, record: Record | tuple[Record, ...]) -> None:
     """Write the report, first without profiles and tuning where these take longer than a moment."""
     from jointid import Report
     from jointid.common.parallel import Aside
     from jointid.output.report import repetition, tune_to_limit
 
-    again = repetition(folder / "joint.toml", Path(file.record_path()), {})
-    again = replace(again, command="jointid report joint.toml --html report.html")
-    tell = partial(Report.of, estimate, record, name=file.name or "", repetition=again, progress=_print_progress)
+    system: Literal["joint", "robot"] = "joint" if estimate.robot is None else "robot"
+    again = repetition(file.path, Path(file.record_path()), {}, system=system)
+    again = replace(again, command=f"jointid report {file.path.name} --html report.html")
+    tell = partial(
+        Report.of, estimate, record, name=file.name or "", controllers=file.controllers,
+        feed_forward=file.feed_forward, repetition=again, progress=_print_progress,
+    )  # fmt: skip
 
     def tell_all() -> Report:
-        tuned = tune_to_limit(estimate, file.drive, file.declared_numbers)
+        if estimate.robot is not None:
+            _write_tuning(folder, "They are of one joint: jointid tune robot.toml --axis, with the name of the joint.")
+            return tell()
+        tuned = tune_to_limit(estimate, file.axes[0].drive, file.declared_numbers)
+        _write_tuning(folder, tuned)
         return tell(tuned=None if isinstance(tuned, str) else tuned)
 
     whole = Aside(tell_all)
-    if not whole.is_done(within=_MOMENT):
+    if not whole.is_done(within=_MOMENT) and estimate.robot is None:
         first = tell(profiles=())
         first.data.absent["profiles"] = first.data.absent["tuning"] = _FOLLOWS
         write_whole(folder / "report.html", first.html())
     write_whole(folder / "report.html", whole.result().html())
 
 
+def _write_tuning(folder: Path, tuned: Tuned | str | None) -> None:
+    """Write margins and gains, or why there are none."""
+    from jointid.common.document import Code, Table
+
+    if tuned is None or isinstance(tuned, str):
+        why = tuned or "They need an answer by DIDIM under a controller whose torque limit is given in step 3."
+        stated: dict[str, Any] = {"sentence": f"No margins and gains: {why}", "tables": [], "notch": ""}
+    else:
+        blocks = tuned.proposal()
+        tables = [{"header": one.header, "rows": one.rows} for one in blocks if isinstance(one, Table)]
+        notch = "".join(f"{one.caption}\n{one.text}" for one in blocks if isinstance(one, Code))
+        stated = {"sentence": tuned.sentence, "tables": tables, "notch": notch}
+    write_json(folder / "tuning.json", stated)
+
+
 def _write_answer(folder: Path, estimate: Estimate) -> None:
-    """Write an estimate as text and as JSON, this at once, since the page looks when it was written."""
+    """Write an estimate as text, drawing and JSON, this at once, since the page looks when it was written."""
     from jointid.output import json as answers
+    from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
 
     write_whole(folder / "answer.txt", f"{estimate}\n")
+    if estimate.robot is None:
+        write_whole(folder / "axis.svg", draw_axis(estimate))
+        write_whole(folder / "resonance.txt", resonance_sentence(estimate))
     answers.write(answers.to_dict(estimate), folder / "answer.json")
 
 

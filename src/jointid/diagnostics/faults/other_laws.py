@@ -12,12 +12,16 @@ and 1 under the other one. A record may exclude neither.
 Without a declared period that of the log is used. A faster drive reacts earlier, by up to half a sample of the log, and
 the identified joint is another one: so the same law at half of the log's period, a quarter and so on is another law,
 too. The change of the torque by the first of them at the same joint shows whether the record can decide.
+
+A drive that is faster than its reference holds it, draws lines through it, or cubics. A held reference acts half of its
+period later than lines through it. So each way that is not declared is another law.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -25,19 +29,23 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis, Shown
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_present_sample
-from jointid.models.controllers.servo_base import DiagramController
+from jointid.models.controllers.servo_base import DiagramController, Interpolation
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
+from jointid.records.resampling import default_interpolation
 from jointid.simulation.loop_input import prepare
 
 TIMES_FASTER = (2, 4, 8, 16)
 """Than the log: at these rates a drive may run whose period is not declared."""
 _FASTER = (2, 4, 8)  # times the log's rate, of a hypothesis: further ones leave as much
+_SLOWER = 1.5  # times the controller's period: a reference of such a sample time is filled in
 _SOLVED = 1e-6  # far below a deviation
+_WAYS: tuple[Interpolation, ...] = ("hold", "linear", "cubic")
 _HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is the velocity half a period ago
 
 
@@ -86,27 +94,54 @@ def runs_at_the_logs_rate(problem: ClosedLoopProblem) -> bool:
     return undeclared and not _has_free_law(problem)
 
 
-def faster_laws(problem: ClosedLoopProblem, times: int) -> Iterator[OtherLaw]:
-    """Yield the law of a problem in a drive that runs `times` as fast as the log.
+def faster_laws(problem: ClosedLoopProblem, record: Record, times: int) -> Iterator[OtherLaw]:
+    """Yield the law of a problem in a drive that runs `times` as fast as the log, the declared interpolation first.
 
-    The drive's reference between two samples is unknown unless it is declared: a law that differentiates linear
-    interpolation sees the reference half a sample late.
+    The drive's reference between two samples is unknown unless it is declared. Cubics matter to a law that
+    differentiates the reference: from lines it gets the velocity half a sample late.
     """
     controller = problem.loop.controller
     assert isinstance(controller, DiagramController)
     period = problem.sample_time / times
     words = f"the controller runs faster than the log, at {1e-3 / period:.4g} kHz"
     remedy = f"its period, {1e3 * period:.4g} ms"
-    yield OtherLaw((PERIOD,), words, remedy, replace(controller, period=period), 1 / period)
+    faster = replace(controller, period=period)
+    yield OtherLaw((PERIOD,), words, remedy, faster, 1 / period)
+    for way in _list_other_ways(faster, record, period):
+        if way != "cubic" or _differentiates_reference(controller):
+            one = replace(faster, interpolation=way)
+            more = f"{words}, with its reference {_DONE[way]}"
+            yield OtherLaw((PERIOD,), more, f'{remedy}, and interpolation = "{way}"', one, 1 / period)
+
+
+def other_interpolations(problem: ClosedLoopProblem, record: Record) -> Iterator[OtherLaw]:
+    """Yield the law of a problem with the reference filled in otherwise, where the way is not declared."""
+    controller: Any = problem.loop.controller
+    for way in _list_other_ways(controller, record, problem.experiment.law.period):
+        yield OtherLaw(
+            (INTERPOLATIONS[way],), f"the reference is {_DONE[way]} between its samples", f'interpolation = "{way}"',
+            replace(controller, interpolation=way),
+        )  # fmt: skip
+
+
+def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
+    """Return the ways to fill in the reference that differ from the one in use; none where a way is declared."""
+    assert record.reference is not None
+    declared = getattr(controller, "interpolation", "none is possible")
+    if declared is not None or record.reference.sample_time < _SLOWER * period:
+        return ()
+    used = default_interpolation(record.reference)
+    return tuple(way for way in _WAYS if way != used)
+
+
+def _differentiates_reference(controller: Controller) -> bool:
     ahead = ("velocity_feedforward", "viscous_feedforward", "acceleration_feedforward")
     own = isinstance(controller, PD) and controller.reference_velocity == "difference"
-    if controller.interpolation is None and (own or any(getattr(controller, name, 0.0) for name in ahead)):
-        curved = replace(controller, period=period, interpolation="cubic")
-        yield OtherLaw((PERIOD,), words, f'{remedy}, and interpolation = "cubic"', curved, 1 / period)
+    return own or any(getattr(controller, name, 0.0) for name in ahead)
 
 
-def faster_problem(problem: ClosedLoopProblem, law: OtherLaw, record: Record) -> ClosedLoopProblem:
-    """Return a problem with its record prepared anew for a law of another period.
+def prepare_anew(problem: ClosedLoopProblem, law: OtherLaw, record: Record) -> ClosedLoopProblem:
+    """Return a problem with its record prepared for a law of another period, or of another reference.
 
     Raises:
         RecordError, MethodError: the record, or the law, cannot be at that period.
@@ -170,9 +205,9 @@ def _describe_laws(finding: Finding, check: AxisFaults, _: bool) -> str:
     A law that is reported as undecided is not repeated.
     """
     assert finding.law is not None
-    of_each: dict[str, list[OtherLaw]] = {}
+    of_each: dict[tuple[str, str | None], list[OtherLaw]] = {}
     for one in (finding.law, *(other for other in finding.alike if other != check.open_law)):
-        of_each.setdefault(one.fault.name, []).append(one)
+        of_each.setdefault((one.fault.name, getattr(one.controller, "interpolation", None)), []).append(one)
     stated = []
     for first, *others in of_each.values():
         rates = ", ".join(f"{1e-3 * one.rate:.4g}" for one in others)
@@ -189,6 +224,31 @@ def _try_periods(declared: Hypothesis) -> Iterator[Hypothesis]:
         yield replace(faster, number=lambda problem: problem.experiment.law.period)
 
 
+def _try_interpolation(way: Interpolation, declared: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield the drive with the reference filled in by a way; at faster rates, too, where no period is declared."""
+    law = declared.controller
+    if way in _list_other_ways(law, declared.record, declared.period):
+        yield declared.under([replace(law, interpolation=way)])
+    elif way == "hold" and isinstance(law, DiagramController) and law.period is None:
+        faster = [replace(law, period=declared.period / times) for times in _FASTER]
+        if way in _list_other_ways(law, declared.record, faster[0].period or 0.0):
+            held = declared.under([replace(one, interpolation=way) for one in faster])
+            yield replace(held, number=lambda problem: problem.experiment.law.period)
+
+
+def _say_interpolation(way: Interpolation, period: float | None, _: ClosedLoop, __: Shown) -> str:
+    said = f'the reference is {_DONE[way]} between its samples: declare interpolation = "{way}"'
+    return said if period is None else f"{said}, and the controller's period, about {1e3 * period:.4g} ms"
+
+
+_DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
+INTERPOLATIONS: dict[Interpolation, Fault] = {
+    way: Fault(
+        f"{name}_reference", f"reference {_DONE[way]} between its samples", describe=_describe_laws,
+        correct=partial(_try_interpolation, way), clause=partial(_say_interpolation, way),
+    )
+    for way, name in zip(_WAYS, ("held", "linear", "cubic"), strict=True)
+}  # fmt: skip
 PRESENT_SAMPLE = Fault(
     "present_sample",
     "integral that takes in the present sample",
@@ -201,4 +261,4 @@ PERIOD = Fault(
     clause="the controller runs faster than the log: declare its period, about {fine} ms",
 )  # fmt: skip
 
-FAULTS = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD)
+FAULTS = OTHER_LAWS = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *INTERPOLATIONS.values())

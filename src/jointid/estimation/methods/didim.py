@@ -49,7 +49,12 @@ from jointid.common.messages import Suspicion
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import History, Solved, free_more, least_squares, or_moving
-from jointid.estimation.methods.force_in_loop import instruments, uncertainty_of_least_error, widened_for_force
+from jointid.estimation.methods.force_in_loop import (
+    allow_for_force,
+    instruments,
+    uncertainty_of_least_error,
+    widened_for_force,
+)
 from jointid.estimation.methods.registry import (
     EVALUATIONS,
     FREQUENCIES,
@@ -372,8 +377,9 @@ class DIDIM(Method):
         else:
             spring = visible(problem, x, J, known, starts, progress)
             history.tally.evaluations += spring.simulations
-            if spring.shown:  # what is refused has no interval to widen
-                known = widened_for_force(known, problem, x, J, history)
+            if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
+                force = allow_for_force(problem, x, -J, known.covariance.std, history)
+                known = widened_for_force(known, problem, x, force)
         variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"
         return build_closed_loop_result(
             record, problem, x, run, (stop, converged), known, J, variant, history.trace,

@@ -74,10 +74,12 @@ class RandomForce:
     Attributes:
         hertz: (frequencies,).
         power: (frequencies,) two-sided, its mean over all frequencies up to half the sampling one is the variance.
+        noise: standard deviation of the white noise on the log beside it.
     """
 
     hertz: FloatArray
     power: FloatArray
+    noise: float
 
     @property
     def rms(self) -> float:
@@ -117,7 +119,7 @@ def uncertainty_of_least_error(
     """
     names = [p.name for p in problem.free]
     known = uncertainty(J, J, residual, problem.cells(run), names, problem.torque_unit)
-    known = widened_for_force(known, problem, x, J, history, taps)
+    known = widened_for_force(known, problem, x, allow_for_force(problem, x, J, known.covariance.std, history, taps))
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
     held = find_active_bounds(problem.free, x, residual, J)
@@ -132,15 +134,9 @@ def instruments(problem: ClosedLoopProblem, run: Simulation, J: FloatArray, taps
 
 
 def widened_for_force(
-    known: Uncertainty,
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    J: FloatArray,
-    history: History,
-    taps: FloatArray = EVEN,
+    known: Uncertainty, problem: ClosedLoopProblem, x: FloatArray, found: tuple[FloatArray, RandomForce] | None
 ) -> Uncertainty:
-    """Return an uncertainty widened for the force in the loop; arguments as of `uncertainty_of_least_error`."""
-    found = allow_for_force(problem, x, J, known.covariance.std, history, taps)
+    """Return an uncertainty at x, (free,), widened for a force in the loop that `allow_for_force` found."""
     if found is None:
         return known
     there, force = found
@@ -179,7 +175,7 @@ def allow_for_force(
     for count in range(_ROUNDS):
         if force is None:
             return None
-        mean = np.asarray(sum(simulate_with_force(problem, at, force))) / (2 * _PAIRS)
+        mean = simulate_mean(problem, at, force)
         history.tally.evaluations += 2 * _PAIRS
         # At the end of least squares the residual moves nothing: there only what the force adds does.
         shown = run.torque if count == 0 else problem.measured
@@ -232,8 +228,13 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
         parts, _ = nnls(columns * (level * weight)[:, np.newaxis], power * weight)
     except RuntimeError:  # too many iterations: columns that are alike, or no numbers
         return None
-    found = RandomForce(hertz, level * (shapes @ parts[:-1]))
+    found = RandomForce(hertz, level * (shapes @ parts[:-1]), math.sqrt(level * parts[-1]))
     return found if found.rms > 0.0 else None
+
+
+def simulate_mean(problem: ClosedLoopProblem, x: FloatArray, force: RandomForce) -> FloatArray:
+    """Return the mean torque of the loop, (samples,), under pairs of opposite forces."""
+    return np.asarray(sum(simulate_with_force(problem, x, force))) / (2 * _PAIRS)
 
 
 def simulate_with_force(

@@ -47,10 +47,17 @@ class FitResult(EstimateParts):
 
 @dataclass(frozen=True, slots=True)
 class Widening:
-    """A reason for wider intervals: by how much it may move each parameter, by name, and the reason in words."""
+    """A reason for wider intervals.
+
+    Attributes:
+        by: how much it may move each parameter, by name, as one deviation.
+        why: the reason in words.
+        warning: of the estimate; none where it is empty.
+    """
 
     by: Mapping[str, float]
     why: str
+    warning: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,13 +93,14 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
         if v.subject not in subjects
     )
     basis = ", and for ".join((fit.params.basis, *(widening.why for widening in checked.widenings)))
+    warnings = (widening.warning for widening in checked.widenings if widening.warning)
     return Estimate(
         params=replace(fit.params, rows=rows, basis=basis),
         fit=replace(fit.fit, simulations=fit.simulations),
         checks=replace(
             fit.checks,
             verdicts=(*own, *checked.verdicts),
-            warnings=(*fit.before, *fit.checks.warnings, *fit.after),
+            warnings=(*fit.before, *fit.checks.warnings, *fit.after, *warnings),
             encoder_lag=fit.encoder_lag,
             diagnosis=checked.diagnosis,
         ),

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.messages import Message
 from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.estimation.problems.base import LOG_DELAY, RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
@@ -64,6 +65,7 @@ class Visibility:
         rigid_error: (rows,) what it leaves.
         bounds: where the stiffness is refused.
         simulations: that all this took.
+        notes: on the deviations of the rigid joint, where the stiffness is refused.
     """
 
     verdict: Verdict
@@ -72,6 +74,7 @@ class Visibility:
     rigid_error: FloatArray
     bounds: tuple[StiffnessBound, ...]
     simulations: int
+    notes: tuple[Message, ...] = ()
 
     @property
     def shown(self) -> bool:
@@ -272,7 +275,7 @@ def build_closed_loop_result(
                 *poor_fit(fit.filtered_error),
                 *ask_of_gains(problem.loop.controller, problem.loop.joint, values, problem.sample_time),
             ),
-            notes=tuple(map(str, known.warnings)),
+            notes=tuple(map(str, (*known.warnings, *(() if spring is None else spring.notes)))),
             verdicts=(
                 solver_verdict(stop, converged),
                 fit_verdict(report),

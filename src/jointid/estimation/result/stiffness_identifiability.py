@@ -14,6 +14,8 @@ A search always ends somewhere, and its end has a stiffness. That number is repo
 
 Otherwise the record says only how soft the spring may be. Low frequencies bound ZZ2^2/K12, and a mode in the band would
 ring, so the bound is a function of the load's share of the inertia, which is not known either: see `stiffness_bounds`.
+A random force in the loop (`methods.force_in_loop`) changes the mean torque through the friction. Where that moves a
+parameter of the rigid joint, its intervals are widened, and each bound is the softer one with and without that change.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress
-from jointid.estimation.descent import descend
+from jointid.estimation.descent import History, descend
+from jointid.estimation.methods.force_in_loop import InLoop, allow_for_force, simulate_mean, widened_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_result import Visibility, find_lost
 from jointid.estimation.result.stiffness_bounds import (
@@ -87,6 +90,8 @@ def visible(
     error, slopes = rigid.linearise(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
+    names = [p.name for p in rigid.free]
+    judged = uncertainty(slopes, slopes, error, where, names, problem.torque_unit)
     reasons, said, made = _doubts(problem, x, J, known, error, together), "", None
     if not reasons:
         remains = problem.residual(x)
@@ -109,17 +114,29 @@ def visible(
         progress("the record does not show the spring; looking how soft it may be")
         made = made or profile_modes(with_linear_spring(problem), values, found, thorough=False)
         bounds = bound_all(made, shares)
+        history = History(progress)
+        moved = allow_for_force(rigid, at.x, -slopes, judged.covariance.std, history)
+        judged = widened_for_force(judged, rigid, at.x, moved)
+        if moved is not None:
+            change = simulate_mean(rigid, *moved) - rigid.torque(moved[0])
+            linear = with_linear_spring(replace(problem, measured=problem.measured - change))
+            beside = profile_modes(linear, rigid.values(moved[0]), found, thorough=False)
+            softest = [
+                min(pair, key=lambda one: one.stiffness or 0.0)
+                for pair in zip(bounds, bound_all(beside, shares), strict=True)
+            ]
+            bounds = tuple(softest)
+            runs += history.tally.evaluations + beside.simulations
         reasons[0] = f"not identifiable from this record: {reasons[0]}"
         refused = tuple(Message(Reason.STIFFNESS_NOT_SHOWN, reason) for reason in reasons)
         verdict = Verdict(Subject.STIFFNESS, Status.FAILED, refused)
     else:
         verdict = Verdict(Subject.STIFFNESS, Status.PASSED, (Message(Reason.STIFFNESS_SHOWN, said),))
     runs += 0 if made is None else made.simulations
-    names = [p.name for p in rigid.free]
-    judged = uncertainty(slopes, slopes, error, where, names)
     stated = zip(names, judged.covariance.std, slopes.T, strict=True)
     std = {name: float(one) for name, one, column in stated if column.any()}
-    return Visibility(verdict, values, std, error, bounds, runs)
+    notes = tuple(one for one in judged.warnings if one.code is InLoop.FORCE)
+    return Visibility(verdict, values, std, error, bounds, runs, notes)
 
 
 def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, names: Sequence[str]) -> list[str]:

@@ -388,15 +388,12 @@ def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
     return details or not p.free or p.at_bound is not None or (p.stderr or 0.0) < _KNOWN * abs(p.value)
 
 
-def combinations_table(
-    estimate: EstimateParts, caption: str = "", *, directions: bool = False, differences: bool = True
-) -> Table | None:
+def combinations_table(estimate: EstimateParts, caption: str = "", *, differences: bool = True) -> Table | None:
     """Return sums and differences of both sides; None where there are none.
 
     Args:
         estimate: whose combinations are shown.
         caption: of the table.
-        directions: whether to add the singular directions of the sensitivities.
         differences: whether to show the differences of both sides, too; else only their sums.
     """
     known = estimate.checks.known
@@ -407,8 +404,7 @@ def combinations_table(
         id(one): f"{interval(o.value, 2 * o.std)} {o.combination.unit}"
         for one, o in zip(known.physical, there, strict=False)
     }
-    every = (*known.physical, *(known.directions if directions else ()))
-    shown = [one for one in every if differences or one.combination.kind is not Kind.DIFFERENCE]
+    shown = [one for one in known.physical if differences or one.combination.kind is not Kind.DIFFERENCE]
     if not shown:
         return None
     rows = [

@@ -291,6 +291,10 @@ class DiagramController(ServoController):
     torque_feedforward_delay: float = setting(
         0.0, "by which these four feed-forwards see the reference later", unit="s", at_least=0
     )
+    undeclared: Literal["possible", "none"] = setting(
+        "possible",
+        "whether the drive may have a filter or a delay beside what is declared, which intervals then allow for",
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "torque_filters", tuple(self.torque_filters))

@@ -134,10 +134,10 @@ class Report:
 
     @property
     def title(self) -> str:
-        """The axis, and the date of its record if it is known."""
-        given = self.data
+        """The axis, the date of its record if it is known, and the version of this program."""
+        given, again = self.data, self.repetition
         own = given.diagnosis.name if isinstance(given, RobotReportData) else given.estimate.data.record
-        return f"{self.name or own}{f', {self.repetition.date}' if self.repetition.date else ''}"
+        return ", ".join(filter(None, (self.name or own, again.date, f"jointid {again.version}")))
 
     def _repr_html_(self) -> str:
         """Return the answer and the parameters, as a notebook shows them; `save` writes the whole."""

@@ -59,8 +59,7 @@ def report_blocks(
         tuning = [Heading("Tuning in full"), *blocks, *picture("tuning")]
     estimate = given.estimate
     found: list[Block] = [Heading("Checks in full"), *verdicts_in_full(estimate)]
-    said = "Combinations: sums and differences of both sides, then the singular directions, best known first"
-    known = combinations_table(estimate, said, directions=True)
+    known = combinations_table(estimate, "Combinations: sums and differences of both sides")
     found += [] if known is None else [Heading("Known together"), known]
     bounds = bounds_table(estimate, "With 95 % confidence, for a mode damped by up to 15 %")
     if bounds is not None:

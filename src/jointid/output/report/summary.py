@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 
-from jointid.common.document import Block, Heading, Listing, Paragraph, Table, Tone, Verdicts
+from jointid.common.document import Block, Heading, Listing, Paragraph, Picture, Table, Tone, Verdicts
 from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.answer import Trust, consequence, mark_of, told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
+from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
 from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 
@@ -39,6 +40,9 @@ def summary_blocks(
     answer = estimate.answer
     yield Heading("Result")
     yield Paragraph(str(answer), lead=True, tone=_TONES[Trust(answer.trust.code)])
+    if resonances := resonance_sentence(estimate):
+        yield Paragraph(resonances)
+    yield Picture("axis.svg", lambda: draw_axis(estimate).encode(), "The axis, with 2 sigma", wide=False, inline=True)
     data, settings = estimate.data, estimate.settings
     channels = join([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
     title = method_of(settings.method).title

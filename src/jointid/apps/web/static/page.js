@@ -59,13 +59,33 @@ function plain(input) {
 }
 
 // The draft is kept at each change, so that a reload finds it again.
-let waiting = 0;
+let waiting = 0, unkept = null, sending = null;
 function keep(form) {
   clearTimeout(waiting);
-  waiting = setTimeout(() => {
-    fetch(form.dataset.draft, { method: "POST", body: new URLSearchParams(new FormData(form)), keepalive: true }).catch(() => {});
-  }, 300);
+  unkept = form;
+  waiting = setTimeout(flush, 300);
 }
+
+function flush() {
+  clearTimeout(waiting);
+  const form = unkept;
+  unkept = null;
+  if (!form) return;
+  const body = new URLSearchParams(new FormData(form));
+  const sent = fetch(form.dataset.draft, { method: "POST", body, keepalive: true }).catch(() => {});
+  sending = sent;
+  sent.finally(() => { if (sending === sent) sending = null; });
+}
+
+// A step that is left at once, by a link or by the browser's arrow, keeps what was typed last.
+document.addEventListener("click", (event) => {
+  const link = event.target.closest("a[href]");
+  if (!(unkept || sending) || !link || link.target || event.defaultPrevented || event.ctrlKey || event.metaKey || event.shiftKey) return;
+  event.preventDefault();
+  flush();
+  sending.finally(() => { location.href = link.href; });
+});
+window.addEventListener("pagehide", flush);
 
 for (const form of all("form[data-draft]")) {
   form.addEventListener("input", () => keep(form));
@@ -86,11 +106,11 @@ for (const form of all("form[data-draft]")) {
 
 // A file that is too large is refused before it is sent.
 function fits(form) {
-  const file = form.querySelector('input[type="file"]').files[0];
+  const files = [...form.querySelector('input[type="file"]').files];
   const most = Number(form.dataset.upload);
-  const tooLarge = file && file.size > most;
+  const tooLarge = files.reduce((sum, file) => sum + file.size, 0) > most;
   form.querySelector("[data-too-large]").textContent = tooLarge
-    ? `${file.name} is larger than ${Math.floor(most / 2 ** 20)} MB, which is the most this page takes; cut it, or log it slower.`
+    ? `${files.map((file) => file.name).join(", ")} is larger than ${Math.floor(most / 2 ** 20)} MB, which is the most this page takes; cut it, or log it slower.`
     : "";
   return !tooLarge;
 }
@@ -101,7 +121,8 @@ for (const form of all("form")) {
       event.preventDefault();
       return;
     }
-    clearTimeout(waiting);
+    if (form === unkept) unkept = null;
+    flush();
     if (form.dataset.busy) say(`${form.dataset.busy} ...`);
     for (const button of all("button", form)) setTimeout(() => { button.disabled = true; });
   });
@@ -139,7 +160,7 @@ if (run) {
   const source = new EventSource(run.dataset.run);
   source.addEventListener("message", (event) => {
     const said = JSON.parse(event.data);
-    for (const last of all("[data-last]", run)) last.textContent = said;
+    for (const last of all("[data-last]")) last.textContent = said;
     if (!log) return;
     const line = document.createElement("li");
     line.textContent = said;
@@ -156,9 +177,18 @@ if (run) {
     if (!run.dataset.answer || run.dataset.again || JSON.parse(event.data) !== "done") leave();
     source.close();
     run.remove();
+    renew("#tuning");
+    for (const one of all("[data-while]")) one.hidden = true;
     for (const one of all("[data-later]")) one.hidden = false;
   });
   window.addEventListener("pagehide", () => source.close());
+}
+
+// A part of the page that is known later takes its place, from the page as it is now.
+async function renew(part) {
+  const answer = await fetch(location.href);
+  const fresh = new DOMParser().parseFromString(await answer.text(), "text/html").querySelector(part);
+  if (fresh) document.querySelector(part).replaceWith(fresh);
 }
 
 // A report that is being read is replaced when its reader says so.

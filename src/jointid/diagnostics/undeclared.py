@@ -1,0 +1,151 @@
+"""Shifts of an estimate by usual elements of a loop that are not declared: filters of velocity and torque, a delay.
+
+An element of size s changes the torque by ``s c``. An estimate without it is off by ``s (J' J)^-1 J' c``, J the columns
+of its parameters. The record bounds s: the score test of c beside J gives it with its deviation. The interval holds the
+shift by the largest s, between 0 and what is usual, that is within two deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.text import join, number
+from jointid.diagnostics.axis_torques import AxisTorques
+from jointid.diagnostics.fault_tests import score_signatures
+from jointid.diagnostics.faults.fault import Fault, FaultSignature
+from jointid.diagnostics.faults.numbers import DELAY, TORQUE_FILTER, VELOCITY_FILTER
+from jointid.estimation.result.assemble import FitResult, Widening
+from jointid.estimation.robots.problem import RobotLoopProblem
+from jointid.estimation.robots.simulated import SimulatedRobot, problem_of
+from jointid.models.controllers import Controller, FirstOrder
+from jointid.models.controllers.servo_base import DiagramController
+from jointid.simulation.closed_loop import Outcome, in_threads
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.robots import RobotLoop, RobotOutcome
+from jointid.solvers.regression import projection
+from jointid.uncertainty.position_dependent_error import cells
+
+_USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the controller
+_MATTERS = 0.25  # of a deviation: less widens no interval
+_TOLD = 1.0  # deviations: what may be off further is said
+
+
+def list_undeclared(controller: Controller, sample_time: float) -> Iterator[tuple[Fault, float, Controller]]:
+    """Yield each usual element that a controller does not declare, half its largest usual size in s, and both together.
+
+    Args:
+        controller: as declared.
+        sample_time: of the log, s.
+    """
+    if not isinstance(controller, DiagramController) or controller.undeclared == "none":
+        return
+    period = controller.period or sample_time
+    half = max(0.5 * _USUAL, period)
+    if controller.velocity_filter == (1.0,):
+        yield VELOCITY_FILTER, half, replace(controller, velocity_filter=FirstOrder(half))
+    if not controller.torque_filters:
+        yield TORQUE_FILTER, half, replace(controller, torque_filters=(FirstOrder(half),))
+    if not controller.delay:
+        yield DELAY, 0.5 * period, replace(controller, delay=0.5 * period)
+
+
+def widen_for_undeclared(fit: FitResult, torques: AxisTorques) -> list[Widening]:
+    """Return the shift of each parameter by undeclared elements that the record does not exclude; none without any.
+
+    Args:
+        fit: of a joint, or of a robot, under controllers.
+        torques: of its record, beside its own.
+    """
+    columns = _columns(fit, torques)
+    if not columns:
+        return []
+    names, scales = _free(fit)
+    known = {row.name: row for row in fit.params.rows if row.stderr}
+    sigma = np.sqrt(np.mean(torques.error**2, axis=1))
+    sigma[sigma == 0.0] = 1.0
+    own = (torques.own / sigma[:, np.newaxis, np.newaxis]).reshape(-1, len(names))
+    solve = projection(own, own)
+    moved: dict[str, float] = {}
+    elements: dict[str, float] = {}
+    for axis, fault, half, column in columns:
+        largest = min(_largest_size(torques, axis, fault, column), 2.0 * half)
+        by = np.abs(scales * (solve @ (column / sigma[:, np.newaxis]).ravel())) * max(largest, 0.0)
+        off = {name: float(one) for name, one in zip(names, by, strict=True) if name in known}
+        if any(one > 2 * _MATTERS * (known[name].stderr or 0.0) for name, one in off.items()):
+            moved = {name: max(one, moved.get(name, 0.0)) for name, one in off.items()}
+            elements[fault.title] = max(elements.get(fault.title, 0.0), largest)
+    if not moved:
+        return []
+    each = [f"{title} of up to {number(1e3 * size, 2)} ms" for title, size in elements.items()]
+    why, said = f"an undeclared {' or '.join(each)}", ""
+    far = [name for name, by in moved.items() if by > 2 * _TOLD * (known[name].stderr or 0.0)]
+    if far:
+        shifts = [f"{known[name].symbol} by {number(moved[name], 2)} {known[name].unit}".rstrip() for name in far]
+        said = f"{why} may move {join(shifts)}, which the intervals hold; declare what there is, and undeclared "
+        said += '= "none" in the controller\'s table'
+    return [Widening({name: 0.5 * by for name, by in moved.items()}, why, said)]  # half in two deviations
+
+
+def _free(fit: FitResult) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the names of the columns of an estimate, and the derivatives of the parameters by what was searched."""
+    part = fit.robot
+    if isinstance(part, SimulatedRobot):
+        values = part.values[: len(part.parameters.places)]
+        return part.parameters.names, np.where(part.parameters.logarithmic, values, 1.0)
+    assert fit.problem is not None
+    names = tuple(p.name for p in fit.problem.free)
+    return names, np.ones(len(names))
+
+
+def _columns(fit: FitResult, torques: AxisTorques) -> list[tuple[int, Fault, float, FloatArray]]:
+    """Return the axis of each undeclared element, its fault, half its size, and the torque per second of it, (n, rows).
+
+    An element under which the loop cannot be simulated is not that of the record.
+    """
+    part, problem, x = fit.robot, fit.problem, fit.x
+    if isinstance(part, SimulatedRobot) and isinstance(part.setup, RobotLoop):
+        setup, numbers = part.setup, part.numbers()
+        of_axes = setup.controllers
+
+        def predict(controllers: tuple[Controller, ...]) -> FloatArray | None:
+            loops = replace(setup, controllers=controllers)
+            other = problem_of(loops, fit.records, part.parameters, fit.settings.filtering)
+            assert isinstance(other, RobotLoopProblem)
+            run = other.simulate(numbers, keep=False)
+            finished = run.outcome is RobotOutcome.FINISHED
+            return other.by_joint(other.decimate(other.predict(run))) if finished else None
+    elif problem is not None and x is not None and fit.record is not None:
+        record, loop = fit.record, problem.loop
+        of_axes = (loop.controller,)
+
+        def predict(controllers: tuple[Controller, ...]) -> FloatArray | None:
+            changed = replace(loop, controller=controllers[0])
+            run = replace(problem, loop=changed, experiment=prepare(changed, record)).simulate(x)
+            return problem.filter(run.torque)[np.newaxis] if run.outcome is Outcome.FINISHED else None
+    else:
+        return []
+    taken = () if problem is None else tuple(p.name for p in problem.free)
+    tried = [
+        (axis, fault, half, (*of_axes[:axis], other, *of_axes[axis + 1 :]))
+        for axis, one in enumerate(of_axes)
+        for fault, half, other in list_undeclared(one, fit.data.sample_time)
+        if fault.name not in taken
+    ]
+    found = in_threads(lambda one: predict(one[3]), tried)
+    pairs = zip(tried, found, strict=True)
+    return [(a, fault, half, (p - torques.predicted) / half) for (a, fault, half, _), p in pairs if p is not None]
+
+
+def _largest_size(torques: AxisTorques, axis: int, fault: Fault, column: FloatArray) -> float:
+    """Return the largest size of an element, s, within two deviations of what its axis' residual shows."""
+    own = torques.own[axis]
+    signature = FaultSignature(replace(fault, one_sided=True), column[axis])
+    (test,) = score_signatures(
+        torques.error[axis], own[:, np.any(own, axis=0)], [signature], {signature.fault: 0.0},
+        lambda: cells(torques.position[axis], torques.velocity[axis]),
+    )  # fmt: skip
+    return test.size + 2 * test.std

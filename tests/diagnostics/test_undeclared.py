@@ -1,0 +1,87 @@
+"""Intervals beside a filter that the drive has and its controller does not declare, of joints and robots."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.controller import FirstOrder
+from jointid.diagnostics.axis_torques import torques_of_loop
+from jointid.diagnostics.undeclared import list_undeclared, widen_for_undeclared
+from jointid.estimation.identify import fit
+from tests.robots_plants import two
+
+LAW = ji.controller.Cascade(position_gain=40.0, velocity_gain=3.0, period=1.25e-4)
+JOINT = ji.FlexibleJoint("revolute")
+TRUE = {
+    "motor_inertia": 0.012, "motor_viscous": 0.2, "motor_coulomb": 0.25, "stiffness": 900.0, "damping": 0.25,
+    "load_inertia": 0.03, "load_viscous": 0.5, "load_coulomb": 0.35, "offset": 0.05,
+}  # fmt: skip
+
+
+def logged(hidden=0.0, seed=0):
+    """Return the log of the axis, with noise of 3 %, under a cascade with a velocity filter of `hidden` s."""
+    reference = ji.excitation.trapezoids((0.5, 1.0, 2.0), 20.0, 1.0, 1e-3, duration=4.0)
+    pulses = ji.excitation.pulses(reference.size, 1e-3, height=6.0, width=0.01, every=0.2, seed=0)
+    loop = ji.ClosedLoop(JOINT, replace(LAW, velocity_filter=FirstOrder(hidden) if hidden else (1.0,)))
+    record = ji.simulated_record(loop, reference, TRUE, sample_time=1e-3, injected=pulses)
+    noise = 0.03 * np.std(record.torque.values) * np.random.default_rng(seed).standard_normal(reference.size)
+    torque = replace(record.torque, values=record.torque.values + noise)
+    return replace(record, torque=torque, motor_position=None, load_position=None)
+
+
+def widened(record, law=LAW):
+    """Return error, deviation, and the widened one of each parameter of the axis, and the widening."""
+    found = fit(record, ji.ClosedLoop(JOINT, law), ji.DIDIM(frequency=50.0))
+    (wider,) = widen_for_undeclared(found, torques_of_loop(found.problem, found.x)) or [None]
+    rows = {row.name: row for row in found.params.rows if row.name in TRUE}
+    return {
+        name: (abs(row.value - TRUE[name]), row.stderr, np.hypot(row.stderr, wider.by[name] if wider else 0.0))
+        for name, row in rows.items()
+    }, wider
+
+
+def test_intervals_hold_what_a_hidden_velocity_filter_moves():
+    found, wider = widened(logged(0.5e-3))
+    assert max(error / std for error, std, _ in found.values()) > 3
+    assert all(error < 2 * wide for error, _, wide in found.values())
+    assert "velocity filter" in wider.why
+    assert "Fv1 by" in wider.warning
+
+
+def test_what_the_record_excludes_or_the_controller_denies_widens_nothing():
+    assert all(wide < 1.3 * std for _, std, wide in widened(logged())[0].values())
+    assert widened(logged(0.5e-3), replace(LAW, undeclared="none"))[1] is None
+
+
+@pytest.mark.parametrize(
+    "declared",
+    [
+        {"velocity_filter": (0.5, 0.5)},
+        {"torque_filters": (FirstOrder(1e-3),)},
+        {"delay": 1e-4},
+    ],
+)
+def test_what_is_declared_is_not_tried(declared):
+    names = {fault.name for fault, _, _ in list_undeclared(replace(LAW, **declared), 1e-3)}
+    assert names == {"velocity_filter", "torque_filter", "delay"} - {next(iter(declared)).replace("filters", "filter")}
+
+
+def test_intervals_of_a_robot_allow_for_a_hidden_filter():
+    twin, draw, logs = two(), np.random.default_rng(0), {}
+    first, second = twin.loop().controllers
+    driven = twin.records(6.0)
+    for hidden in (0.0, 1e-3):
+        laws = first, replace(second, velocity_filter=FirstOrder(hidden) if hidden else (1.0,))
+        made = ji.simulate(ji.robots.RobotLoop(twin.robot, laws), driven).records(driven)
+        noise = [0.01 * np.std(one.torque.values) * draw.standard_normal(one.torque.values.size) for one in made]
+        logs[hidden] = tuple(
+            replace(one, torque=replace(one.torque, values=one.torque.values + more), motor_position=None)
+            for one, more in zip(made, noise, strict=True)
+        )
+    plain, found = (ji.identify(one, twin.loop(), ji.DIDIM()) for one in logs.values())
+    assert not any("undeclared" in one for one in plain.checks.warnings)
+    assert any("undeclared" in one and "velocity filter" in one for one in found.checks.warnings)
+    wider = {row.name: row.deviation / row.stderr for row in found.params.rows if row.stderr}
+    assert wider["joint2.viscous"] > 1.2 > wider["joint1.coulomb"]
