@@ -242,8 +242,9 @@ def _white() -> Verdict:
 def test_the_table_marks_what_a_fault_changes_and_what_is_only_known_with_another() -> None:
     pair = Message("inseparable", "", {"parameters": ["viscous", "coulomb"]})  # type: ignore[arg-type]
     known = Identifiability((), (), (), 1.0, (pair,))
-    text = str(amended(judged(RIGID, inertia=0.1, coulomb=1.19), checks={"known": known}))
-    lines = {line.split()[0]: line for line in text.splitlines() if line}  # the remarks go on below the values
+    marked = amended(judged(RIGID, inertia=0.1, coulomb=1.19), checks={"known": known})
+    text = marked.to_document().text(100)
+    lines = {line.split()[0]: line for line in text.splitlines() if line}
     assert lines["parameter"].split()[-2:] == ["remark", "symbol"]
     assert lines["coulomb"].endswith("loop: +1.19, only with Fv  Fc")
     assert lines["viscous"].split()[-4:] == ["only", "with", "Fc", "Fv"]

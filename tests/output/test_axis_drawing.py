@@ -9,11 +9,11 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from jointid.common.document import typeset
-from jointid.common.text import interval
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.answer import frequencies_of
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import show_value
 from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
 from tests.estimates import amended
 from tests.output.report import reports
@@ -34,7 +34,7 @@ def test_every_value_is_in_the_drawing_and_none_is_cut(kind: str) -> None:
     shown = [row for row in estimate.params.rows if row.name not in INITIAL]
     assert shown
     for row in shown:
-        assert typeset(interval(row.value, 2 * row.deviation)) in texts(drawing), row.name
+        assert typeset(show_value(row)) in texts(drawing), row.name
     assert {"motor", "load"} <= {*texts(drawing)} if kind == "flexible" else "motor" not in texts(drawing)
     assert "kg m2" not in drawing
     left, top, wide, tall = map(float, root.attrib["viewBox"].split())

@@ -291,8 +291,6 @@ def _table_text(block: Table, width: int) -> str:
             taken = widths[0]
         parts[-1].append(i)
         taken += 2 + widths[i]
-    if len(parts) > 1 and len(parts[-1]) == 2 < len(parts[-2]):  # a column alone says little
-        parts[-1].insert(1, parts[-2].pop())
     shown = []
     for part in parts:
         header, *rows = ([row[i] for i in part] for row in table)

@@ -73,7 +73,8 @@ def test_from_a_log_to_files_that_repeat_the_answer(finished: tuple[Asker, Run],
     for name, value in TRUTH.items():
         assert answer["parameters"][name]["value"] == pytest.approx(value, rel=0.02), name
     archive = zipfile.ZipFile(io.BytesIO(client.get(f"/runs/{run.number}/all.zip").content))
-    assert set(archive.namelist()) == {"joint.toml", "answer.json", "answer.txt", "report.html", "log.csv"}
+    files = {"joint.toml", "answer.json", "answer.txt", "axis.svg", "report.html", "log.csv"}
+    assert set(archive.namelist()) == files
     assert archive.read("log.csv") == log
     assert answer["record"]["name"] == "log"
     assert loads(archive.read("joint.toml").decode()).source.file == "log.csv"

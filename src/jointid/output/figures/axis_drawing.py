@@ -15,6 +15,7 @@ from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.answer import frequencies_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, show_value
+from jointid.estimation.result.summary import field_symbol
 from jointid.models.joints import FlexibleJoint
 
 _COLUMN, _ACROSS, _LEFT, _RIGHT = 122, 3, 44, 6  # px of a column, how many there are, and px beside all of them
@@ -78,7 +79,8 @@ def _write_values(x: float, across: int, rows: Sequence[EstimatedParameter]) -> 
     for k, row in enumerate(rows):
         y, middle = _TOP + _TALL + 24 + k // across * _PAIR, x + (k % across + 0.5) * _COLUMN
         name = row.name.removeprefix("motor_").removeprefix("load_").replace("_", " ").replace("coulomb", "Coulomb")
-        found.append(_text(middle, y, f"{name}, {row.unit}" if row.unit else name, "middle", _SOFT, _COLUMN))
+        label = ", ".join(filter(None, (f"{name} {field_symbol(row)}".strip(), row.unit)))
+        found.append(_text(middle, y, label, "middle", _SOFT, _COLUMN))
         found.append(_text(middle, y + _LINE, show_value(row), "middle", _INK, _COLUMN, bold=True))
     return found
 

@@ -177,10 +177,18 @@ if (run) {
     if (!run.dataset.answer || run.dataset.again || JSON.parse(event.data) !== "done") leave();
     source.close();
     run.remove();
+    renew("#tuning");
     for (const one of all("[data-while]")) one.hidden = true;
     for (const one of all("[data-later]")) one.hidden = false;
   });
   window.addEventListener("pagehide", () => source.close());
+}
+
+// A part of the page that is known later takes its place, from the page as it is now.
+async function renew(part) {
+  const answer = await fetch(location.href);
+  const fresh = new DOMParser().parseFromString(await answer.text(), "text/html").querySelector(part);
+  if (fresh) document.querySelector(part).replaceWith(fresh);
 }
 
 // A report that is being read is replaced when its reader says so.
