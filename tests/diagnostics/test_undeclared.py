@@ -34,7 +34,7 @@ def logged(hidden=0.0, seed=0):
 def widened(record, law=LAW):
     """Return error, deviation, and the widened one of each parameter of the axis, and the widening."""
     found = fit(record, ji.ClosedLoop(JOINT, law), ji.DIDIM(frequency=50.0))
-    (wider,) = widen_for_undeclared(found, torques_of_loop(found.problem, found.x)) or [None]
+    (wider,) = widen_for_undeclared(found, torques_of_loop(found.problem, found.x), [()]) or [None]
     rows = {row.name: row for row in found.params.rows if row.name in TRUE}
     return {
         name: (abs(row.value - TRUE[name]), row.stderr, np.hypot(row.stderr, wider.by[name] if wider else 0.0))

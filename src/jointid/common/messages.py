@@ -73,7 +73,12 @@ def name_progress(progress: Progress, name: str) -> Progress:
 
     def tell(message: str) -> None:
         line = f"{name}: {message}"
-        progress(Detail(line) if isinstance(message, Detail) else line)
+        if isinstance(message, Detail):
+            detail = Detail(line)
+            detail.brief = f"{name}: {message.brief}" if message.brief else ""
+            progress(detail)
+        else:
+            progress(Pace(line) if isinstance(message, Pace) else line)
 
     return tell
 

@@ -420,7 +420,7 @@ def _test_signature(state: SearchState, found: _TestResults, *of_law: FaultSigna
     own, signatures = _stack_columns(state, found.own), [*found.signatures, *of_law]
     declared = {of_law[0].fault: 0.0}
     test = score_signatures(found.residual, own, signatures, declared, found.where, found.by_forces)[0]
-    return replace(test, p_value=min((len(found.tests) + 1) * test.p_value, 1.0))
+    return replace(test, p_value=min((len(found.tests) + len(OTHER_LAWS)) * test.p_value, 1.0))
 
 
 def _list_rates_left_open(

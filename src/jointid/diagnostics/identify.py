@@ -16,6 +16,7 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.record import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, screen_causes
@@ -204,7 +205,7 @@ def run_checks(
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     widenings = [] if check is None else widen_for_faults(check)
     if found is not None:
-        widenings += widen_for_undeclared(fit, found.torques)
+        widenings += _widen_for_undeclared(fit, found)
     if rest is None or not rest.follows or state is None:
         return CheckResults((verdict,), tuple(widenings), found)
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
@@ -250,8 +251,20 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
     tested = part.has_controllers or of_logs
-    wider = widen_for_undeclared(fit, found.torques)
+    wider = _widen_for_undeclared(fit, found)
     return CheckResults((residual, loop) if tested else (residual,), tuple(wider), diagnosis=found)
+
+
+def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
+    """Return the shifts by elements that are neither declared nor found as a fault."""
+    named = [
+        {fault.name for finding in axis.faults.findings for fault in (finding.test.fault, *finding.test.alike)}
+        for axis in found.axes
+    ]
+    try:
+        return widen_for_undeclared(fit, found.torques, named)
+    except (JointidError, np.linalg.LinAlgError):  # no check ends an identification
+        return []
 
 
 def widen_for_faults(check: AxisFaults) -> list[Widening]:

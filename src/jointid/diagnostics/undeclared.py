@@ -7,7 +7,7 @@ shift by the largest s, between 0 and what is usual, that is within two deviatio
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +35,9 @@ _TOLD = 1.0  # deviations: what may be off further is said
 
 
 def list_undeclared(controller: Controller, sample_time: float) -> Iterator[tuple[Fault, float, Controller]]:
-    """Yield each usual element that a controller does not declare, half its largest usual size in s, and both together.
+    """Yield each usual element that a controller does not declare.
+
+    Beside it stands half its largest usual size, s, and the controller with it.
 
     Args:
         controller: as declared.
@@ -53,14 +55,15 @@ def list_undeclared(controller: Controller, sample_time: float) -> Iterator[tupl
         yield DELAY, 0.5 * period, replace(controller, delay=0.5 * period)
 
 
-def widen_for_undeclared(fit: FitResult, torques: AxisTorques) -> list[Widening]:
+def widen_for_undeclared(fit: FitResult, torques: AxisTorques, named: Sequence[Collection[str]]) -> list[Widening]:
     """Return the shift of each parameter by undeclared elements that the record does not exclude; none without any.
 
     Args:
         fit: of a joint, or of a robot, under controllers.
         torques: of its record, beside its own.
+        named: names of the faults that were found, of each axis: they are to be corrected, and widen nothing.
     """
-    columns = _columns(fit, torques)
+    columns = _columns(fit, torques, named)
     if not columns:
         return []
     names, scales = _free(fit)
@@ -85,8 +88,8 @@ def widen_for_undeclared(fit: FitResult, torques: AxisTorques) -> list[Widening]
     far = [name for name, by in moved.items() if by > 2 * _TOLD * (known[name].stderr or 0.0)]
     if far:
         shifts = [f"{known[name].symbol} by {number(moved[name], 2)} {known[name].unit}".rstrip() for name in far]
-        said = f"{why} may move {join(shifts)}, which the intervals hold; declare what there is, and undeclared "
-        said += '= "none" in the controller\'s table'
+        said = f"{why} may move {join(shifts)}, which the intervals hold. Declare it, or set undeclared = "
+        said += '"none" in [controller]'
     return [Widening({name: 0.5 * by for name, by in moved.items()}, why, said)]  # half in two deviations
 
 
@@ -101,7 +104,9 @@ def _free(fit: FitResult) -> tuple[tuple[str, ...], FloatArray]:
     return names, np.ones(len(names))
 
 
-def _columns(fit: FitResult, torques: AxisTorques) -> list[tuple[int, Fault, float, FloatArray]]:
+def _columns(
+    fit: FitResult, torques: AxisTorques, named: Sequence[Collection[str]]
+) -> list[tuple[int, Fault, float, FloatArray]]:
     """Return the axis of each undeclared element, its fault, half its size, and the torque per second of it, (n, rows).
 
     An element under which the loop cannot be simulated is not that of the record.
@@ -133,7 +138,7 @@ def _columns(fit: FitResult, torques: AxisTorques) -> list[tuple[int, Fault, flo
         (axis, fault, half, (*of_axes[:axis], other, *of_axes[axis + 1 :]))
         for axis, one in enumerate(of_axes)
         for fault, half, other in list_undeclared(one, fit.data.sample_time)
-        if fault.name not in taken
+        if fault.name not in taken and fault.name not in named[axis]
     ]
     found = in_threads(lambda one: predict(one[3]), tried)
     pairs = zip(tried, found, strict=True)

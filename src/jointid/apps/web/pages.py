@@ -50,6 +50,7 @@ _LAWS: tuple[Any, ...] = tuple(LAWS.values())  # mypy does not take a type for s
 _OF_LOOP = {*DRIVE_AND_LOG, *(one.name for law in _LAWS for one in settings_of(law))}
 """What of a loop may be free beside the joint, but for numbers of its filters."""
 
+_MARKS = {"failed": "not fine", "unknown": "not known", "passed": "fine", "noted": "noted"}
 _ORDER = ["failed", "unknown", "passed"]  # of the checks, on the page
 _DAMAGED = (HTTPException, FormParserError)  # of a form that cannot be parsed; older versions of Starlette pass it on
 
@@ -243,7 +244,7 @@ def show_run(state: AppState, run: Run) -> Response:
         unexplained=[] if answer is None else _build_errors(answer),
         goals=_list_goals(answer), no_goal=_say_no_goal(answer),
         elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
-        checks=[] if answer is None else _build_checks(answer),
+        checks=[] if answer is None else _build_checks(answer, read_json(run.folder / "marks.json") or {}),
         runs=[(one, one.status) for one in state.folder.runs],
         texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
         title=_title_run(run, about, answer), checked=about.get("checked", True),
@@ -363,9 +364,9 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
 def _tell_value(p: Mapping[str, Any]) -> str:
     """Return a parameter's value or bound with its unit."""
     if p["value"] is None:
-        return "not identifiable" if p["lower_bound"] is None else f"> {number(p['lower_bound'])} {p['unit']}"
+        return "not identifiable" if p["lower_bound"] is None else f"> {number(p['lower_bound'], 3)} {p['unit']}"
     if p["std"] is None:
-        return f"{number(p['value'])} {p['unit']}, {'-' if p['free'] else 'fixed'}"
+        return f"{number(p['value'])} {p['unit']}{'' if p['free'] else ', fixed'}"
     return f"{interval(p['value'], 2 * p['std'])} {p['unit']}"
 
 
@@ -379,10 +380,11 @@ def _build_errors(answer: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def _build_checks(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the checks, those that did not pass first."""
+def _build_checks(answer: Mapping[str, Any], marks: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the checks with their marks, those that did not pass first."""
     checks = [
         {
+            "mark": _MARKS[marks.get(verdict["subject"], verdict["status"])],
             "question": Subject(verdict["subject"]).question,
             "status": verdict["status"],
             "reasons": [reason["words"] for reason in verdict["reasons"]],

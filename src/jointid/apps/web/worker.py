@@ -190,6 +190,7 @@ def _write_tuning(folder: Path, tuned: Tuned | str | None) -> None:
 
 def _write_answer(folder: Path, estimate: Estimate) -> None:
     """Write an estimate as text, drawing and JSON, this at once, since the page looks when it was written."""
+    from jointid.estimation.result.answer import mark_of
     from jointid.output import json as answers
     from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
 
@@ -197,6 +198,8 @@ def _write_answer(folder: Path, estimate: Estimate) -> None:
     if estimate.robot is None:
         write_whole(folder / "axis.svg", draw_axis(estimate))
         write_whole(folder / "resonance.txt", resonance_sentence(estimate))
+    marks = {str(v.subject): "noted" for v in estimate.checks.verdicts if mark_of(estimate, v) == "noted"}
+    write_json(folder / "marks.json", marks)
     answers.write(answers.to_dict(estimate), folder / "answer.json")
 
 

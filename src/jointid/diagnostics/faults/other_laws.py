@@ -107,7 +107,8 @@ def faster_laws(problem: ClosedLoopProblem, record: Record, times: int) -> Itera
     remedy = f"its period, {1e3 * period:.4g} ms"
     faster = replace(controller, period=period)
     yield OtherLaw((PERIOD,), words, remedy, faster, 1 / period)
-    for way in _list_other_ways(faster, record, period):
+    # The ways are those of the least rate, so that every rate has the same.
+    for way in _list_other_ways(faster, record, problem.sample_time / TIMES_FASTER[0]):
         if way != "cubic" or _differentiates_reference(controller):
             one = replace(faster, interpolation=way)
             more = f"{words}, with its reference {_DONE[way]}"

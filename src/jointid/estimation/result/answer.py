@@ -116,7 +116,7 @@ def _with_pieces(estimate: EstimateParts, asked: EstimatedParameter, shown: str)
 
 def _with_unit(row: EstimatedParameter) -> str:
     value, fixed, _ = show_value(row).partition(" (fixed)")
-    return f"{value} {row.unit}{fixed}"
+    return f"{value} {row.unit}{fixed}" if row.value is not None or row.lower_bound is not None else value
 
 
 def _undetermined_message(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
@@ -395,7 +395,8 @@ def consequence(estimate: EstimateParts, verdict: Verdict) -> str:
     """
     name = answer_of(estimate).found.values["parameter"]
     if name is None:
-        return "The other parameters may be used."
+        usable, doubtful = "The other parameters may be used.", "This says nothing against the other parameters."
+        return doubtful if answer_of(estimate).trust.code is Trust.NOT_YET else usable
     asked = estimate[name]
     value = asked.name.replace("_", " ")
     if asked.value is None:

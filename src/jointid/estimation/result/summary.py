@@ -79,6 +79,7 @@ def _count_checks(estimate: EstimateParts) -> str:
 
 _OF_SHEET = ("motor_inertia", "rotor_inertia", "stiffness")
 """Parameters that a data sheet may give: of the motor, and of a coupling."""
+_AT_MOST = 100.0  # times as sharp: a larger factor is not told
 _SHARPER, _APART = 1.5, 3.2
 """Times that the interval of a stiffness shrinks at least to be worth a look into a data sheet, and that of another."""
 
@@ -104,7 +105,8 @@ def _sharper(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
         for _, times, known, sharper in [max(found)] if found else []:
             first, second = (quantity[name].replace("_", " ") for name in (known, sharper))
             of = f" of {axis}" if axis else ""
-            yield "sharper", f"give the {first}{of} from its data sheet, and the {second} is {times:.2g} times as sharp"
+            sharp = f"{number(min(times, _AT_MOST), 2)} times as sharp"
+            yield "sharper", f"give the {first}{of} from its data sheet, and the {second} is {sharp}"
 
 
 def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
@@ -492,7 +494,10 @@ def field_symbol(p: EstimatedParameter) -> str:
     letter = _LETTERS.get("_".join(words[bool(side) : len(words) - bool(way)]), "")
     if not letter:
         return ""
-    letter = letter.replace("J", "m") if p.unit == "kg" else letter.replace("T", "F") if p.unit == "N" else letter
+    if p.unit == "kg" or p.unit.endswith(" s2/m"):
+        letter = letter.replace("J", "m")
+    if p.unit != "N m":
+        letter = letter.replace("T", "F")
     return f"{letter}{'_' if side and '_' not in letter else ''}{side}{way}"
 
 

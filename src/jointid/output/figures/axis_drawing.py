@@ -46,7 +46,7 @@ def draw_axis(estimate: Estimate) -> str:
     rows = [row for row in estimate.params.rows if row.of_joint and row.name not in INITIAL]
     gear = joint.transmission
     left = _LEFT + (_GEAR if gear is not None else 0)
-    columns = [("mass" if rows and rows[0].unit == "kg" else "inertia", rows)]
+    columns = [("mass" if joint.kind == "prismatic" else "inertia", rows)]
     if isinstance(joint, FlexibleJoint):
         spring = {"damping", *(one.name for one in joint.spring.parameters)}
         motor = [row for row in rows if row.name.startswith("motor_") or row.name == "offset"]

@@ -277,7 +277,7 @@ def robot_blocks(
     yield Heading("Result")
     yield from _result(given)
     yield Heading("Joints")
-    yield from found.to_document().blocks[1:]
+    yield from found.to_document().blocks[2:]  # the result has the record and the answer
     yield Heading("Parameters")
     yield from _parameters(given.estimate, found)
     yield Heading("Torque")
