@@ -21,8 +21,9 @@ from jointid.models.limits import AxisLimits, find_excess
 from jointid.output.json.documents import to_dict
 from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
+from jointid.planning import designed as designed_module
 from jointid.planning import search as search_module
-from jointid.planning.designed import Design
+from jointid.planning.designed import Design, PlayedAxis
 from jointid.planning.goals import parse_goal
 from jointid.planning.joint_tests import JointTests, Purpose, least_deviation
 from jointid.planning.plans import (
@@ -609,3 +610,10 @@ def test_behind_a_gear_the_page_says_whose_numbers_they_are(tmp_path: Path) -> N
     page = (tmp_path / "how-to-run.md").read_text()
     assert "All numbers are of the load side: on the motor side positions are 100 times, torques 0.01 times" in page
     assert 'side = "load" }' in page
+    mixed = PlayedAxis(1.0, 1.0, "deg", "A", "load", "motor", "")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(designed_module, "_PLAIN", mixed)
+        found.write(tmp_path)
+    page = (tmp_path / "how-to-run.md").read_text()
+    assert "Positions are of the load side, torques of the motor side" in page
+    assert "on the motor side positions are 100 times as large" in page

@@ -10,6 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
+from jointid.common.transmission import Side
 from jointid.config.contents import File, JointFile
 from jointid.planning.designed import Design, PlayedAxis
 from jointid.records.columns import Column, unit_of_column
@@ -64,24 +65,26 @@ class FileLayout:
         return replace(file, columns=columns, source=source)
 
     def _axis(self, file: JointFile) -> PlayedAxis:
-        small, joint = np.array([0.0, _SMALL]), file.joint
+        small, joint, gear = np.array([0.0, _SMALL]), file.joint, file.joint.transmission
         position = Channel(small, POSITION_UNIT[joint.kind], 1e-3)
         torque = Channel(small, joint.force_unit, 1e-3, Timing.HELD)
         said: dict[str, tuple[float, str]] = {}
+        sides: dict[str, Side] = {}
         for name, record in (("reference", Record(reference=position)), ("torque", Record(torque=torque))):
             named = self._add_columns(file, record)
             named = replace(named, source=replace(named.source, sample_time=None))
             values = list(named.columns_to_write(record).values())[1]  # behind the time
-            side, columns = file.drive.side(name, named.columns.get(name)), dict(named.columns)
-            gear, traces = joint.transmission, file.drive.traces
-            kind = joint.kind if gear is None else gear.kind_of(side)
+            sides[name], columns = file.drive.side(name, named.columns.get(name)), dict(named.columns)
+            traces = file.drive.traces
+            kind = joint.kind if gear is None else gear.kind_of(sides[name])
             if traces is not None:
                 columns[name] = traces.column(name, columns.get(name), file.drive.axis, kind) or Column()
             said[name] = float(values[1]) / _SMALL, unit_of_column(name, columns, kind)
         injected = file.columns.get("injected")
         (position_factor, position_unit), (torque_factor, torque_unit) = said["reference"], said["torque"]
         return PlayedAxis(
-            position_factor, torque_factor, position_unit, torque_unit, None if joint.transmission is None else side,
+            position_factor, torque_factor, position_unit, torque_unit,
+            None if gear is None else sides["reference"], None if gear is None else sides["torque"],
             "" if injected is None else injected.column,
         )  # fmt: skip
 

@@ -93,7 +93,7 @@ class PlayedAxis:
     Attributes:
         position, torque: factors from the joint's numbers to the file's.
         position_unit, torque_unit: of the file.
-        side: of the transmission; None without one.
+        position_side, side: of the transmission that positions and torques are of; None without one.
         injected: column of an added signal, where the file has one.
     """
 
@@ -101,6 +101,7 @@ class PlayedAxis:
     torque: float
     position_unit: str
     torque_unit: str
+    position_side: Side | None
     side: Side | None
     injected: str
 
@@ -356,12 +357,7 @@ class Design(Charted, Documented):
             said = axis.name or "The reference"
             said += f" begins at {start} {q} and stays between {low} and {high} {q}"
             if gear is not None and side is not None:
-                other: Side = "motor" if side == "load" else "load"
-                far = gear.torque(other) / gear.torque(side)
-                said += (
-                    f". All numbers are of the {side} side: on the {other} side positions are {far:g} times, torques "
-                    f"{1 / far:g} times as large"
-                )
+                said += f". {_say_sides(gear, own.position_side or side, side)}"
             steps.append(f"{said}. Bring the axis there first. Its peak torque is {self.peaks[k]}.")
             injected = axis.test.injected
             if injected is not None:
@@ -388,7 +384,22 @@ class Design(Charted, Documented):
         return f"# A test of this {kind}\n\n{peak}\n\n{numbered}\n\n{self.to_document().markdown()}\n"
 
 
-_PLAIN = PlayedAxis(1.0, 1.0, "", "", None, "")
+_PLAIN = PlayedAxis(1.0, 1.0, "", "", None, None, "")
+
+
+def _say_sides(gear: Transmission, of_positions: Side, of_torques: Side) -> str:
+    """State the side of positions and torques, and the factors to the other side."""
+    across: dict[Side, Side] = {"motor": "load", "load": "motor"}
+    to_other = {side: gear.torque(across[side]) / gear.torque(side) for side in across}
+    if of_positions == of_torques:
+        return (
+            f"All numbers are of the {of_torques} side: on the {across[of_torques]} side positions are "
+            f"{to_other[of_torques]:g} times, torques {1 / to_other[of_torques]:g} times as large"
+        )
+    return (
+        f"Positions are of the {of_positions} side, torques of the {of_torques} side: on the {of_torques} side "
+        f"positions are {to_other[of_positions]:g} times as large"
+    )
 
 
 def _columns(axes: Sequence[DesignedAxis], records: Sequence[Record]) -> dict[str, FloatArray]:
