@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 import jointid as ji
+from jointid.diagnostics import find_causes as searching
 from jointid.diagnostics.find_causes import screen_causes
 from tests.diagnostics.test_undeclared import JOINT, LAW, logged
 
@@ -32,3 +33,11 @@ def test_wrong_sign_is_told():
 @pytest.mark.parametrize("hidden", [0.0, 0.5e-3])
 def test_record_that_the_declared_drive_roughly_fits_is_not_screened(hidden):
     assert screen_causes(logged(hidden), LOOP) == []
+
+
+def test_cause_of_a_refused_spring_is_told_however_little_the_misfit_is(monkeypatch):
+    monkeypatch.setattr(searching, "_SUSPICIOUS", 1.0)
+    wrong = replace(LOOP, controller=replace(LAW, velocity_gain=1.5))
+    found = ji.identify(logged(), wrong, ji.DIDIM(frequency=6.0))
+    assert found["stiffness"].value is None
+    assert "the torque is about 2" in str(found.answer)

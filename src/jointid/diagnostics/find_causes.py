@@ -316,11 +316,16 @@ def find_gross_cause(
 ) -> Causes | None:
     """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
 
+    A refused spring may be refused for the cause that the screening told: then it is searched for, however small the
+    misfit is.
+
     Args: see `find_causes`.
     """
     loop = estimate.settings.loop
     assert loop is not None
-    if estimate.fit.filtered_error <= _SUSPICIOUS:
+    refused = any(p.value is None for p in estimate.params.rows)
+    told = bool(low) and low[0].hypothesis.fault is not None and refused
+    if estimate.fit.filtered_error <= _SUSPICIOUS and not told:
         return None
     return find_causes(record, loop, estimate, shown=shown, progress=progress, low=low)
 
@@ -362,6 +367,8 @@ def explain_misfit(
     )
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     refused = any(p.value is None for p in estimate.params.rows)
+    if refused and known is not None and known.explanations:
+        return known
     strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
     if not (poor or gross or ((unchecked or faults) and (strained or _is_doubtful(estimate, record, loop)))):
         return None
