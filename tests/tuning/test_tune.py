@@ -127,6 +127,10 @@ def test_gains_are_told_as_the_drive_shows_them_and_in_si_beside() -> None:
         r"Set position gain Kv from 20\.0+ to [\d.]+ 1/s, velocity gain Kp from 2000 to [\d.]+ N per m/s and ", said
     )
     assert f"integral time Tn from 200.0 to {number(1e3 / after, 4)} ms: in the worst case the " in said
+    far = any(not 1 / 3 <= gain.after / gain.before <= 3 for gain in tuned.gains)
+    assert said.endswith("in no margin.") == far
+    slow = replace(tuned, gains=tuple(replace(gain, after=4.0 * gain.before) for gain in tuned.gains))
+    assert "Set the gains in steps" in slow.sentence
     assert " margin goes from " in said and str(tuned).startswith("Set position gain Kv")
     rows = [" ".join(line.split()) for line in str(tuned).splitlines()]
     told = f"integral_time 200.00 {number(1e3 / after)} ms integral_gain 5.0000, {number(after)} 1/s"

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
 _SMALLEST = 1e-3  # loop gain that is shown
 _REACH = 2.5  # of the Nyquist plot, about its origin
+_FAR = 3.0  # times a gain: a larger change is set in steps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,7 +230,11 @@ class Tuned(Charted, Documented):
             margin = f"is {margin}"
         else:
             margin = f"goes from {margin} to {number(degree * getattr(self.proposed.worst, name), 3)}"
-        return f"{advice}: in the worst case the {name} margin {margin}{unit} ({least} required)."
+        far = any(
+            not 1 / _FAR <= after / before <= _FAR for _, before, after, _ in (g.in_drive for g in self.gains) if before
+        )
+        steps = " Set the gains in steps: a lag of the drive that is not declared is in no margin." if far else ""
+        return f"{advice}: in the worst case the {name} margin {margin}{unit} ({least} required).{steps}"
 
     def to_dataframe(self) -> DataFrame:
         """Pandas data frame of the gains: before and after, unit and formula."""
