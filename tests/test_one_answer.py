@@ -71,7 +71,7 @@ def test_one_record_has_one_answer(gain: float, trust: str, tmp_path: Path, monk
     assert _told(ji.to_dict(file.identify(record))) == expected
     _command("identify", joint, "--record", run, "--json", tmp_path / "command.json", "-q")
     _command("report", joint, "--record", run, "--html", tmp_path / "report.html", "--no-profiles", "--no-tuning", "-q")
-    (tmp_path / "work.json").write_text(json.dumps({"file": "run.csv", "learn": False}))
+    (tmp_path / "work.json").write_text(json.dumps({"file": "run.csv", "records": ["run.csv"], "learn": False}))
     worker.identify(tmp_path)
     for name in ("command.json", "answer.json"):
         assert _told(json.loads((tmp_path / name).read_text(encoding="utf-8"))) == expected, name

@@ -16,7 +16,7 @@ from jointid.controller_id.noise import position_error, position_response
 from jointid.controller_id.ranking import start_law
 from jointid.controller_id.regression import RegressionFit, initial_weighting, law_numbers, regression
 from jointid.controller_id.structure_moves import canonical, list_laws, list_neighbours, list_simpler
-from jointid.controller_id.structures import LATE, RATES, SLOWER, Structure
+from jointid.controller_id.structures import INTERPOLATIONS, LATE, RATES, SLOWER, Structure
 from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, SecondOrder, run
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Timing
@@ -112,7 +112,7 @@ def test_a_clock_is_charged_for_how_many_there_are() -> None:
     part = plain.weight(rows) / plain.parts
     assert part == pytest.approx(np.log(rows))
     assert Structure(feedforward=frozenset({"acceleration"})).weight(rows) == pytest.approx((plain.parts + 1) * part)
-    choices = {"rate": (2, 2 * len(RATES)), "every": (2, sum(SLOWER)), "late": (1, len(LATE))}
+    choices = {"rate": (2, len(INTERPOLATIONS) * len(RATES)), "every": (2, sum(SLOWER)), "late": (1, len(LATE))}
     for name, (value, count) in choices.items():
         clocked = replace(plain, **{name: value})
         assert clocked.weight(rows) == pytest.approx(clocked.parts * part + 2.0 * np.log(count)), name

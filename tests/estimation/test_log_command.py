@@ -52,7 +52,7 @@ def test_a_log_is_identified_and_every_key_documented(
     joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.json"
-    assert run("identify", joint, "--window", 4, "--json", out) == 0
+    assert run("identify", joint, "--window", 4, "--json", out, "--debug") == 0
     said = capsys.readouterr()
     assert "rigid joint, DIDIM in windows, of day" in said.out
     assert "20 of 4 s" in said.out

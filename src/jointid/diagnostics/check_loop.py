@@ -364,7 +364,8 @@ def _test_faster_laws(
     for times in TIMES_FASTER if evident else _TIMES_UNDECIDED:
         here: list[_OtherLawTest] = []
         for law, step in zip(faster_laws(problem, record, times), steps, strict=True):
-            if step is None:
+            held = getattr(law.controller, "interpolation", None) == "hold"
+            if step is None or (held and not evident):  # a held reference is no usual guess
                 continue
             try:
                 refitted = refit(problem, state.x, law, prepare_anew(problem, law, record), start)
