@@ -25,6 +25,7 @@ _ROWS = 8001  # of the demo's record: a third of it, to be quicker
 _ON_SLURM = "jointid campaign run campaign.toml --out results"
 NOT_RUN = {
     f"{_ON_SLURM} --executor slurm --shared /shared/jobs --partition short": "Slurm",
+    "jointid identify examples/emps/joint.toml --record DATA_EMPS.mat": "a real record",
     "jointid learn-controller examples/emps/joint.toml --record DATA_EMPS.mat": "takes minutes; a page runs it",
     "jointid serve --open": "does not end",
     "jointid payload robot.toml --without empty.csv --with loaded.csv": "two joints do not tell all of a payload",

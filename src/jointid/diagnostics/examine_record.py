@@ -212,7 +212,7 @@ def examine(
         >>> axis = ji.twin("L19", noise="white")
         >>> found = ji.examine(axis.record, axis.loop)
         >>> print(found.sentence)
-        Nothing is wrong with twin L19.
+        Nothing is wrong with twin L19; it determines 7 of 12 parameters and sums within 10 %.
     """
     axes = _list_axes(record, model)
     first = axes[0].record

@@ -138,7 +138,7 @@ def plan(visit: Visit) -> None:
     page = visit.page
     page.get_by_role("button", name="Plan it").click(timeout=PATIENCE)  # the report is whole
     page.wait_for_selector("#plan:has-text('identifying again')", timeout=PATIENCE)
-    assert "proposed: position gain" in page.inner_text("#tuning")
+    assert "Set position gain Kv from" in page.inner_text("#tuning")
     visit.looked_at("8-planning")
     page.locator("#plan").get_by_role("button", name="Cancel").click()
     page.wait_for_selector("#plan:has-text('You cancelled it')")
