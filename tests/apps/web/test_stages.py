@@ -133,4 +133,10 @@ def test_an_archive_holds_the_newest_answer(tmp_path: Path) -> None:
 
 def test_a_check_asks_the_same_on_the_page_and_in_the_report() -> None:
     verdicts = [{"subject": subject.value, "status": "passed", "reasons": []} for subject in Subject]
-    assert [one["question"] for one in _build_checks({"verdicts": verdicts})] == [one.question for one in Subject]
+    assert [one["question"] for one in _build_checks({"verdicts": verdicts}, {})] == [one.question for one in Subject]
+
+
+def test_a_noted_check_is_noted_on_the_page() -> None:
+    failed = {"subject": Subject.WHITENESS.value, "status": "failed", "reasons": []}
+    answer = {"verdicts": [failed, failed | {"subject": Subject.FIT.value}]}
+    assert [one["mark"] for one in _build_checks(answer, {Subject.WHITENESS.value: "noted"})] == ["noted", "not fine"]
