@@ -320,7 +320,7 @@ def _test_other_laws(
 def _test_interpolations(
     state: SearchState, found: _TestResults, settings: LoopTests, known: Mapping[str, float], record: Record | None
 ) -> list[_OtherLawTest]:
-    """Return the tests of the ways to fill in the reference that are not declared and may matter."""
+    """Return the tests of undeclared interpolations that may matter."""
     if record is None:
         return []
     problem = state.problem
@@ -389,7 +389,7 @@ def _judge_law(state: SearchState, found: _TestResults, other: Refit) -> tuple[_
 def _screen_law(
     state: SearchState, found: _TestResults, law: OtherLaw, other: ClosedLoopProblem, known: Mapping[str, float]
 ) -> FaultTest | None:
-    """Return the test of what another law changes at the same parameters; None where it cannot matter."""
+    """Test the effect of another law at the same parameters; None without one."""
     moved = found.residual - other.residual(state.x)
     step = _test_signature(state, found, FaultSignature(law.fault, moved, raw=np.zeros(0)))
     return step if _may_matter(state, found, step, moved, known) else None

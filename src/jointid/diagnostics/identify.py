@@ -256,7 +256,7 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
 
 
 def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
-    """Return the shifts by elements that are neither declared nor found as a fault."""
+    """Return the shifts by elements neither declared nor found as faults."""
     named = [
         {fault.name for finding in axis.faults.findings for fault in (finding.test.fault, *finding.test.alike)}
         for axis in found.axes

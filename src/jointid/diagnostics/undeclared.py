@@ -1,8 +1,9 @@
-"""Shifts of an estimate by usual elements of a loop that are not declared: filters of velocity and torque, a delay.
+"""Shifts of an estimate by undeclared elements of a loop.
 
-An element of size s changes the torque by ``s c``. An estimate without it is off by ``s (J' J)^-1 J' c``, J the columns
-of its parameters. The record bounds s: the score test of c beside J gives it with its deviation. The interval holds the
-shift by the largest s, between 0 and what is usual, that is within two deviations.
+The elements are filters of velocity and torque, and a delay. An element of size s changes the torque by ``s c``. An
+estimate without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The record bounds s: the score
+test of c beside J gives it with its deviation. The interval holds the shift by the largest s, between 0 and what is
+usual, that is within two deviations.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def list_undeclared(controller: Controller, sample_time: float) -> Iterator[tupl
 
 
 def widen_for_undeclared(fit: FitResult, torques: AxisTorques, named: Sequence[Collection[str]]) -> list[Widening]:
-    """Return the shift of each parameter by undeclared elements that the record does not exclude; none without any.
+    """Return the shifts of parameters by undeclared elements that are not excluded.
 
     Args:
         fit: of a joint, or of a robot, under controllers.
@@ -94,7 +95,7 @@ def widen_for_undeclared(fit: FitResult, torques: AxisTorques, named: Sequence[C
 
 
 def _free(fit: FitResult) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the names of the columns of an estimate, and the derivatives of the parameters by what was searched."""
+    """Return the names of an estimate's columns, and their scales."""
     part = fit.robot
     if isinstance(part, SimulatedRobot):
         values = part.values[: len(part.parameters.places)]

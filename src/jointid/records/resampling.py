@@ -313,7 +313,7 @@ def update_interval(values: FloatArray) -> int:
 
 
 def default_interpolation(channel: Channel) -> Interpolation:
-    """Return how a channel that is slower than the controller is filled in unless it is declared."""
+    """Return the interpolation of a slow channel for which none is declared."""
     return "linear" if channel.timing is Timing.SAMPLED else "hold"
 
 

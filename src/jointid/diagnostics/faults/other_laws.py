@@ -95,10 +95,10 @@ def runs_at_the_logs_rate(problem: ClosedLoopProblem) -> bool:
 
 
 def faster_laws(problem: ClosedLoopProblem, record: Record, times: int) -> Iterator[OtherLaw]:
-    """Yield the law of a problem in a drive that runs `times` as fast as the log, the declared interpolation first.
+    """Yield the law of a problem in a drive that is faster than the log.
 
-    The drive's reference between two samples is unknown unless it is declared. Cubics matter to a law that
-    differentiates the reference: from lines it gets the velocity half a sample late.
+    The declared interpolation comes first. Cubics matter to a law that differentiates the reference: from lines it
+    gets the velocity half a sample late.
     """
     controller = problem.loop.controller
     assert isinstance(controller, DiagramController)
@@ -116,7 +116,7 @@ def faster_laws(problem: ClosedLoopProblem, record: Record, times: int) -> Itera
 
 
 def other_interpolations(problem: ClosedLoopProblem, record: Record) -> Iterator[OtherLaw]:
-    """Yield the law of a problem with the reference filled in otherwise, where the way is not declared."""
+    """Yield the law of a problem under each interpolation that may be meant."""
     controller: Any = problem.loop.controller
     for way in _list_other_ways(controller, record, problem.experiment.law.period):
         yield OtherLaw(
@@ -126,7 +126,7 @@ def other_interpolations(problem: ClosedLoopProblem, record: Record) -> Iterator
 
 
 def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
-    """Return the ways to fill in the reference that differ from the one in use; none where a way is declared."""
+    """Return the interpolations besides the one in use; none where one is declared."""
     assert record.reference is not None
     declared = getattr(controller, "interpolation", "none is possible")
     if declared is not None or record.reference.sample_time < _SLOWER * period:
@@ -142,7 +142,7 @@ def _differentiates_reference(controller: Controller) -> bool:
 
 
 def prepare_anew(problem: ClosedLoopProblem, law: OtherLaw, record: Record) -> ClosedLoopProblem:
-    """Return a problem with its record prepared for a law of another period, or of another reference.
+    """Return a problem with its record prepared for another law.
 
     Raises:
         RecordError, MethodError: the record, or the law, cannot be at that period.
@@ -226,7 +226,7 @@ def _try_periods(declared: Hypothesis) -> Iterator[Hypothesis]:
 
 
 def _try_interpolation(way: Interpolation, declared: Hypothesis) -> Iterator[Hypothesis]:
-    """Yield the drive with the reference filled in by a way; at faster rates, too, where no period is declared."""
+    """Yield the drive with another interpolation, at faster rates without a declared period."""
     law = declared.controller
     if way in _list_other_ways(law, declared.record, declared.period):
         yield declared.under([replace(law, interpolation=way)])

@@ -384,7 +384,7 @@ def spares_answer(estimate: EstimateParts, verdict: Verdict) -> bool:
 
 
 def mark_of(estimate: EstimateParts, verdict: Verdict) -> Mark:
-    """Return the mark of a check in a list: noted if it failed and does not speak against the answer."""
+    """Return a check's mark: noted if it failed without effect on the answer."""
     return "noted" if verdict.good is False and spares_answer(estimate, verdict) else verdict.good
 
 

@@ -84,7 +84,7 @@ class EstimatedParameter:
 
 
 def show_value(p: EstimatedParameter) -> str:
-    """Format a value with its interval, both to the first two digits of the interval; a refused one by its bound."""
+    """Format a value with its interval; a refused one by its bound."""
     if p.value is None:
         return "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound, 3)}"
     if p.at_bound is not None or not p.free:
