@@ -39,6 +39,7 @@ def test_record_that_the_declared_drive_roughly_fits_is_not_screened(hidden):
 def test_cause_of_a_refused_spring_is_told_however_little_the_misfit_is(monkeypatch, clear):
     monkeypatch.setattr(searching, "_SUSPICIOUS", 1.0)
     monkeypatch.setattr(searching.Causes, "is_clear", clear)
+    monkeypatch.setattr(searching, "_is_doubtful", lambda *_: False)
     wrong = replace(LOOP, controller=replace(LAW, velocity_gain=1.5))
     found = ji.identify(logged(), wrong, ji.DIDIM(frequency=6.0))
     assert found["stiffness"].value is None
