@@ -182,8 +182,7 @@ def run_checks(
     whole = all(p.value is not None for p in fit.params.rows)
     if whole:
         try:
-            # DIDIM reads torque and reference alone: its checks do not read the motor's position either.
-            found, state = diagnose_joint(fit, record.without("motor_position"), (problem, x), shown=shown)
+            found, state = diagnose_joint(fit, record, (problem, x), shown=shown)
             check = found.axes[0].faults
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
             if isinstance(state.problem.joint, FlexibleJoint):
