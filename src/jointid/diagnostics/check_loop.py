@@ -31,6 +31,7 @@ from jointid.diagnostics.fault_tests import (
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest, Hint
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, ParameterShift
 from jointid.diagnostics.faults.forces import OFFSET, free_number
+from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN
 from jointid.diagnostics.faults.other_laws import (
     INTERPOLATIONS,
     MEASURED_VELOCITY,
@@ -46,7 +47,6 @@ from jointid.diagnostics.faults.other_laws import (
     refit_other_laws,
     runs_at_the_logs_rate,
 )
-from jointid.diagnostics.faults.numbers import LOG_DELAY, LOG_GAIN
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.trials import solve_with_fault
 from jointid.diagnostics.model_free import LawOnPosition, excludes
@@ -56,6 +56,7 @@ from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.controllers.servo_base import DiagramController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
@@ -253,6 +254,21 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
     laws = [law for law in frictions_beside(joint) if (linear or not law.linear) and law != joint.friction]
     springs = springs_beside(joint) if isinstance(joint, FlexibleJoint) else ()
     return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
+
+
+def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: ClosedLoopProblem) -> bool:
+    """Return whether the torque acts within a sample after its log, by a delay that nobody stated and that matters.
+
+    The law must make the logged torque of the motor position: then the delay is behind the log, and no fault of law or
+    log looks like it.
+    """
+    controller = problem.loop.controller
+    stated = not isinstance(controller, DiagramController) or controller.delay or controller.undeclared == "none"
+    if stated or law is None or not law.holds or not check.findings:
+        return False
+    first = check.findings[0]
+    moves = any(abs(change.sigmas) > _INTERVAL for change in first.changes.values())
+    return moves and first.test.fault is DELAY and 0.0 < first.test.size < problem.experiment.law.period
 
 
 def _run_tests(state: SearchState, settings: LoopTests, proof: _Proof | None) -> _TestResults:
