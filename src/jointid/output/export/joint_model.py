@@ -26,6 +26,7 @@ from jointid.models.friction import Directions
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
 from jointid.models.springs import LinearSpring, Piece, Spring
+from jointid.output.export.pd_law import PDLaw
 from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, Json
 from jointid.output.json.reading import optional_number
@@ -112,6 +113,7 @@ class JointModel:
         sample_time: of the record in seconds, None where there were several.
         delay: seconds from the logged torque to the torque that acts.
         origin: where the numbers come from.
+        law: of position and velocity, on this side; None where none is known.
     """
 
     name: str
@@ -124,6 +126,7 @@ class JointModel:
     sample_time: float | None
     delay: float
     origin: Origin
+    law: PDLaw | None = None
 
     @property
     def torque_unit(self) -> str:
@@ -269,6 +272,7 @@ class JointModel:
             parameters=on_other_side(self.parameters, there),
             gravity=turned,
             wave=wave,
+            law=None if self.law is None else self.law.scale(there.ratio),
         )
 
     def _mass(self, prefix: str) -> Mass:
