@@ -104,13 +104,18 @@ def model(values: dict[str, float]) -> mujoco.MjModel:
     )
 
 
-def make(name: str, target: Path, seed: int = 1) -> None:
-    """Simulate the log of an actuator, and write it to a file."""
-    actuator = ACTUATORS[name]
+def commands(actuator: Actuator, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return time, q_des, dq_des and tau_ff of an actuator's test, (samples,) each."""
     time = PERIOD * np.arange(round(actuator.duration / PERIOD))
     begin = np.minimum(time / 0.5, 1.0)  # at rest at first
     wanted = begin * multisine(*actuator.swing, time, seed)
-    rate, added = np.gradient(wanted, PERIOD), begin * multisine(*actuator.added, time, seed + 1)
+    return time, wanted, np.gradient(wanted, PERIOD), begin * multisine(*actuator.added, time, seed + 1)
+
+
+def make(name: str, target: Path, seed: int = 1) -> None:
+    """Simulate the log of an actuator, and write it to a file."""
+    actuator = ACTUATORS[name]
+    time, wanted, rate, added = commands(actuator, seed)
     (kp, kd), gap = actuator.gains, actuator.values.get("gap", 0.0)
     compiled = model(actuator.values)
     data = mujoco.MjData(compiled)

@@ -96,7 +96,7 @@ def isaac_lab(
     """
 
     def entry(one: Actuator) -> Entry:
-        law, (steps, lost) = one.law, _delay_steps(one.law, timestep)
+        law, (steps, lost) = one.law, _commands(one.law, timestep)
         rise = one.rise[0] if one.rise and one.rise[0] > 0 else 0.0
         keys: dict[str, Any] = {
             "joint_names_expr": [re.escape(one.name)], "stiffness": law.stiffness, "damping": law.damping,
@@ -135,7 +135,7 @@ def mjlab(
     """
 
     def entry(one: Actuator) -> Entry:
-        law, (steps, lost) = one.law, _delay_steps(one.law, timestep)
+        law, (steps, lost) = one.law, _commands(one.law, timestep)
         keys: dict[str, Any] = {
             "target_names_expr": (re.escape(one.name),), "stiffness": law.stiffness, "damping": law.damping,
             "armature": one.armature, "frictionloss": one.coulomb, "viscous_damping": one.viscous,
@@ -168,7 +168,7 @@ def usd(
     actuators = _actuators(model, laws, "USD", timestep, stall_torque, no_load_speed)
     lines, lost, taken = list[str](), list[str](), set[str]()
     for one in actuators:
-        law, (steps, late) = one.law, _delay_steps(one.law, timestep)
+        law, (steps, late) = one.law, _commands(one.law, timestep)
         per, axis, kind = 1.0, "linear", "PhysicsPrismaticJoint"
         if one.kind == "revolute":
             per, axis, kind = _DEGREE, "angular", "PhysicsRevoluteJoint"
@@ -295,12 +295,14 @@ def _actuators(
     )
 
 
-def _delay_steps(law: PDLaw, timestep: float) -> tuple[int, list[str]]:
-    """Return the steps by which commands are late, and sentences on what they do not hold of the delays."""
+def _commands(law: PDLaw, timestep: float) -> tuple[int, list[str]]:
+    """Return the steps by which commands are late, and sentences on what of commands and delays is not held."""
     steps, lost = round(law.command_delay / timestep), list[str]()
     if abs(steps * timestep - law.command_delay) > 1e-9:
         written = f"{steps} steps of {1e3 * timestep:.4g} ms are written"
         lost.append(f"a part of the command delay of {1e3 * law.command_delay:.4g} ms: {written}")
+    if law.share != 1.0:
+        lost.append(f"the share {law.share:g} of velocity commands that the law takes: scale them by it")
     if law.delay:
         lost.append(f"the delay of {1e3 * law.delay:.4g} ms from position to torque: commands alone are late")
     return steps, lost
