@@ -272,14 +272,14 @@ def export(
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified
-            from the record that it names; it is written as MJCF or URDF with bodies that fit.
+            from the record that it names; MJCF and URDF have bodies that fit.
         estimate: what identify --json wrote; of a joint file it is needed.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         axis: of a robot file the name of the one joint that the estimate is of.
         out: the file to write.
         format: the language by its name, as joint-file, instead of the one the ending of the file means.
-        side: of a transmission, whose numbers are written; without it the load's for URDF and MJCF, and else the side
-            that was identified.
+        side: of a transmission, whose numbers are written; without it the load's for URDF, MJCF and actuators, and else
+            the side that was identified.
         fixed: of a joint file: the values are kept, instead of being starts.
         period: of a state space, in s, to sample it with; without it the record's sample time.
         delay: of a state space, in s, from a sample of the torque to its effect; without it as identified.

@@ -123,8 +123,8 @@ def export(
         estimate: from `identify` or `read_joint_model`. Of a robot, bodies near the nominal ones that fit it are
             written; a `Robot` is written as it is.
         language: its name, or the ending of its files.
-        side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF and MJCF,
-            whose joints are those of a robot's links, and else the side that was identified.
+        side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF, MJCF
+            and actuators, whose joints are those of a robot's links, and else the side that was identified.
         name: what the joint or the robot is called; without it "joint", or the name it was read with.
         controllers: of each joint, whose gains simulators take; without them those that it was identified under.
         settings: of the language.
