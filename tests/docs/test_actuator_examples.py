@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
+from jointid.output.report.data_sheet import data_sheets
 from tests.docs.blocks import ROOT
 
 pytest.importorskip("mujoco", reason="the logs are made by MuJoCo, which is not installed")
@@ -29,6 +30,11 @@ def test_an_actuator_is_identified_from_the_torque_of_its_log(name: str, tmp_pat
         assert row.interval[0] <= truth[row.name] <= row.interval[1], (row.name, row.interval)
     asked = estimate.answer.found.values["parameter"]
     assert estimate[asked].value == pytest.approx(truth[asked], rel=0.02)
+    (sheet,) = data_sheets(estimate)
+    kp, kd = actuators.ACTUATORS[name].gains
+    said = {row[0]: row[1] for row in sheet.rows}
+    assert (float(said["kp"]), float(said["kd"])) == pytest.approx((kp, kd), rel=1e-4)
+    assert ("backlash" in said) == ("gap" in truth)
 
 
 def test_the_readme_has_every_joint_file() -> None:

@@ -13,14 +13,14 @@ from jointid.common.files import write_whole
 from jointid.common.text import join
 from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
+from jointid.models.controllers.servo_base import Controller
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
 from jointid.output.export.actuators import bam, isaac_lab, mjlab, usd
 from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.export.modelica import modelica
-from jointid.output.export.pd_law import pd_law
+from jointid.output.export.pd_law import controllers_of, pd_law
 from jointid.output.export.robot_model import read_robot_model, robot_mjcf, robot_urdf
 from jointid.output.export.robots import mjcf, urdf
 from jointid.output.export.state_space_model import StateSpace, linear_part, matlab, state_space_json
@@ -156,7 +156,7 @@ def export(
         raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; {has}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
-    laws = [pd_law(one) for one in controllers or _controllers_of(estimate)]
+    laws = [pd_law(one) for one in controllers or controllers_of(estimate)]
     if robot is not None:
         if side is not None:
             raise MethodError("All numbers of a robot are behind its gears; leave the side out.")
@@ -208,19 +208,6 @@ def find_language(name: str) -> Language:
             return language
     known = "; ".join(" ".join([one.name, *(f"({suffix})" for suffix in one.suffixes)]) for one in LANGUAGES)
     raise MethodError(f'"{name}" is no language that a joint is exported to; expected one of {known}.')
-
-
-def _controllers_of(estimate: object) -> Sequence[Controller | None]:
-    """Return the controllers that an estimate was identified under, with the numbers that were free."""
-    if not isinstance(estimate, Estimate):
-        return ()
-    if estimate.robot is not None:
-        return getattr(estimate.robot.setup, "controllers", ())
-    loop = estimate.settings.loop
-    if loop is None:
-        return ()
-    known, values = numbers_of(loop.controller), estimate.values
-    return [with_numbers(loop.controller, {name: values[name] for name in known if name in values})]
 
 
 def _model(estimate: object, name: str | None) -> JointModel:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.filters import as_filter
 from jointid.models.controllers.laws import PD, Cascade
-from jointid.models.controllers.servo_base import Controller, numbers_of
+from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,3 +69,16 @@ def pd_law(controller: Controller | None) -> PDLaw | None:
         force * gains[0], force * gains[1], share, controller.limit * controller.gain * abs(controller.ratio),
         controller.reference_delay, controller.delay, tuple(lost),
     )  # fmt: skip
+
+
+def controllers_of(estimate: object) -> Sequence[Controller | None]:
+    """Return the controllers that an estimate was identified under, with the numbers that were free."""
+    if not isinstance(estimate, Estimate):
+        return ()
+    if estimate.robot is not None:
+        return getattr(estimate.robot.setup, "controllers", ())
+    loop = estimate.settings.loop
+    if loop is None:
+        return ()
+    known, values = numbers_of(loop.controller), estimate.values
+    return [with_numbers(loop.controller, {name: values[name] for name in known if name in values})]
