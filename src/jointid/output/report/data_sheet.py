@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 
 from jointid.common.document import Table
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT, Quantity, unit_of
-from jointid.common.text import number
+from jointid.common.text import in_words, number
 from jointid.diagnostics.axis_parameters import Told, parameters_by_axis
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import show_value
-from jointid.estimation.result.summary import in_words, remarks
+from jointid.estimation.result.summary import remarks
 from jointid.models.controllers.servo_base import Controller
 from jointid.output.export.pd_law import controllers_of, pd_law
 
