@@ -16,8 +16,9 @@ import pytest
 import jointid as ji
 from jointid.models.friction import StribeckFriction
 from jointid.models.robots.robot import JointSpring
+from jointid.output.export.joint_model import joint_model
 from tests.estimation.robots.twin import arm
-from tests.output.export.models import model
+from tests.output.export.models import answer, model
 
 GEAR = ji.Transmission(load="revolute", ratio=10.0, side="motor")
 RIGID = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.02, "offset": 0.001}
@@ -190,3 +191,12 @@ def test_hostile_names_stay_names(language: str) -> None:
             ("Scope", "Actuators"), ("PhysicsRevoluteJoint", "x_import_os_os_abort")
         ]  # fmt: skip
         assert stage.count("{") == stage.count("}") == 2
+
+
+@pytest.mark.usefixtures("simulators")
+def test_a_gain_that_was_identified_takes_the_place_of_the_declared_one() -> None:
+    joint = ji.RigidJoint("revolute", transmission=GEAR)
+    told = answer(joint, RIGID)
+    told["parameters"]["position_gain"] = told["parameters"]["offset"] | {"value": 0.8}
+    made = ji.export(joint_model(told, joint, "knee"), "isaac-lab", controllers=[LAW])
+    assert built(made.text)["knee"][1]["stiffness"] == pytest.approx(80.0)

@@ -13,7 +13,7 @@ from jointid.common.files import write_whole
 from jointid.common.text import join
 from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers.servo_base import Controller
+from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
 from jointid.output.export.actuators import bam, isaac_lab, mjlab, usd
@@ -156,16 +156,26 @@ def export(
         raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; {has}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
-    laws = [pd_law(one) for one in controllers or controllers_of(estimate)]
+    given = controllers or controllers_of(estimate)
     if robot is not None:
         if side is not None:
             raise MethodError("All numbers of a robot are behind its gears; leave the side out.")
         bodies, note = read_robot_model(robot)
+        laws = [pd_law(one) for one in given]
         return Export(chosen.name, *write(replace(bodies, name=name or bodies.name), laws, **settings), note)
     model = _model(estimate, name)
-    if laws:  # they are of the side that was identified
+    if given:  # its numbers are of the side that was identified
         identified = None if model.joint.transmission is None else model.joint.transmission.side
-        model = replace(model.on(identified), law=laws[0])
+        law = (
+            None
+            if given[0] is None
+            else pd_law(
+                with_numbers(
+                    given[0], {name: model.beside[name] for name in numbers_of(given[0]) if name in model.beside}
+                )
+            )
+        )
+        model = replace(model.on(identified), law=law)
     model = model.on(side or (None if model.side is None else chosen.side))
     return Export(chosen.name, *write(model, **settings))
 

@@ -12,7 +12,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from jointid import __version__
@@ -114,6 +114,7 @@ class JointModel:
         delay: seconds from the logged torque to the torque that acts.
         origin: where the numbers come from.
         law: of position and velocity, on this side; None where none is known.
+        beside: values that were identified beside the joint's, such as gains of the controller.
     """
 
     name: str
@@ -127,6 +128,7 @@ class JointModel:
     delay: float
     origin: Origin
     law: PDLaw | None = None
+    beside: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def torque_unit(self) -> str:
@@ -338,6 +340,7 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
             tuple(str(record.get("torque_sha256") or "") for record in records),
             tuple(str(effect["kind"]) for effect in answer.get("effects", []) if effect["kind"] != "encoder_offset"),
         ),
+        beside={name: value for name, one in found.items() if (value := optional_number(one["value"])) is not None},
     )
 
 

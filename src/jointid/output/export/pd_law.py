@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.filters import as_filter
 from jointid.models.controllers.laws import PD, Cascade
-from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
+from jointid.models.controllers.servo_base import Controller, numbers_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,4 @@ def controllers_of(estimate: object) -> Sequence[Controller | None]:
     if estimate.robot is not None:
         return getattr(estimate.robot.setup, "controllers", ())
     loop = estimate.settings.loop
-    if loop is None:
-        return ()
-    known, values = numbers_of(loop.controller), estimate.values
-    return [with_numbers(loop.controller, {name: values[name] for name in known if name in values})]
+    return () if loop is None else (loop.controller,)

@@ -126,7 +126,8 @@ def robot_mjcf(
             at = {"pos": _numbers(solid.centre), "mass": number(solid.mass)}
             ET.SubElement(body, "inertial", at | moments)
         kind = {"type": "hinge" if link.kind == "revolute" else "slide", "axis": _numbers(link.axis)}
-        (motor, *behind), armature = _friction(joint), {"armature": number(joint.rotor_inertia)}
+        armature = {"armature": number(joint.rotor_inertia)}
+        motor, *behind = ({"damping": number(fv), "frictionloss": number(fc)} for fv, fc in _lines(joint))
         moved = ET.SubElement(
             body, "joint", {"name": joint.name, **kind, **(behind[0] if behind else armature | motor)}
         )
@@ -191,10 +192,6 @@ def _lines(joint: RobotJoint) -> FloatArray:
     sides = [""] if joint.spring is None else ["motor_", "load_"]
     each = np.array([joint.law.directions(joint.values, side) for side in sides])
     return np.asarray(0.5 * np.sum(each.reshape(-1, 2, 2), axis=2))
-
-
-def _friction(joint: RobotJoint) -> list[dict[str, str]]:
-    return [{"damping": number(viscous), "frictionloss": number(coulomb)} for viscous, coulomb in _lines(joint)]
 
 
 def _comments(lost: list[str]) -> list[str]:

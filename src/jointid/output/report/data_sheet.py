@@ -66,7 +66,8 @@ def data_sheets(estimate: Estimate, controllers: Sequence[Controller | None] = (
                 remark, value = f"only in the sum {within[0]}", "-"
             rows.insert(0, ("armature", value, unit_of(Quantity.INERTIA, kind, TORQUE_UNIT[kind]), remark))
         force = TORQUE_UNIT[kind] if robot is not None else estimate.settings.joint.force_unit
-        rows += _law_rows(controller, force, POSITION_UNIT[kind], {*plain.values()})
+        freed = {p.name.removeprefix(prefix) for p in estimate.params.rows if p.free and not p.of_joint}
+        rows += _law_rows(controller, force, POSITION_UNIT[kind], freed)
         yield Table(("quantity", "value ± 2 sigma", "unit", "remark"), tuple(rows), axis, words=(0, 2, 3))
 
 
@@ -78,8 +79,9 @@ def _law_rows(
     if law is None:
         yield ("gains", "-", "", "no law of position and velocity is declared")
         return
-    yield ("kp", number(law.stiffness), f"{force}/{position}", "declared")
-    yield ("kd", number(law.damping), f"{force} s/{position}", "declared")
+    known = "identified" if identified & {"position_gain", "velocity_gain", "derivative_gain", "gain"} else "declared"
+    yield ("kp", number(law.stiffness), f"{force}/{position}", known)
+    yield ("kd", number(law.damping), f"{force} s/{position}", known)
     if law.limit < math.inf:
         yield ("limit", number(law.limit), force, "declared")
     if "delay" not in identified:
