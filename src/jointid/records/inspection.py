@@ -20,9 +20,10 @@ from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import number, pluralise, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_tables
+from jointid.records.formats.table import STAMP_NAME
 
 _ROWS = 65536  # that are in memory at once, where the format allows it
-_TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamps?|stamps?|zeit)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+_TIME = re.compile(rf"(?:.*[/._ ])?{STAMP_NAME.pattern}", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
 _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
