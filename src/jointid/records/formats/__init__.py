@@ -59,7 +59,7 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
         if isinstance(entry, RosBag) and (is_folder or not path.suffix):
             break
     else:
-        known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS)
+        known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
         fact = f'has the suffix "{path.suffix}", which names no known format ({known})'
         if packed and suffix != path.suffix:
             fact = f'is packed by gzip, which is unpacked for texts alone; unpack it to "{path.stem}"'
