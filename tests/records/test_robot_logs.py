@@ -5,12 +5,18 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
+import jointid as ji
 from jointid.common.errors import RecordError
+from jointid.config import loads
+from jointid.config.logged import describe_log
 from jointid.records.formats import read_table
+from jointid.records.record import Record
 
 T = 0.005
 TIME = np.arange(240) * T
@@ -138,3 +144,215 @@ def test_a_pickle_is_refused_with_the_lines_that_convert_it(tmp_path: Path, name
     assert loads == f"import numpy, {package}"
     assert saves.startswith(f'numpy.savez("{Path(name).stem}.npz", **{package}.load(')
     assert not Path("ran").exists()
+
+
+# Whose log it is, and the file that reads it
+# -------------------------------------------
+
+KP, KD = 40.0, 1.5
+LOW_STATE = "uint8[2] head\nMotorState[4] motor_state\nuint32 tick\n"
+MOTOR_STATE = "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 ddq\nfloat32 tau_est\nint8 temperature\nuint32[2] reserve\n"
+LOW_CMD = "MotorCmd[4] motor_cmd\nuint32 crc\n"
+MOTOR_CMD = "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 tau\nfloat32 kp\nfloat32 kd\nuint32 reserve\n"
+CONTROLLER_STATE = (
+    "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint reference\n"
+    "trajectory_msgs/JointTrajectoryPoint feedback\ntrajectory_msgs/JointTrajectoryPoint desired\n"
+)
+
+
+def bag(path: Path, definitions: dict[str, str], topics: dict[str, str], rows: Any) -> Path:
+    """Write a bag; `rows` yields topic, instant in ns and a function of the types that makes the message."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in definitions.items():
+        store.register(get_types_from_msg(text, name))
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        links = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
+        for topic, stamp, make in rows:
+            writer.write(links[topic], stamp, store.serialize_cdr(make(store.types), topics[topic]))
+    return path
+
+
+def unitree(path: Path) -> Path:
+    """Write LowState and LowCmd, of four slots for motors of which two are there, 1 ms apart."""
+    definitions = {
+        "unitree_go/msg/MotorState": MOTOR_STATE, "unitree_go/msg/LowState": LOW_STATE,
+        "unitree_go/msg/MotorCmd": MOTOR_CMD, "unitree_go/msg/LowCmd": LOW_CMD,
+    }  # fmt: skip
+
+    def state(row: int) -> Any:
+        def make(types: Any) -> Any:
+            motor = types["unitree_go/msg/MotorState"]
+            values = [*zip(MOTION[row], TORQUE[row], strict=True), (0.0, 0.0), (0.0, 0.0)]
+            motors = [motor(1, q, 0.0, 0.0, tau, 30, np.zeros(2, np.uint32)) for q, tau in values]
+            return types["unitree_go/msg/LowState"](np.zeros(2, np.uint8), motors, row)
+
+        return make
+
+    def command(row: int) -> Any:
+        def make(types: Any) -> Any:
+            motors = [types["unitree_go/msg/MotorCmd"](1, q, 0.0, 0.0, KP, KD, 0) for q in (*COMMAND[row], 0.0, 0.0)]
+            return types["unitree_go/msg/LowCmd"](motors, 0)
+
+        return make
+
+    start = 1_700_000_000_000_000_000
+    rows = (
+        (topic, start + round((t + late) * 1e9), make(row))
+        for row, t in enumerate(TIME)
+        for topic, late, make in (("/lowstate", 0.0, state), ("/lowcmd", 1e-3, command))
+    )
+    topics = {"/lowstate": "unitree_go/msg/LowState", "/lowcmd": "unitree_go/msg/LowCmd"}
+    return bag(path, definitions, topics, rows)
+
+
+def ros2(path: Path) -> Path:
+    """Write joint states, and the state of a joint trajectory controller with its older fields beside the newer."""
+
+    def stamped(types: Any, t: float) -> Any:
+        nanoseconds = 1_700_000_000 * 10**9 + round(t * 1e9)
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+        return types["std_msgs/msg/Header"](stamp, "base")
+
+    def joints(row: int) -> Any:
+        return lambda types: types["sensor_msgs/msg/JointState"](
+            stamped(types, TIME[row]), list(JOINTS), MOTION[row].copy(), np.zeros(2), TORQUE[row].copy()
+        )
+
+    def state(row: int) -> Any:
+        def make(types: Any) -> Any:
+            def point(positions: Any) -> Any:
+                none, zero = np.empty(0), types["builtin_interfaces/msg/Duration"](0, 0)
+                return types["trajectory_msgs/msg/JointTrajectoryPoint"](positions.copy(), none, none, none, zero)
+
+            points = [point(one[row]) for one in (COMMAND, MOTION, COMMAND)]
+            return types["control_msgs/msg/JointTrajectoryControllerState"](
+                stamped(types, TIME[row]), list(JOINTS), *points
+            )
+
+        return make
+
+    stamps = 1_700_000_000 * 10**9 + np.round(TIME * 1e9).astype(np.int64)
+    topics = {
+        "/joint_states": "sensor_msgs/msg/JointState",
+        "/leg/controller_state": "control_msgs/msg/JointTrajectoryControllerState",
+    }
+    rows = (
+        (topic, int(stamps[row]), make(row))
+        for row in range(TIME.size)
+        for topic, make in (("/joint_states", joints), ("/leg/controller_state", state))
+    )
+    return bag(path, {"control_msgs/msg/JointTrajectoryControllerState": CONTROLLER_STATE}, topics, rows)
+
+
+def table(path: Path, columns: dict[str, Any]) -> Path:
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, "%.12g", ",", header=",".join(columns), comments="")
+    return path
+
+
+def mit(path: Path) -> Path:
+    columns: dict[str, Any] = {"timestamp": TIME}
+    for k in range(2):
+        columns |= {
+            f"q_{k}": MOTION[:, k],
+            f"dq_{k}": 0 * TIME,
+            f"tauEst_{k}": TORQUE[:, k],
+            f"q_des_{k}": COMMAND[:, k],
+        }
+        columns |= {f"kp_{k}": 0 * TIME + KP, f"kd_{k}": 0 * TIME + KD}
+    return table(path.with_suffix(".csv"), columns)
+
+
+def unitree_json(path: Path) -> Path:
+    rows = [
+        {
+            "t": t,
+            "motor_state": [{"q": q, "tau_est": tau} for q, tau in zip(qs, taus, strict=True)],
+            "motor_cmd": [{"q": q, "kp": KP, "kd": KD} for q in commands],
+        }
+        for t, qs, taus, commands in zip(TIME, MOTION.tolist(), TORQUE.tolist(), COMMAND.tolist(), strict=True)
+    ]
+    path.with_suffix(".jsonl").write_text("\n".join(map(json.dumps, rows)))
+    return path.with_suffix(".jsonl")
+
+
+def pace(path: Path) -> Path:
+    np.savez(path.with_suffix(".npz"), time=TIME, dof_pos=MOTION, des_dof_pos=COMMAND)
+    return path.with_suffix(".npz")
+
+
+def fields(path: Path, reach: tuple[float, float], bits: tuple[int, int], end: str) -> Path:
+    """Write the whole numbers of two CAN motors; positions have the first range and bits, torques the others."""
+
+    def whole(values: Any, kind: int) -> Any:
+        return np.round((values / reach[kind] + 1) / 2 * (2 ** bits[kind] - 1))
+
+    columns: dict[str, Any] = {"timestamp": TIME}
+    for k in range(2):
+        named = {"p": (MOTION, 0), "p_des": (COMMAND, 0), "t": (TORQUE, 1)}
+        columns |= {f"{name}_{end}_{k}": whole(values[:, k], kind) for name, (values, kind) in named.items()}
+    return table(path.with_suffix(".csv"), columns)
+
+
+def damiao(path: Path) -> Path:
+    return fields(path, (12.5, 28.0), (16, 12), "int")
+
+
+def robstride(path: Path) -> Path:
+    return fields(path, (4 * np.pi, 17.0), (16, 16), "int16")
+
+
+LOGS: dict[str, Any] = {
+    "unitree": unitree, "unitree_json": unitree_json, "mit": mit, "pace": pace, "sage": sage, "damiao": damiao,
+    "robstride": robstride, "ros2": ros2,
+}  # fmt: skip
+MOTORS = {"damiao": 'motor = "DM4340"', "robstride": 'motor = "RS02"'}
+STEPS = {"damiao": (12.5 / 65535, 28 / 4095), "robstride": (4 * np.pi / 65535, 17 / 65535)}
+BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+URDF = f"""<robot name="leg"><link name="base"/><link name="thigh">{BODY}</link><link name="shank">{BODY}</link>
+<joint name="hip" type="continuous"><parent link="base"/><child link="thigh"/></joint>
+<joint name="knee" type="continuous"><parent link="thigh"/><child link="shank"/></joint></robot>"""
+
+
+def compared(record: Record, joint: int, name: str) -> None:
+    """Compare the channels of a joint at the record's own instants, which a log with several clocks begins later."""
+    steps = STEPS.get(name, (3e-4, 1e-3))  # of straight lines between samples of 5 and 10 ms, or of a field
+    made = {"motor_position": MOTION, "reference": COMMAND, "torque": TORQUE}
+    for channel, found in record.items():
+        if channel not in made:
+            continue
+        late = 1e-3 if (name, channel) == ("unitree", "reference") else 0.0  # LowCmd is stamped later
+        exact = CubicSpline(TIME, made[channel][:, joint])(record.begin + found.time - late)
+        np.testing.assert_allclose(found.values, exact, atol=steps[channel == "torque"], err_msg=channel)
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp_path: Path) -> None:
+    """By a joint file and by a robot file, whose joints the log names or numbers."""
+    path = LOGS[name](tmp_path / "run")
+    found = ji.inspect(path)
+    assert found.recognised is not None
+    assert found.recognised.profile.name == name.removesuffix("_json")
+    profile = f'profile = "{found.recognised.profile.name}"'
+    axis = "knee" if name in ("sage", "ros2") else "2"
+    idim = '\n[method]\nname = "idim"\n'
+    if name == "pace":  # which logs no torque
+        for joint in range(2):
+            compared(ji.read(path, drive=ji.Drive("pace", joint + 1)), joint, name)
+        return
+    alone = describe_log(found, path.name, axis).replace(profile, f"{profile}\n{MOTORS.get(name, '')}") + idim
+    file = loads(alone, tmp_path)
+    compared(file.record(), 1, name)
+    (tmp_path / "robot.urdf").write_text(URDF)
+    whole = describe_log(found, path.name).replace(profile, f"{profile}\n{MOTORS.get(name, '')}") + idim
+    for number, joint in enumerate(JOINTS, start=1):
+        whole = whole.replace(f'"joint{number}"', f'"{joint}"')
+    robot = loads(whole, tmp_path)
+    for number, record in enumerate(robot.record()):
+        compared(record, number, name)
+    assert {type(one).__name__ for one in robot.controllers} == (
+        {"PD"} if name in ("mit", "unitree", "unitree_json") else {"NoneType"}
+    )

@@ -40,7 +40,10 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
         raise RecordError(f"{found.file} has no axis {axis!r}; expected {', '.join(map(show, axes))}.")
     chosen = axes[axis] if axis is not None else log.axes[0] if len(log.axes) == 1 else None
     columns = {channel.name: channel for channel in found.channels}
-    used = log.axes if chosen is None else (chosen,)
+    moving = [any(_moves(columns[name]) for name in one.channels.values()) for one in log.axes]
+    last = max((k for k, moves in enumerate(moving) if moves), default=len(moving) - 1)
+    every = log.axes[: last + 1]  # messages have more slots than a robot has motors
+    used = every if chosen is None else (chosen,)
     record = {"file": file, **_clock(columns, used)}
     said = [
         f"# {log.sentence}",
@@ -52,9 +55,13 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
         tables = {"joint": {"kind": "revolute"}, "record": record, "drive": drive, **_controller(log, chosen, columns)}
     else:
         said.append(f"# {_MODEL} is the robot's model; its joints are named here in the log's order: correct both.")
-        joints = [{"name": one.name, **_controller(log, one, columns)} for one in log.axes]
+        joints = [{"name": one.name, **_controller(log, one, columns)} for one in every]
         tables = {"robot": {"model": _MODEL}, "record": record, "drive": drive, "joints": joints}
     return "\n".join(said) + "\n\n" + tomli_w.dumps(tables)
+
+
+def _moves(channel: InspectedChannel) -> bool:
+    return channel.outline.minimum != channel.outline.maximum
 
 
 def _clock(columns: Mapping[str, InspectedChannel], axes: tuple[LoggedAxis, ...]) -> dict[str, Any]:
@@ -69,7 +76,7 @@ def _clock(columns: Mapping[str, InspectedChannel], axes: tuple[LoggedAxis, ...]
 def _controller(log: Recognised, axis: LoggedAxis, columns: Mapping[str, InspectedChannel]) -> dict[str, Any]:
     """Return [controller] where the law is known, and the log holds its gains, which do not change."""
     gains = {gain.key: (columns[name].outline, gain.units[0]) for name, gain in axis.gains.items()}
-    if not log.profile.law or len(gains) < 2 or any(o.minimum != o.maximum for o, _ in gains.values()):
+    if not log.profile.law or len(gains) < 2 or any(_moves(columns[name]) for name in axis.gains):
         return {}
     said: dict[str, Any] = {key: f"{outline.maximum:.9g} {unit}" for key, (outline, unit) in gains.items()}
     if velocity := axis.channels.get("reference_velocity"):

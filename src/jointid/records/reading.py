@@ -42,7 +42,7 @@ from jointid.records.columns import (
     unwrap,
     wrap_faults,
 )
-from jointid.records.drives import Drive
+from jointid.records.drives import Drive, index_columns
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
 from jointid.records.resampling import Resampling, Stamped, align_updates, judge_jitter, resample_together
@@ -298,7 +298,9 @@ class _Columns:
     def gain_faults(self, declared: Mapping[str, float]) -> Iterator[str]:
         """Yield gains of the log that vary, are in whole numbers of the drive, or differ from the declared ones."""
         profile = self.drive.traces
-        for name, gain in {} if profile is None else profile.gain_columns(self.table.columns, self.drive.place).items():
+        if profile is None or not declared:
+            return
+        for name, gain in profile.gain_columns(index_columns(self.table.columns), self.drive.place).items():
             values = self.table.columns[name][np.isfinite(self.table.columns[name])]
             if gain.key not in declared or not values.size:
                 continue

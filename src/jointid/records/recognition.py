@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from jointid.common.text import join, pluralise
-from jointid.records.drives import DriveGain, Place, Profile, load_profile, place_of, profile_names
+from jointid.records.drives import DriveGain, Place, Profile, index_columns, load_profile, place_of, profile_names
 from jointid.records.record import CHANNELS
 
 _LAST = "generic"  # whose names others have too
@@ -78,14 +78,13 @@ def recognise(columns: tuple[str, ...]) -> Recognised | None:
 
 def _find_axes(profile: Profile, columns: tuple[str, ...]) -> Iterator[LoggedAxis]:
     """Yield axes with a position of their own, each column at its first place."""
-    taken = set[str]()
+    spoken, taken = index_columns(columns), set[str]()
     for place in (place_of(), *map(place_of, range(1, _MOST + 1)), *_joints(profile, columns)):
-        free = [name for name in columns if name not in taken]
-        found = {channel: profile.candidates(channel, free, place) for channel in profile.channels}
-        channels = {channel: names[0] for channel, names in found.items() if len(names) == 1}
+        found = {channel: set(profile.candidates(channel, spoken, place)) - taken for channel in profile.channels}
+        channels = {channel: names.pop() for channel, names in found.items() if len(names) == 1}
         if "motor_position" in channels or "reference" in channels:
-            gains = profile.gain_columns(free, place)
-            taken.update(channels.values(), gains)
+            gains = profile.gain_columns(spoken, place)
+            taken.update(channels.values())
             yield LoggedAxis(place, channels, gains)
 
 

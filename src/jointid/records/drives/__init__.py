@@ -14,7 +14,7 @@ import contextlib
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
@@ -27,6 +27,9 @@ from jointid.common.settings import add_settings_to_docstring, check_settings, s
 from jointid.common.transmission import Side, usual_side
 from jointid.records.columns import Column, known_units
 from jointid.records.record import CHANNELS, InjectionPoint, Tap, Timing
+
+Spoken: TypeAlias = Mapping[tuple[str, ...], Sequence[str]]
+"""Columns of a trace by the words that name them."""
 
 Place: TypeAlias = Mapping[str, int | str]
 """Where in a trace an axis stands: what the placeholders of names mean."""
@@ -141,19 +144,23 @@ class Profile:
             s for s in self.channels.get(channel, ()) if any(_split_words(name) in spoken for name in s.names_on(place))
         ]
 
-    def candidates(self, channel: str, columns: Iterable[str], place: Place) -> list[str]:
+    def candidates(self, channel: str, columns: Spoken, place: Place) -> list[str]:
         """Columns that can be a channel; fallbacks only where nothing else is."""
-        found = {name: signals[0] for name in columns if (signals := self.signals(channel, name, place))}
+        found: dict[str, TraceSignal] = {}
+        for signal in self.channels.get(channel, ()):
+            for name in signal.names_on(place):
+                for column in columns.get(_split_words(name), ()):
+                    found.setdefault(column, signal)
         return [name for name, signal in found.items() if not signal.fallback] or list(found)
 
-    def gain_columns(self, columns: Iterable[str], place: Place) -> dict[str, DriveGain]:
+    def gain_columns(self, columns: Spoken, place: Place) -> dict[str, DriveGain]:
         """Columns that hold a gain of the controller, where exactly one does."""
-        columns, made = tuple(columns), {}
+        made = {}
         for gain in self.gains:
-            named = [_split_words(name) for name in _fill_names(gain.columns, place)]
-            found = [column for column in columns if any(words in named for words in _name_words(column))]
+            names = _fill_names(gain.columns, place)
+            found = {column for name in names for column in columns.get(_split_words(name), ())}
             if len(found) == 1:
-                made[found[0]] = gain
+                made[found.pop()] = gain
         return made
 
     def side(self, channel: str, column: str, place: Place) -> Side | None:
@@ -201,10 +208,11 @@ class Profile:
     ) -> tuple[dict[str, Column], list[str]]:
         """Assign columns to channels, with a fault for each missing or ambiguous one."""
         columns, made, faults = tuple(columns), {}, list[str]()
+        spoken = index_columns(columns)
         for channel in CHANNELS:
             column, known = declared.get(channel), known_units(channel, kinds[channel])
             if column is None or not column.column:
-                names = self.candidates(channel, columns, place)
+                names = sorted(self.candidates(channel, spoken, place), key=columns.index)
                 if len(names) > 1:
                     quoted = " and ".join(f'"{name}"' for name in names)
                     faults.append(
@@ -294,6 +302,16 @@ def load_profile(name: str) -> Profile:
     return Profile(name=name, channels=channels, gains=gains, **lists, **raw)
 
 
+def index_columns(columns: Iterable[str]) -> Spoken:
+    """Return the columns by the words that name them."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for column in columns:
+        for words in _name_words(column):
+            found.setdefault(words, []).append(column)
+    return found
+
+
+@cache
 def _split_words(name: str) -> tuple[str, ...]:
     return tuple(_WORD.findall(_HUMP.sub(" ", name).casefold()))
 
