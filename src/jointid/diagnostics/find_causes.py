@@ -272,7 +272,9 @@ def _suspect(
 def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
     """Return the declared drive, and a hypothesis for every fault that this record and controller can have."""
     declared = Hypothesis(None, record, (loop,), filtering)
-    corrected = (replace(one, fault=f) for f in FAULTS if f.correct is not None for one in f.correct(declared))
+    corrected = (
+        replace(one, fault=one.fault or f) for f in FAULTS if f.correct is not None for one in f.correct(declared)
+    )
     return (declared, *corrected)
 
 
