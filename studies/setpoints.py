@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.diagnostics.find_causes import explain_failure
 from jointid.records.record import Channel, Timing
 from jointid.simulation.loop_input import prepare
 from studies.healthy import Drive, drive
@@ -31,16 +32,12 @@ from studies.seeds import judge_seeds
 
 LOG = 1e-3  # s
 _COARSE = 4  # samples of the log in a coarse setpoint
-RIGHT: dict[str, tuple[str, ...]] = {  # the fault that the answer names first; none where the default is right
-    "hold": ("held_reference",),
-    "linear": (),
-    "cubic": ("cubic_reference",),
-    "average": ("averaged_reference",),
-    "coarse hold": (),
-    "coarse linear": ("linear_reference",),
-    "coarse cubic": ("cubic_reference",),
-    "coarse average": ("averaged_reference",),
-}
+_HELD, _CUBIC = ("held_reference", "the reference is held"), ("cubic_reference", "by cubics")
+_LINEAR, _MEAN = ("linear_reference", "by lines"), ("averaged_reference", "the drive averages the reference")
+RIGHT: dict[str, tuple[str, str] | None] = {  # fault and words that come first; None where the default is right
+    "hold": _HELD, "linear": None, "cubic": _CUBIC, "average": _MEAN,
+    "coarse hold": None, "coarse linear": _LINEAR, "coarse cubic": _CUBIC, "coarse average": _MEAN,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -134,14 +131,20 @@ class Said:
     @property
     def silent(self) -> bool:
         """A value more than 3 deviations off that may be relied on."""
-        return self.trust.startswith("reliable") and any(abs(z) > 3 for z in self.z.values())
+        return self.relied and any(abs(z) > 3 for z in self.z.values())
 
     @property
     def right(self) -> bool:
-        """Whether the reference's way is named first, or nothing where the default is right."""
+        """Whether the reference's way is named first, or nothing where it is the default, or all values hold."""
         right = RIGHT[self.kind]
-        first = self.error if self.error else " ".join(self.named[:1])
-        return any(name in first for name in right) if right else not self.named and not self.error
+        if not self.named and not self.error:
+            return right is None or (self.relied and all(abs(z) <= 3 for z in self.z.values()))
+        return right is not None and (right[0] in self.named[:1] or right[1] in self.error.partition(":")[0])
+
+    @property
+    def relied(self) -> bool:
+        """Whether the answer says that it may be relied on."""
+        return self.trust.startswith("reliable")
 
 
 def judge(seed: int, kind: str, longest: float = 4.0) -> Said | None:
@@ -152,8 +155,9 @@ def judge(seed: int, kind: str, longest: float = 4.0) -> Said | None:
     axis, about = made.axis, made.axis.about
     try:
         found = ji.identify(made.record, axis.loop)
-    except JointidError as error:
-        return Said(seed, kind, about, made.average, f"{type(error).__name__}: {error}", "", "", {}, ())
+    except JointidError as error:  # with its cause, as the command line has it
+        said = explain_failure(error, made.record, axis.loop)
+        return Said(seed, kind, about, made.average, str(said), "", "", {}, ())
     rows = {row.name: row for row in found.params.rows if row.name in axis.truth}
     z = {
         name: (row.value - axis.truth[name]) / row.deviation
@@ -175,7 +179,7 @@ def summarise(runs: Sequence[Said]) -> str:
     for kind in dict.fromkeys(run.kind for run in runs):
         here = [run for run in runs if run.kind == kind]
         named = Counter(run.named[0] if run.named else run.error[:60] or "nothing" for run in here).most_common()
-        relied = sum(run.trust.startswith("reliable") for run in here)
+        relied = sum(run.relied for run in here)
         lines.append(
             f"{kind}, {len(here)}; {relied}, {sum(run.silent for run in here)}; {sum(run.right for run in here)}; "
             + ", ".join(f"{name} {count}" for name, count in named)

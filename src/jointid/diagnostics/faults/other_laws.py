@@ -21,6 +21,7 @@ reference over a time, which makes it later by half of that; so the time follows
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
 from functools import partial
@@ -344,11 +345,18 @@ def _try_interpolation(way: Interpolation, declared: Hypothesis) -> Iterator[Hyp
 
 
 def _judge_mean(declared: Hypothesis, best: Fit | None, _: float) -> tuple[float | None, float] | None:
-    """Return the time of a mean that fits where a delay of the reference fits best, and its residual."""
-    if best is None or best.hypothesis.fault is not REFERENCE_DELAY or best.number is None:
+    """Return the time of a mean that fits where another late reference fits best, and its residual."""
+    reference, controller = declared.record.reference, declared.controller
+    if best is None or reference is None or not hasattr(controller, "velocity_filter"):
         return None
-    controller = declared.controller
-    mean, values = 2 * (best.number - controller.reference_delay) + declared.period, best.values
+    late = numbers_of(best.problem.loop.controller)[REFERENCE_DELAY.name] - controller.reference_delay
+    if best.hypothesis.fault is REFERENCE_DELAY:
+        late = (best.number or 0.0) - controller.reference_delay
+    elif late > 0 and (every := update_interval(reference.values)) > 1:  # lines and cubics are earlier than steps
+        late -= 0.5 * every * reference.sample_time
+    if late < _NEARLY * declared.period:
+        return None
+    mean, values, found = 2 * late + declared.period, best.values, math.inf
     for _pass in range(_PASSES):
         mean = declared.period * max(round(mean / declared.period), 2)
         loop = replace(best.problem.loop, controller=replace(controller, reference_average=mean))
