@@ -244,6 +244,7 @@ def test_the_law_of_the_controller_is_actuators_within_its_limit() -> None:
         ji.export(joint, "mjcf", control="pd")
 
 
+@pytest.mark.skipif(not hasattr(mujoco.MjModel, "actuator_delay"), reason="this MuJoCo has no delays")
 def test_the_torque_s_actuator_has_the_limit_and_the_delay() -> None:
     joint = model(ji.RigidJoint("revolute"), {"inertia": 2.0, "viscous": 0.0, "coulomb": 0.0, "offset": 0.0})
     law = ji.controller.PD(position_gain=20.0, derivative_gain=4.0, limit=3.0)
