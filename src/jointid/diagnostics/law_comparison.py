@@ -386,9 +386,9 @@ def compare_laws(
     if settings.free:
         solved = free_more(solved, settings.free, tolerance, history)
     made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
-    laws: list[Spring | Friction | None] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
+    laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
     # A rigid joint is judged beside the laws of a spring.
-    tried = [None, *laws] if among == "springs" else laws
+    tried = [None, *laws] if among == "springs" else [*laws]
     found = _judge_laws(solved, record, loop, among, tried, given, tolerance, progress)
     result = SpringComparison if kind == "spring" else FrictionComparison
     return result(record.name, rank(found), getattr(joint, kind).name, joint.transmission)
