@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from functools import cache
@@ -9,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
@@ -25,7 +27,7 @@ from jointid.diagnostics.faults.friction import (
 )
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
-from jointid.diagnostics.faults.trials import solve_with_fault, vary_mechanics
+from jointid.diagnostics.faults.trials import search_stiffer, solve_with_fault, vary_mechanics
 from jointid.diagnostics.identify import worst_shift
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.estimation.descent import descend
@@ -36,7 +38,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
-from jointid.uncertainty.verdict import Reason
+from jointid.uncertainty.verdict import Reason, Subject
 from studies.healthy import drive
 from studies.mechanics import Spoiled, simulate, spoiled
 from tests.estimates import identify
@@ -283,3 +285,42 @@ def test_a_residual_that_follows_the_motion_widens_alike_in_any_unit() -> None:
     assert worst_shift(made, x, 1.0) == pytest.approx(
         dict(zip([p.name for p in made.free], exact, strict=True)), rel=1e-6
     )
+
+
+@cache
+def wound_up(seed: int, share: float, friction: float) -> tuple[Spoiled, Estimate]:
+    """Return a drive whose friction winds up over that share of the travel, further than its spring."""
+    axis = drive(seed, 3.0)
+    torque, reference, rng = axis.record.torque, axis.record.reference, np.random.default_rng([seed, 77])
+    assert torque is not None and reference is not None
+    truth = {name: (friction if "coulomb" in name else 1.0) * value for name, value in axis.truth.items()}
+    experiment = prepare(axis.loop, axis.record)
+    scale = float(np.std(simulate(axis, truth, experiment.after_limit)[0]))
+    truth["presliding"] = share * float(np.ptp(reference.values))
+    white, slow = rng.standard_normal(torque.values.size), rng.uniform(2, 30)  # Hz, of a force in the loop
+    force = lfilter([1.0], [1.0, -math.exp(-2 * math.pi * slow * axis.about["period"])], white)
+    force *= rng.uniform(0.005, 0.03) * scale / force.std()
+    out, _, _ = simulate(axis, truth, experiment.after_limit + force)
+    record = replace(axis.record, torque=replace(torque, values=out + experiment.shown))
+    made = Spoiled(record, axis, share, truth)
+    return made, identify(record, axis.loop)
+
+
+def test_a_joint_with_winding_friction_is_identified_from_a_far_softer_one() -> None:
+    made, estimate = wound_up(704, 0.004, 2.5)
+    own, x = rebuild_problem(estimate, made.record, "")
+    truth, soft = made.truth["stiffness"], own.values(x)["stiffness"]
+    assert soft < 0.2 * truth
+    fit = search_stiffer(own, x, WINDING_FRICTION)
+    assert fit is not None
+    assert fit.values["stiffness"] == pytest.approx(truth, rel=0.1)
+
+
+@pytest.mark.slow
+def test_friction_that_is_taken_for_the_spring_is_named_and_leaves_no_wrong_interval() -> None:
+    made, _ = wound_up(704, 0.004, 2.5)
+    found = ji.identify(made.record, made.axis.loop)
+    loop = next(one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    assert loop.reasons[0].values["suspect"] == WINDING_FRICTION.name
+    interval = found["stiffness"].interval
+    assert interval is not None and interval[0] < made.truth["stiffness"] < interval[1]

@@ -247,7 +247,8 @@ def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests)
         if fault.search is None or not asked or fault.name in state.named:
             continue
         test = next((one for one in found.tests if one.fault == fault), None)
-        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level)
+        first = next((one.fault for one in found.tests[:1] if one.p_value <= settings.level), None)
+        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level, first)
         signatures = fault.search(state.problem, state.x, hint)
         if signatures:
             better = _test_signature(state, found, *signatures)

@@ -69,7 +69,7 @@ BACKLASH = Fault(
     "backlash", "backlash", try_mechanics=_try_backlash, mechanical=True, one_sided=True,
     describe=lambda finding, check, _: "the transmission has a backlash of some "
     f"{number(2 * finding.test.size * (finding.test.shape or 0.0), 2)} {check.on_side('position')} or more",
-    kin="spring law", reason=Reason.SPRING_NOT_LINEAR, table="spring", laws=(Backlash.name,),
+    softens=True, kin="spring law", reason=Reason.SPRING_NOT_LINEAR, table="spring", laws=(Backlash.name,),
 )  # fmt: skip
 
 
