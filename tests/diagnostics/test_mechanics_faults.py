@@ -35,6 +35,7 @@ from jointid.estimation.methods.force_in_loop import find_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.springs import ElasticLoad
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
@@ -324,3 +325,30 @@ def test_friction_that_is_taken_for_the_spring_is_named_and_leaves_no_wrong_inte
     assert loop.reasons[0].values["suspect"] == WINDING_FRICTION.name
     interval = found["stiffness"].interval
     assert interval is not None and interval[0] < made.truth["stiffness"] < interval[1]
+
+
+def test_the_answer_says_how_much_stiffer_a_spring_is_if_the_load_is_not_rigid() -> None:
+    axis = drive(502, 3.0)
+    found = ji.identify(axis.record, axis.loop)
+    loop = next(one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    said, plain = loop.reasons[0].values, found["stiffness"]
+    assert found.answer.trust.code == Trust.RELIABLE  # which it does not question
+    assert plain.value is not None and plain.stderr
+    assert "% larger" in str(loop.reasons[0])
+    truth = dict(axis.truth)
+    times = said["second_mode"] / ji.FlexibleJoint.frequencies(truth)["free_free"]
+    swings = ElasticLoad().start(truth, said["swinging_share"], times)
+    stiffer = swings["stiffness"] / truth["stiffness"] - 1.0
+    assert stiffer == pytest.approx(said["stiffer"], rel=0.1)
+    assert stiffer * truth["stiffness"] > 4 * plain.stderr
+    carried = said["swinging_share"] * truth["load_inertia"]
+    truth |= {"stiffness": swings["stiffness"], "load_inertia": truth["load_inertia"] - carried}
+    truth |= {"third_inertia": carried, "third_stiffness": swings["swinging_stiffness"]}
+    truth["third_damping"] = swings["swinging_damping"]
+    experiment, torque = prepare(axis.loop, axis.record), axis.record.torque
+    assert torque is not None
+    usual, _, _ = simulate(axis, axis.truth, experiment.after_limit)
+    elastic, _, _ = simulate(axis, truth, experiment.after_limit)
+    record = replace(axis.record, torque=replace(torque, values=torque.values + elastic - usual))
+    as_stiff = identify(record, axis.loop)["stiffness"].value
+    assert as_stiff == pytest.approx(plain.value, abs=0.25 * stiffer * plain.value)

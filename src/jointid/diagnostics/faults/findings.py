@@ -94,6 +94,7 @@ class AxisFaults:
         shown: how the drive shows those that the joint file declares, by the law's names.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
         compared: those that were compared on the record, the best first.
+        assumed: what the record does not show of the model, and what it may change; None where that is little.
         of_loop: whether faults of the loop were tested, which needs its simulation.
     """
 
@@ -108,6 +109,7 @@ class AxisFaults:
     shown: Shown = field(default_factory=dict)
     laws: tuple[str, ...] = ()
     compared: tuple[str, ...] = ()
+    assumed: Message | None = None
     of_loop: bool = True
 
     @property
@@ -129,7 +131,10 @@ class AxisFaults:
         least = min((s.p_value for s in self.tests), default=1.0)
         names = ", ".join(s.title for s in self.tests)
         said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
-        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
+        assumed = self.assumed
+        also = {} if assumed is None else assumed.values
+        said += "" if assumed is None else f"; {assumed}"
+        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least, **also}),)
 
     @property
     def sentences(self) -> tuple[str, ...]:
