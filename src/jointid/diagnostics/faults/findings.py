@@ -94,6 +94,8 @@ class AxisFaults:
         shown: how the drive shows those that the joint file declares, by the law's names.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
         of_loop: whether faults of the loop were tested, which needs its simulation.
+        excluded: where no fault was found, significant tests of faults that the motor position excludes.
+        lacking: largest shift of each parameter, by name, by what looks like them and is in the joint.
     """
 
     findings: tuple[Finding, ...]
@@ -107,6 +109,8 @@ class AxisFaults:
     shown: Shown = field(default_factory=dict)
     laws: tuple[str, ...] = ()
     of_loop: bool = True
+    excluded: tuple[FaultTest, ...] = ()
+    lacking: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def as_declared(self) -> bool:
@@ -127,6 +131,9 @@ class AxisFaults:
         least = min((s.p_value for s in self.tests), default=1.0)
         names = ", ".join(s.title for s in self.tests)
         said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
+        if self.excluded:
+            alike = self.call(*(one.fault for one in self.excluded))
+            said += f"; a part of the residual looks like {alike} and is not: the motor position excludes that"
         return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
     @property
