@@ -11,6 +11,7 @@ not named.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -33,7 +34,9 @@ from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, P
 from jointid.diagnostics.faults.forces import OFFSET, free_number
 from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN
 from jointid.diagnostics.faults.other_laws import (
+    AVERAGED,
     INTERPOLATIONS,
+    LATE,
     MEASURED_VELOCITY,
     OTHER_LAWS,
     PERIOD,
@@ -41,11 +44,14 @@ from jointid.diagnostics.faults.other_laws import (
     TIMES_FASTER,
     Refit,
     faster_laws,
+    late_interpolations,
     other_interpolations,
     prepare_anew,
     refit,
+    refit_late_references,
     refit_other_laws,
     runs_at_the_logs_rate,
+    screen_mean,
 )
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.trials import solve_with_fault
@@ -411,7 +417,35 @@ def _test_interpolations(
         except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable under it is not that of the record
             continue
         tests += _judge_law(state, found, refitted)
-    return tests
+    return tests + _test_late_references(state, found, settings, record)
+
+
+def _test_late_references(
+    state: SearchState, found: _TestResults, settings: LoopTests, record: Record
+) -> list[_OtherLawTest]:
+    """Return the tests of a reference that is interpolated late, delayed or averaged.
+
+    One simulation of a short mean decides whether there is evidence: all of these are late, or early.
+    """
+    problem, screened = state.problem, screen_mean(state.problem)
+    names = {LATE.name, AVERAGED.name, *(one.name for one in INTERPOLATIONS.values())}
+    if screened is None or names & {*state.named} or not (settings.faults is None or names & {*settings.faults}):
+        return []
+    try:
+        moved = found.residual - prepare_anew(problem, screened, record).residual(state.x)
+        step = _test_signature(state, found, FaultSignature(AVERAGED, moved, raw=np.zeros(0)))
+    except JointidError:
+        return []
+    if not step.p_value <= settings.level:
+        return []
+    refits: list[Refit] = []
+    with contextlib.suppress(JointidError, np.linalg.LinAlgError):
+        refits += refit_late_references(problem, state.x, record)
+    for law in late_interpolations(problem.loop.controller, record, problem.experiment.law.period):
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):
+            refits.append(refit(problem, state.x, law, prepare_anew(problem, law, record), state.x))
+    wanted = names if settings.faults is None else {*settings.faults}
+    return [test for one in refits if one.law.fault.name in wanted for test in _judge_law(state, found, one)]
 
 
 def _test_faster_laws(

@@ -268,6 +268,8 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
             (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said), *found.name_faults(of_model=True)),
         )
     none = "no motor position and reference of a declared controller were logged"
+    if any(record.computed for record in fit.records):
+        none = "the torque is that of the declared controllers"
     loop = skip_test(Subject.LOOP, found.untested_clause or none, found.untested)
     if all(joint.law_holds for joint in found.axes):
         said = found.describe_laws(holds=True)
