@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import jointid as ji
+from jointid.config import JointFile
 from jointid.models.friction import AsymmetricFriction, AsymmetricStribeckFriction, SymmetricFriction
 
 RECORDS = ("DATA_EMPS", "DATA_EMPS_PULSES")
@@ -33,6 +34,8 @@ FRICTIONS = (SymmetricFriction(), AsymmetricFriction(), AsymmetricStribeckFricti
 def residuals(folder: Path) -> Iterator[tuple[str, str, tuple[float | None, ...]]]:
     """Yield method, record, and the residuals of all frictions, in % of the force; None where a method has no such."""
     file = ji.load(JOINT)
+    assert isinstance(file, JointFile)
+    assert file.loop is not None
     for name, (method, filtering) in METHODS.items():
         for record in RECORDS:
             filtered: list[float | None] = []
