@@ -158,7 +158,8 @@ class _Proof:
 class _TestResults:
     """Residual and columns of a state, (rows, ...), fault signatures and their tests, the likeliest first.
 
-    `where` and `by_forces` are arguments of `score_signatures`, simulated once and on demand.
+    `where` and `by_forces` are arguments of `score_signatures`, simulated once and on demand. `excluded` are the
+    significant tests of faults that the motor position excludes.
     """
 
     residual: FloatArray
@@ -167,6 +168,7 @@ class _TestResults:
     tests: tuple[FaultTest, ...]
     where: Callable[[], Cells]
     by_forces: Callable[[], list[FloatArray]]
+    excluded: tuple[FaultTest, ...] = ()
 
 
 def search_faults(
@@ -257,6 +259,8 @@ def search_faults(
         shown={one.number: one for one in shown},
         laws=list_laws(joint),
         assumed=None if first is None or findings else _bound_second_mode(beginning, first, known),
+        excluded=() if findings else found.excluded,
+        lacking={} if findings else _measure_lacking(state, found),
     )
     return check, state
 
@@ -292,6 +296,17 @@ def _bound_second_mode(state: SearchState, found: _TestResults, known: Mapping[s
     return Message(Reason.LOAD_NOT_RIGID, said, {"swinging_share": share, "second_mode": mode, "stiffer": more})
 
 
+def _measure_lacking(state: SearchState, found: _TestResults) -> dict[str, float]:
+    """Return the largest shift of each parameter by the excluded faults.
+
+    They are not in loop or log, so the joint has what looks like them, and its model has not.
+    """
+    own, shapes = _stack_columns(state, found.own), {(one.fault, one.shape): one.column for one in found.signatures}
+    moved = [one.size * np.linalg.pinv(own) @ shapes[one.fault, one.shape] for one in found.excluded]
+    names = [p.name for p in state.problem.free_joint]
+    return {name: float(max(abs(by[k]) for by in moved)) for k, name in enumerate(names)} if moved else {}
+
+
 def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
     """Return the names of springs and frictions that can replace those of a joint; linear frictions where asked for."""
     even = joint.friction.offset_identifiable
@@ -301,7 +316,7 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
 
 
 def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: ClosedLoopProblem) -> bool:
-    """Return whether the torque acts within a sample after its log, by a delay that nobody stated and that matters.
+    """Return whether the torque acts within a sample after its log, by a delay that nobody stated.
 
     The law must make the logged torque of the motor position: then the delay is behind the log, and no fault of law or
     log looks like it.
@@ -310,9 +325,8 @@ def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: Cl
     stated = not isinstance(controller, DiagramController) or controller.delay or controller.undeclared == "none"
     if stated or law is None or not law.holds or not check.findings:
         return False
-    first = check.findings[0]
-    moves = any(abs(change.sigmas) > _INTERVAL for change in first.changes.values())
-    return moves and first.test.fault is DELAY and 0.0 < first.test.size < problem.experiment.law.period
+    first = check.findings[0].test
+    return first.fault is DELAY and 0.0 < first.size < problem.experiment.law.period
 
 
 def _run_tests(state: SearchState, settings: LoopTests, proof: _Proof | None) -> _TestResults:
@@ -331,15 +345,17 @@ def _run_tests(state: SearchState, settings: LoopTests, proof: _Proof | None) ->
         if not {name, fault.kin} & {*state.named} and (settings.faults is None or name in settings.faults)
     }
     where, by_forces = cache(lambda: _assign_cells(state)), cache(lambda: _simulate_forces(state))
-    columns = _stack_columns(state, own)
+    columns, excluded = _stack_columns(state, own), list[FaultTest]()
     while True:
         tests = rank_tests(score_signatures(residual, columns, signatures, declared, where, by_forces), settings.level)
         likely = [one for one in tests if one.p_value <= settings.level] if proof is not None else []
-        excluded = [one.fault for one in likely if proof is not None and proof.excludes(one)]
-        if not excluded:
+        found = [one for one in likely if proof is not None and proof.excludes(one)]
+        if not found:
             break
-        declared = {fault: value for fault, value in declared.items() if fault not in excluded}
-    return _TestResults(residual, own, signatures, tests, where, by_forces)
+        excluded += found
+        gone = {one.fault for one in found}
+        declared = {fault: value for fault, value in declared.items() if fault not in gone}
+    return _TestResults(residual, own, signatures, tests, where, by_forces, tuple(excluded))
 
 
 def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:

@@ -41,6 +41,8 @@ from jointid.records.signals.filtering import Filtering
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+_INTERVAL = 2.0  # deviations: half an interval
+
 
 @overload
 def compare(first: ReportedEstimate, second: ReportedEstimate, *, level: float = ...) -> EstimateComparison: ...
@@ -152,7 +154,8 @@ def _compare_laws(
         return judged
     asked = LoopTests(most=1, faults=(DELAY.name,))
     check, _ = search_faults(end.problem, end.solution.x, asked, record=record, law=followed)
-    if not has_unstated_delay(check, followed, end.problem):
+    moved = (by.sigmas for one in check.findings for by in one.changes.values())
+    if not has_unstated_delay(check, followed, end.problem) or all(abs(by) <= _INTERVAL for by in moved):
         return judged
     progress("the torque acts within a sample after its log: the delay is identified with every law")
     freed = replace(settings, free=(*settings.free, DELAY.name))

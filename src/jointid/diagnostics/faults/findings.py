@@ -99,6 +99,8 @@ class AxisFaults:
         compared: those that were compared on the record, the best first.
         assumed: what the record does not show of the model, and what it may change; None where that is little.
         of_loop: whether faults of the loop were tested, which needs its simulation.
+        excluded: where no fault was found, significant tests of faults that the motor position excludes.
+        lacking: largest shift of each parameter, by name, by what looks like them and is in the joint.
     """
 
     findings: tuple[Finding, ...]
@@ -114,6 +116,8 @@ class AxisFaults:
     compared: tuple[str, ...] = ()
     assumed: Message | None = None
     of_loop: bool = True
+    excluded: tuple[FaultTest, ...] = ()
+    lacking: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def as_declared(self) -> bool:
@@ -134,6 +138,9 @@ class AxisFaults:
         least = min((s.p_value for s in self.tests), default=1.0)
         names = ", ".join(s.title for s in self.tests)
         said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
+        if self.excluded:
+            alike = self.call(*(one.fault for one in self.excluded))
+            said += f"; a part of the residual looks like {alike} and is not: the motor position excludes that"
         assumed = self.assumed
         also = {} if assumed is None else assumed.values
         said += "" if assumed is None else f"; {assumed}"
