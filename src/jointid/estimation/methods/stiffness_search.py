@@ -3,7 +3,8 @@
 1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
 2. A grid of flexible joints, a simulation each, on a band as wide as the log (`starts.flexible_joint`); and starts at
    antiresonances, which need no rigid joint (`starts.flexible_joint`).
-3. Rough descents from the best few, at frequencies apart, until two end together.
+3. Rough descents from the best few, at frequencies apart, until two end together. Starts that are alike may all end in
+   one wrong valley, at a bound of the friction. If the residual there repeats with the motion, twice as many are tried.
 4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
    first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
@@ -25,7 +26,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress, Suspicion
-from jointid.common.parameters import Quantity
+from jointid.common.parameters import Bounds, Quantity
 from jointid.estimation.descent import History, Solved, least_squares, or_moving, roughly
 from jointid.estimation.methods.registry import Method, Task, method_of
 from jointid.estimation.problems.base import INITIAL_STATE
@@ -46,6 +47,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.solve import Counted, Solution, Solver, solve
+from jointid.uncertainty.position_dependent_error import repeatable
 
 RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 
@@ -55,7 +57,8 @@ _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its 
 _LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot be identified
 _LOWER_AGAIN = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
-_REFINED = 6  # starts that are refined at most, until two of them end together
+_REFINED = 6  # starts that are refined at most, until two of them end together; or twice as many, see above
+_HELD = 1e-3  # of its start: so little of a number is left where its bound at 0 holds it
 _BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
 # bottom, and what several ends are good for is to show that no other valley is deeper.
@@ -157,15 +160,18 @@ class StiffnessSearch:
     def _refine(self, candidates: Sequence[Candidate]) -> Solved:
         """Descend from candidates until two ends agree, look beside the best, and go on to the full tolerance."""
         wide, rough, history = self._on_band(math.inf), roughly(self.problem), self.history
-        ends, together = list[tuple[float, float, FloatArray]](), 0
-        for candidate in candidates[:_REFINED]:
+        ends, together = list[tuple[float, float, FloatArray, bool]](), 0
+        for candidate in candidates[: 2 * _REFINED]:
             on = self._on_band(candidate.frequency)
-            x = history.solve(on, rough, on.vector(candidate.values)).x
+            start = on.vector(candidate.values)
+            x = history.solve(on, rough, start).x
             history.tally.evaluations += 1
-            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
-            cost, mode, x = min(ends, key=lambda end: end[0])
-            together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, _ in ends)
-            if together > 1:
+            low = Bounds.of(on.free).lower
+            near = bool(np.any(x - low < _HELD * (start - low)))
+            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x, near))
+            cost, mode, x, held = min(ends, key=lambda end: end[0])
+            together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, *_ in ends)
+            if (together > 1 or len(ends) >= _REFINED) and not (held and self._repeats(mode, x)):
                 break
         on, tried = self._on_band(mode), len(ends)
         divided = divide_coulomb_friction(on, x, history) if together > 1 else None
@@ -185,6 +191,12 @@ class StiffnessSearch:
             break
         message = f"{found.solution.message}; {together} of {tried} starts led there"
         return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
+
+    def _repeats(self, mode: float, x: FloatArray) -> bool:
+        """Test whether the residual of an end repeats with its motion."""
+        on = self._on_band(mode)
+        self.history.tally.evaluations += 2
+        return repeatable(on.residual(x), on.cells(on.simulate(x))).significant
 
     def _on_band(self, mode: float) -> ClosedLoopProblem:
         """Return the problem with the given cut-off, or else with one suited to a mode frequency."""
