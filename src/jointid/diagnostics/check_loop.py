@@ -67,7 +67,7 @@ _AT_LEAST = 0.6  # of what half of the log's period changes, by one step: less s
 _REACH = 2.0  # times the same is what any faster drive changes
 _MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not searched for
 _TIMES_UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
-_FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
+_FORCES = 32  # independent ones: the deviation of what they show is known to an eighth
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
 
@@ -485,7 +485,7 @@ def _simulate_forces(state: SearchState) -> list[FloatArray]:
     random = np.random.default_rng(1)
     return [
         problem.filter(one - run.torque + force.noise * random.standard_normal(one.size))
-        for one in simulate_with_force(problem, state.x, force, _FORCES)
+        for one in simulate_with_force(problem, state.x, force, _FORCES, (1.0,))
     ]
 
 
