@@ -18,6 +18,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.parameters import Quantity, unit_of
 from jointid.diagnostics.fault_tests import (
+    RARER,
     compute_signatures,
     fit_whitener,
     rank_tests,
@@ -206,8 +207,23 @@ def search_faults(
         law=numbers_of(problem.loop.controller),
         shown={one.number: one for one in shown},
         laws=list_laws(joint),
+        suspected=_suspect_mechanics(state, found, settings.level, known),
     )
     return check, state
+
+
+def _suspect_mechanics(
+    state: SearchState, found: _TestResults, level: float, known: Mapping[str, float]
+) -> Finding | None:
+    """Return the likeliest fault of the mechanics if it is significant at the level of those of the loop.
+
+    The p-values of the mechanics are those of a tenth of the level: such a fault is not named.
+    """
+    first = next((one for one in found.tests if one.fault.mechanical), None)
+    if first is None or not level < first.p_value <= RARER * level:
+        return None
+    alone = replace(found, tests=(first,))
+    return _make_finding(state, _accept_fault(state, alone), alone, level, known)
 
 
 def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:

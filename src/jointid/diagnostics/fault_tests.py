@@ -53,9 +53,11 @@ _COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the 
 _SAME = 0.999  # cosine of two collinear columns
 _KEPT = 0.25  # of a frequency at least: what a fit takes nearly all of is not known from the remainder
 _WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
-_RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
 _MANY = 1e9  # degrees of freedom: a normal distribution
 _MORE = 1.2  # times the deviation: what 32 forces show is so much more in one of twenty by chance
+
+RARER = 10
+"""Times as rarely as one of the loop, a fault of the mechanics is found where there is none."""
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
 
@@ -137,7 +139,7 @@ def score_signatures(
 
     taken = _fitted_share(basis)
     of_mechanics = [group[0].signature.fault.mechanical for group in groups]
-    families = [of_mechanics.count(mechanics) * (_RARER if mechanics else 1) for mechanics in of_mechanics]
+    families = [of_mechanics.count(mechanics) * (RARER if mechanics else 1) for mechanics in of_mechanics]
     found = [
         _test_group(group, left, taken, family, declared, where, simulate_forces, widened)
         for group, family in zip(groups, families, strict=True)

@@ -94,6 +94,8 @@ class AxisFaults:
         shown: how the drive shows those that the joint file declares, by the law's names.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
         of_loop: whether faults of the loop were tested, which needs its simulation.
+        suspected: a fault of the mechanics beside those found that is significant at the level of those of the loop,
+            not at its own tenth of that: it is not named, but intervals hold what it moves.
     """
 
     findings: tuple[Finding, ...]
@@ -107,6 +109,7 @@ class AxisFaults:
     shown: Shown = field(default_factory=dict)
     laws: tuple[str, ...] = ()
     of_loop: bool = True
+    suspected: Finding | None = None
 
     @property
     def as_declared(self) -> bool:
