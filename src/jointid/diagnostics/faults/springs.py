@@ -87,7 +87,7 @@ def _try_second_mode(joint: FlexibleJoint, run: Simulation, values: Mapping[str,
 def _search_second_mode(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> list[FaultSignature]:
     """Return the signatures of an elastic load by short searches from three of the modes.
 
-    The tried modes are few, and an elastic load changes all other parameters. A test counts all numbers that are fitted.
+    The tried modes are few, and an elastic load changes all other parameters. All of their numbers count as fitted.
     """
     test = hint.test
     if test is None or test.p_value <= hint.level or test.strength < _WORTH_A_SEARCH:
