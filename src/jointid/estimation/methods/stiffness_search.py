@@ -6,7 +6,8 @@
 3. Rough descents from the best few, at frequencies apart, until two end together. Starts that are alike may all end in
    one wrong valley, at a bound of the friction. If the residual there repeats with the motion, twice as many are tried.
 4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
-   first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
+   first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one. From the
+   two divisions beside the end a Gauss-Newton step is taken, too.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
 6. The same with the motor moving at the first sample.
 7. All of it again from a rigid joint below a lower frequency, where the end explains little of the torque.
@@ -23,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress, Suspicion
 from jointid.common.parameters import Bounds, Quantity
@@ -65,6 +66,7 @@ _BESIDE = 3  # restarts near an end that no second start led to
 _TOGETHER, _AS_GOOD = 1e-2, 3e-3
 _BETTER = 1e-3  # of what remains: so much less is further down
 _DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
+_IDLE = 1e-8  # of the largest singular value: smaller ones are those of parameters that change nothing
 _REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 
@@ -311,13 +313,26 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
         moved |= {load: (1 - share) * whole for whole, load in wholes.values()}
         tried.append(problem.vector(values | moved))
     left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), tried)
-    history.tally.evaluations += len(tried)
+    tried += in_threads(lambda i: _step_once(problem, tried[i]), sorted(range(1, len(tried)), key=left.__getitem__)[:2])
+    left += [float(np.linalg.norm(problem.residual(at))) for at in tried[-2:]]
+    history.tally.evaluations += len(tried) + 2
     best = int(np.argmin(left))
     if not left[best] < (1 - _BETTER) * left[0] - _REST * problem.size:
         return None
-    share = 100 * _DIVISIONS[best - 1]
+    there = problem.values(tried[best])
+    share = 100 * np.mean([there[motor] / ((there[motor] + there[load]) or 1.0) for motor, load in sides])
     history.progress(Detail(f"with {share:.0f} % of the Coulomb friction on the motor the model explains more"))
     return tried[best]
+
+
+def _step_once(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray:
+    """Return a Gauss-Newton step from a point, within the bounds: a valley's two sides may have a bottom each."""
+    error, slopes = problem.linearise(x)
+    if not np.all(np.isfinite(slopes)):  # a loop that runs away
+        return x
+    sizes = column_norms(slopes)
+    step = np.linalg.lstsq(slopes / sizes, -error, rcond=_IDLE)[0] / sizes
+    return Bounds.of(problem.free).clip(x + step)
 
 
 def _from_beside(found: Solved, history: History) -> Solution:
