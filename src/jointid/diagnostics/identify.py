@@ -281,12 +281,14 @@ def widen_for_faults(check: AxisFaults) -> list[Widening]:
             moved[name] = math.hypot(moved.get(name, 0.0), change.by)
     wider = [Widening(moved, "what the joint has and its model has not")] if found else []
     if (suspect := check.suspected) is not None:
-        title, p_value = suspect.test.title, number(suspect.test.p_value, 2)
-        off = [f"{check.symbols[name]} by {number(one.by, 2)} {check.units[name]}".rstrip()
-               for name, one in suspect.changes.items() if abs(one.sigmas) > _TOLD]  # fmt: skip
-        said = f"the record does not exclude this: {title} (p = {p_value}); it may move {join(off)}, which the "
-        by = {name: abs(one.by) for name, one in suspect.changes.items()}
-        wider.append(Widening(by, f"a {title}", said + "intervals hold" if off else ""))
+        title, by = suspect.test.title, {name: abs(one.by) for name, one in suspect.changes.items()}
+        off = [
+            f"{check.symbols[name]} by {number(by[name], 2)} {check.units[name]}".rstrip()
+            for name, one in suspect.changes.items()
+            if abs(one.sigmas) > _TOLD
+        ]
+        said = f"the record does not exclude this: {title} (p = {number(suspect.test.p_value, 2)}). It may move "
+        wider.append(Widening(by, f"a {title}", f"{said}{join(off)}, which the intervals hold" if off else ""))
     return wider
 
 

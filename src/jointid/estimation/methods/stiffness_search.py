@@ -10,13 +10,15 @@
    two divisions beside the end a Gauss-Newton step is taken, too.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
 6. The same with the motor moving at the first sample.
-7. All of it again from a rigid joint below a lower frequency, where the end explains little of the torque.
+7. All of it again with other inertias, then from a rigid joint below a lower frequency, where the end explains little
+   of the torque.
 
 Nelder-Mead begins as the paper does, by halves (13) at a known frequency.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -115,9 +117,12 @@ class StiffnessSearch:
             solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
         assert rigid.settings.filtering.cutoff is not None
         edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
+        if self.frequency is None and self._explains_little(solved):  # its inertia may be far off: noise moves the axis
+            tell("the search ended where the model explains little; beginning again with other inertias")
+            with contextlib.suppress(MethodError):
+                solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
         for lower in () if self.cutoff else _LOWER_AGAIN:
-            left = self.history.count_evaluations(solved.problem).residual(solved.x)
-            if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
+            if not self._explains_little(solved):
                 break
             # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
             tell("the search ended where the model explains little; beginning again, below a lower frequency")
@@ -129,6 +134,10 @@ class StiffnessSearch:
             simulations += rigid.simulations
             solved = self._from_rigid_joint(rigid)
         return solved, simulations
+
+    def _explains_little(self, solved: Solved) -> bool:
+        left = self.history.count_evaluations(solved.problem).residual(solved.x)
+        return bool(np.linalg.norm(left) > _NOTHING * solved.problem.size)
 
     def _from_rigid_joint(self, rigid: FitResult) -> Solved:
         found = self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
