@@ -163,7 +163,9 @@ class File(ABC, Generic[R]):
         """
         found = self.records(path)
         whole = None not in self.controllers and all(one.reference is not None for one in found)
-        return self._of_axes(self._fed_forward(found) if self.simulates or (judged and whole) else found)
+        computed = any(axis.computes_torque for axis in self.axes)
+        found = self._fed_forward(found) if self.simulates or (judged and whole) or computed else found
+        return self._of_axes(tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True)))
 
     def driving(self, path: str | os.PathLike[str] | None = None) -> R:
         """Read the signals that drive a simulation: reference and injection, others if present.
@@ -404,6 +406,24 @@ class JointFile(File[Record]):
         )
 
     @property
+    def computes_torque(self) -> bool:
+        """Whether the torque is computed from the controller and the motor position."""
+        logged = "torque" in self.columns or self.drive.traces is not None
+        return self.source.torque == "from_controller" or (not logged and self.controller is not None)
+
+    def with_torque(self, record: Record) -> Record:
+        """Return a record of this axis with the computed torque, if it is not a logged one.
+
+        Raises:
+            RecordError: see `jointid.compute_controller_torque`.
+        """
+        if not self.computes_torque or self.controller is None:
+            return record
+        from jointid.simulation.controller_torque import compute_controller_torque
+
+        return compute_controller_torque(record, ClosedLoop(self.joint, self.controller))
+
+    @property
     def torque_per_unit(self) -> float | None:
         """The torque constant: torque per plain number of a controller on the motor's side."""
         return self.drive.torque_constant or self.drive.torque_per_volt
@@ -569,6 +589,11 @@ class JointFile(File[Record]):
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.
         """
+        if self.computes_torque:
+            raise RecordError(
+                "A torque that is computed from the controller needs the whole record; leave --window out, or give the "
+                "torque."
+            )
         if self.source.files and path is None:
             raise RecordError(
                 "A record in several files is not read in chunks; join them to one file, or leave --window out."
@@ -592,6 +617,8 @@ class JointFile(File[Record]):
     def _columns(self) -> dict[str, Column]:
         """The channels to read: those that the method needs, and others if they are there."""
         needed = {*needed_channels(self.method.name, self.controller, self.joint.model), "injected"}
+        if self.computes_torque and self.controller is not None:
+            needed |= {"motor_position", *self.controller.channels}
         columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
         if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
             columns |= {n: Column() for n in needed if n not in columns and n != "injected"}

@@ -173,6 +173,11 @@ class RobotFileTable(Table):
         """Name of the given method, or of the default one for the channels."""
         if self.method.name is not None:
             return self.method.name
+        shared, controlled = self.record.channels, all(one.controller is not None for one in self.joints)
+        own = [one.channels for one in self.joints if one.channels is not None]
+        logged = any(one.torque is not None for one in (shared, *own)) or self.drive.profile is not None
+        if controlled and not logged and self.record.torque is None:
+            return "didim"  # of the motor positions
         # A joint without a controller leaves one method only.
         measured = self.record.channels.motor_position is not None or any(
             one.controller is None or (one.channels is not None and one.channels.motor_position is not None)

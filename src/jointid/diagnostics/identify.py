@@ -185,7 +185,8 @@ def run_checks(
     if whole:
         try:
             # DIDIM reads torque and reference alone: its checks do not read the motor's position either.
-            found, state = diagnose_joint(fit, record.without("motor_position"), (problem, x), shown=shown)
+            read = record if record.computed else record.without("motor_position")
+            found, state = diagnose_joint(fit, read, (problem, x), shown=shown)
             check = found.axes[0].faults
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
             if isinstance(state.problem.joint, FlexibleJoint):
@@ -243,6 +244,8 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
             (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said), *found.name_faults(of_model=True)),
         )
     none = "no motor position and reference of a declared controller were logged"
+    if any(record.computed for record in fit.records):
+        none = "the torque is that of the declared controllers"
     loop = skip_test(Subject.LOOP, found.untested_clause or none, found.untested)
     if all(joint.law_holds for joint in found.axes):
         said = found.describe_laws(holds=True)

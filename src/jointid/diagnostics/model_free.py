@@ -21,12 +21,12 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import INJECTED, POSITION, respond, run
+from jointid.models.controllers import INJECTED
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.records.resampling import at_period
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
-from jointid.simulation.loop_input import LoopInput, prepare, to_log
+from jointid.simulation.controller_torque import law_outputs
+from jointid.simulation.loop_input import prepare, to_log
 
 MEMORY = 0.3
 """Seconds that a loop remembers."""
@@ -117,17 +117,17 @@ class LawOnPosition:
 
 
 def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
-    """Compare the logged torque with that of the law for the motor's position; None without a position.
+    """Compare the logged torque with that of the law for the motor's position; None without both.
 
     The initial value of the integral and a constant torque are free. The position between two samples of the log is
     interpolated linearly. Torques are compared up to the frequency that the noise of the position allows: a law
     differentiates that noise, and a controller that is as declared has not seen it.
     """
     torque = record.torque
-    if record.motor_position is None or record.reference is None or torque is None:
+    if record.motor_position is None or record.reference is None or torque is None or record.computed:
         return None
     try:
-        made = _simulate_law(record, prepare(loop, record))
+        made = law_outputs(record.motor_position, prepare(loop, record))
     except JointidError:
         return None
     position, count = record.motor_position, min(torque.values.size, len(made))
@@ -151,20 +151,6 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     if fits[best][0] > _BETTER * left:
         return LawOnPosition(left, gain, 0.0, left, noise)
     return LawOnPosition(left, fits[best][1], late, fits[best][0], noise)
-
-
-def _simulate_law(record: Record, experiment: LoopInput) -> FloatArray:
-    """Return the logged torque of the law and, where it has one, of a unit integral, (samples, columns)."""
-    law, channel = experiment.law, record.motor_position
-    assert channel is not None
-    inputs = experiment.inputs.copy()
-    inputs[:, POSITION] = at_period(channel, law.period, experiment.periods, "motor_position")
-    start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
-    output = run(law, inputs, start).tapped + experiment.shown
-    integral, columns = law.integral(), [output]
-    if integral is not None:
-        columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])
-    return to_log(experiment, np.column_stack(columns))
 
 
 def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArray], FloatArray]) -> float:
