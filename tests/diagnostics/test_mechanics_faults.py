@@ -28,9 +28,10 @@ from jointid.diagnostics.faults.friction import (
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
 from jointid.diagnostics.faults.trials import search_stiffer, solve_with_fault, vary_mechanics
-from jointid.diagnostics.identify import worst_shift
+from jointid.diagnostics.identify import widen_for_faults, worst_shift
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.estimation.descent import descend
+from jointid.estimation.identify import fit
 from jointid.estimation.methods.force_in_loop import find_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.answer import Trust
@@ -352,3 +353,29 @@ def test_the_answer_says_how_much_stiffer_a_spring_is_if_the_load_is_not_rigid()
     record = replace(axis.record, torque=replace(torque, values=torque.values + elastic - usual))
     as_stiff = identify(record, axis.loop)["stiffness"].value
     assert as_stiff == pytest.approx(plain.value, abs=0.25 * stiffer * plain.value)
+
+
+@pytest.mark.slow
+def test_a_fault_of_the_mechanics_that_is_not_excluded_widens_the_intervals() -> None:
+    """A spring 30 % stiffer at the largest wind-up, under noise: the stiffness is 20 % off, and no fault is named."""
+    stiffness, windup = 150.0, 6.7e-4
+    truth = {
+        "motor_inertia": 0.012, "motor_viscous": 0.01, "motor_coulomb": 0.08, "stiffness": stiffness, "damping": 0.05,
+        "load_inertia": 0.014, "load_viscous": 0.01, "load_coulomb": 0.03, "offset": 0.0,
+        "cubic_stiffness": 0.3 * stiffness / windup**2,
+    }  # fmt: skip
+    law = ji.controller.Cascade(position_gain=5.0, velocity_gain=0.6, integral_gain=3.0)
+    reference = ji.excitation.trapezoids((0.5, 1.0, 1.5), 15.0, 1.0, 1e-3, rest=0.1, duration=5.0)
+    noise = 0.004 * np.random.default_rng(1).standard_normal(reference.size)
+    real = ji.ClosedLoop(ji.FlexibleJoint("revolute", spring=ji.spring.CubicSpring()), law)
+    record = ji.simulated_record(real, reference, truth, sample_time=1e-3, torque_noise=noise)
+    found = fit(record.without("motor_position", "load_position"), replace(real, joint=ji.FlexibleJoint("revolute")))
+    assert found.problem is not None and found.x is not None
+    check = search_faults(found.problem, found.x)[0]
+    assert not check.findings
+    assert check.suspected is not None
+    assert check.suspected.test.fault.mechanical
+    assert check.suspected.test.p_value > 0.05
+    (wider,) = widen_for_faults(check)
+    assert wider.by["stiffness"] == abs(check.suspected.changes["stiffness"].by) > 0
+    assert not widen_for_faults(replace(check, suspected=None))

@@ -14,7 +14,7 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Message, Progress, Suspicions, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
-from jointid.common.text import join
+from jointid.common.text import join, number
 from jointid.diagnostics.check_loop import has_unstated_delay
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
@@ -45,6 +45,8 @@ from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, skip_test
+
+_TOLD = 1.0  # deviations: what a suspected fault moves further is said
 
 
 @one_thread()
@@ -297,7 +299,7 @@ def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
 
 
 def widen_for_faults(check: AxisFaults) -> list[Widening]:
-    """Return the shifts of parameters by the faults of the mechanics that a check found; none without any.
+    """Return the shifts of parameters by the faults of the mechanics that a check found or suspects; none without any.
 
     Faults of loop and log widen no interval: they are corrected, or not. Where they are excluded, the joint has what
     looks like them.
@@ -309,7 +311,17 @@ def widen_for_faults(check: AxisFaults) -> list[Widening]:
             moved[name] = math.hypot(moved.get(name, 0.0), change.by)
     for name, by in check.lacking.items():
         moved[name] = 0.5 * by  # two deviations hold it
-    return [Widening(moved, "what the joint has and its model has not")] if moved else []
+    wider = [Widening(moved, "what the joint has and its model has not")] if moved else []
+    if (suspect := check.suspected) is not None:
+        title, by = suspect.test.title, {name: abs(one.by) for name, one in suspect.changes.items()}
+        off = [
+            f"{check.symbols[name]} by {number(by[name], 2)} {check.units[name]}".rstrip()
+            for name, one in suspect.changes.items()
+            if abs(one.sigmas) > _TOLD
+        ]
+        said = f"the record does not exclude this: {title} (p = {number(suspect.test.p_value, 2)}). It may move "
+        wider.append(Widening(by, f"a {title}", f"{said}{join(off)}, which the intervals hold" if off else ""))
+    return wider
 
 
 def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedResidual) -> Widening:

@@ -233,7 +233,7 @@ def _simulate_ripple(
     if not amplitude > 0.0:
         return None
     parts = parts / amplitude
-    signature = FaultSignature(COGGING, seen @ parts, period, raw @ parts, tried)
+    signature = FaultSignature(COGGING, seen @ parts, period, raw @ parts, tried, parts.size)
     return float(left @ columns @ parts) * amplitude, signature
 
 
