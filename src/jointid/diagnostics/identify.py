@@ -309,18 +309,17 @@ def widen_for_faults(check: AxisFaults) -> list[Widening]:
     for finding in found:
         for name, change in finding.changes.items():
             moved[name] = math.hypot(moved.get(name, 0.0), change.by)
-    for name, by in check.lacking.items():
-        moved[name] = 0.5 * by  # two deviations hold it
+    moved |= {name: 0.5 * by for name, by in check.lacking.items()}  # two deviations hold it
     wider = [Widening(moved, "what the joint has and its model has not")] if moved else []
     if (suspect := check.suspected) is not None:
-        title, by = suspect.test.title, {name: abs(one.by) for name, one in suspect.changes.items()}
+        title, shifts = suspect.test.title, {name: abs(one.by) for name, one in suspect.changes.items()}
         off = [
-            f"{check.symbols[name]} by {number(by[name], 2)} {check.units[name]}".rstrip()
+            f"{check.symbols[name]} by {number(shifts[name], 2)} {check.units[name]}".rstrip()
             for name, one in suspect.changes.items()
             if abs(one.sigmas) > _TOLD
         ]
         said = f"the record does not exclude this: {title} (p = {number(suspect.test.p_value, 2)}). It may move "
-        wider.append(Widening(by, f"a {title}", f"{said}{join(off)}, which the intervals hold" if off else ""))
+        wider.append(Widening(shifts, f"a {title}", f"{said}{join(off)}, which the intervals hold" if off else ""))
     return wider
 
 
