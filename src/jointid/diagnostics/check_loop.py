@@ -12,8 +12,8 @@ not named.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -21,7 +21,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
+from jointid.common.messages import Message
 from jointid.common.parameters import Quantity, unit_of
+from jointid.common.text import number
 from jointid.diagnostics.fault_tests import (
     compute_signatures,
     fit_whitener,
@@ -54,6 +56,7 @@ from jointid.diagnostics.faults.other_laws import (
     screen_mean,
 )
 from jointid.diagnostics.faults.registry import FAULTS
+from jointid.diagnostics.faults.springs import SECOND_MODE
 from jointid.diagnostics.faults.trials import solve_with_fault
 from jointid.diagnostics.model_free import LawOnPosition, excludes
 from jointid.estimation.descent import descend
@@ -64,9 +67,11 @@ from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, frictions_beside, springs_beside
+from jointid.models.springs import ElasticLoad
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widen
+from jointid.uncertainty.verdict import Reason
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 _SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer
@@ -82,6 +87,7 @@ _MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by o
 _TIMES_UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
 _FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
 _AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one
+_LARGEST_SHARE = 0.5  # of the load on a spring of its own
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
 
@@ -139,7 +145,7 @@ class _Proof:
         if (declared := numbers_of(controller).get(test.name)) is None or test.fault.value is not None:
             return False
         most = _AT_MOST * abs(declared) or abs(size)
-        with suppress(JointidError):  # no law has such a number
+        with contextlib.suppress(JointidError):  # no law has such a number
             return self.excludes_law(with_numbers(controller, {test.name: declared + max(-most, min(size, most))}))
         return False
 
@@ -250,8 +256,40 @@ def search_faults(
         law=numbers_of(problem.loop.controller),
         shown={one.number: one for one in shown},
         laws=list_laws(joint),
+        assumed=None if first is None or findings else _bound_second_mode(beginning, first, known),
     )
     return check, state
+
+
+def _bound_second_mode(state: SearchState, found: _TestResults, known: Mapping[str, float]) -> Message | None:
+    """Return how much stiffer a spring is behind which a part of the load swings; None where that is in its interval.
+
+    Of each mode that was tried, the part of the load is the largest within two deviations of its test, up to half.
+    """
+    shapes = [one for one in found.signatures if one.fault is SECOND_MODE and one.shape]
+    if not shapes:
+        return None
+    joint, values, whiten = state.problem.joint, state.problem.values(state.x), fit_whitener(found.residual)
+    assert isinstance(joint, FlexibleJoint)
+    own, error = whiten(found.own), whiten(found.residual)
+    left = error - own @ np.linalg.lstsq(own, error, rcond=None)[0]
+    first, bounds = joint.frequencies(values)["free_free"], []
+    for one in shapes:
+        column = whiten(one.column)
+        alone = (column - own @ np.linalg.lstsq(own, column, rcond=None)[0])[:, np.newaxis]
+        size = float(alone[:, 0] @ left) / float(alone[:, 0] @ alone[:, 0])
+        share = min(max(size, 0.0) + _INTERVAL * float(robust(alone, alone, left).std[0]), _LARGEST_SHARE)
+        start = ElasticLoad().start(values, share, (one.shape or 0.0) / first)
+        bounds.append((start["stiffness"] / values["stiffness"] - 1.0, share, one.shape))
+    more, share, mode = max(bounds)
+    if more * values["stiffness"] <= _INTERVAL * known.get("stiffness", math.inf):
+        return None
+    symbol = next(p.symbol for p in joint.parameters if p.name == "stiffness")
+    said = (
+        f"that the load is rigid is assumed: if {number(100 * share, 2)} % of it swings at {number(mode, 2)} Hz, which "
+    )
+    said += f"this record does not exclude, {symbol} is {number(100 * more, 2)} % larger"
+    return Message(Reason.LOAD_NOT_RIGID, said, {"swinging_share": share, "second_mode": mode, "stiffer": more})
 
 
 def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
@@ -312,7 +350,8 @@ def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests)
         if fault.search is None or not asked or fault.name in state.named:
             continue
         test = next((one for one in found.tests if one.fault == fault), None)
-        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level)
+        first = next((one.fault for one in found.tests[:1] if one.p_value <= settings.level), None)
+        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level, first)
         signatures = fault.search(state.problem, state.x, hint)
         if signatures:
             better = _test_signature(state, found, *signatures)
