@@ -29,8 +29,9 @@ FAULTS = [
     (
         SMALLEST + "position_gian = 3",
         "controller.position_gian is not a known key; expected one of law, side, gain, limit, period, delay, "
-        "interpolation, reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, "
-        "viscous_feedforward, coulomb_feedforward, constant_feedforward, torque_feedforward_delay, undeclared, "
+        "interpolation, reference_average, reference_delay, velocity_filter, torque_filters, filters_at, "
+        "acceleration_feedforward, viscous_feedforward, coulomb_feedforward, constant_feedforward, "
+        "torque_feedforward_delay, undeclared, "
         "position_gain, velocity_gain, integral_gain, anti_windup, velocity_feedforward, "
         "velocity_feedforward_delay, reference_velocity, velocity_limit, position_period, "
         "position_offset, integral_time: did you mean position_gain?",
@@ -40,7 +41,7 @@ FAULTS = [
             "cascade", "pd"
         ),
         "controller.integral_gain is not a known key; expected one of law, side, gain, limit, period, delay, "
-        "interpolation, "
+        "interpolation, reference_average, "
         "reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, viscous_feedforward, "
         "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, undeclared, position_gain, "
         "derivative_gain, reference_velocity, derivative_time: leave it out.",
@@ -261,7 +262,7 @@ FAULTS = [
     (
         SMALLEST.replace('"i"', '"i", at = "after_limit"'),
         "record.channels.torque.at is not a known key; expected one of column, unit, gain, sign, timing, "
-        "sample_time, side, wrap, update_time, optional, time, tap: leave it out.",
+        "sample_time, side, wrap, update_time, bits, optional, time, tap: leave it out.",
     ),
     (
         SMALLEST.replace('{ column = "i" }', '"i"'),
@@ -374,7 +375,8 @@ FAULTS = [
     # the drive
     (
         SMALLEST + '[drive]\nprofile = "abc"',
-        'drive.profile: No drive profile is called "abc"; there are cia402, generic, kuka, sinamics, twincat, ur-rtde.',
+        'drive.profile: No drive profile is called "abc"; there are cia402, damiao, epos, generic, kuka, lerobot, mit, '
+        "moteus, pace, robstride, ros2, sage, sinamics, twincat, unitree, ur-rtde.",
     ),
     (
         SMALLEST + "[drive]\naxis = 0",

@@ -38,7 +38,7 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import Controller, with_numbers
+from jointid.models.controllers import PD, Controller, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.limits import AxisLimits
@@ -523,7 +523,9 @@ class JointFile(File[Record]):
         return record
 
     def _reader(self, columns: Mapping[str, Column], table: Table) -> RecordReader:
-        return RecordReader(columns, **{**self._reading, **self._clock, **self.source.reading(table)})
+        law = self.controller if isinstance(self.controller, PD) else None
+        gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
+        return RecordReader(columns, **{**self._reading, **self._clock, **self.source.reading(table)}, gains=gains)
 
     def explain(self, error: JointidError, record: Record, progress: Progress = ignore_progress) -> JointidError:
         """Return the error of a failed identification, with its cause before it or in its place."""

@@ -12,6 +12,7 @@ from jointid.diagnostics.faults.fault import Fault, FaultTest, Shown, call_numbe
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import FRICTIONS, LoadDependentFriction, StribeckFriction
+from jointid.records.record import Channel
 from jointid.uncertainty.verdict import Reason, Status
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
@@ -36,6 +37,7 @@ class OtherLaw:
         remedy: its declaration.
         controller: with that law.
         rate: of the law, Hz, if that differs.
+        reference: that it follows, where that is filled in between setpoints which the log repeats.
     """
 
     parts: tuple[Fault, ...]
@@ -43,6 +45,7 @@ class OtherLaw:
     remedy: str
     controller: Controller
     rate: float = 0.0
+    reference: Channel | None = None
 
     @property
     def fault(self) -> Fault:
