@@ -32,7 +32,7 @@ from jointid.models.friction import FRICTIONS, find_friction
 from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import SPRINGS, ElasticLoad, LinearSpring, find_spring
 from jointid.simulation.loop_input import LoopInput, prepare
-from studies.healthy import Drive, drive
+from studies.healthy import NOISES, Drive, drive
 from studies.seeds import judge_seeds
 
 FAULTS = (
@@ -397,6 +397,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--friction", choices=FRICTIONS, default="symmetric")
     parser.add_argument("--ripple", action="store_true", help="declare the period of the cogging")
     parser.add_argument("--choose", choices=("spring", "friction"), help="compare all of them, and say which is shown")
+    parser.add_argument("--noise", choices=NOISES, default="", help="of all drives; each has one of its own without it")
     parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
     given = parser.parse_args(arguments)
     seeds, said, chosen = range(given.first, given.first + given.count), list[Said](), list[Chosen]()
@@ -405,7 +406,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if given.choose:
             asked, function = asked | {"kind": given.choose}, "studies.mechanics:choose"
         else:
-            asked |= {"spring": given.spring, "friction": given.friction, "ripple": given.ripple}
+            asked |= {"spring": given.spring, "friction": given.friction, "ripple": given.ripple, "noise": given.noise}
             function = "studies.mechanics:judge"
         for found in judge_seeds(function, seeds, asked, out=given.out):
             sys.stdout.write(json.dumps(found) + "\n")
