@@ -13,7 +13,7 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.check_loop import LoopTests, search_faults
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
-from jointid.diagnostics.faults.forces import COGGING
+from jointid.diagnostics.faults.forces import COGGING, TORQUE_SATURATION
 from jointid.diagnostics.faults.friction import (
     CHANGING_FRICTION,
     COULOMB,
@@ -65,7 +65,11 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
     found = vary(made, x)
     of_robots = {"asymmetric_friction", "coupled_axes", "position_force", "compliance"}
     sought = {one for one in MECHANICS if one.name not in of_robots}
-    assert {one.fault for one in found} == sought - {COGGING, MOTOR_LOAD_FRICTION}  # which are not tried with a law
+    assert {one.fault for one in found} == sought - {
+        COGGING,
+        MOTOR_LOAD_FRICTION,
+        TORQUE_SATURATION,
+    }  # which are not tried with a law
     assert len({(one.fault, one.shape) for one in found}) == len(found)  # a test names one of them
     for one in found:
         assert one.raw is not None
@@ -115,6 +119,18 @@ def test_a_small_second_mode_is_found_by_a_search() -> None:
     check = faults_of(estimate, made.record)
     assert [one.test.fault for one in check.findings] == [SECOND_MODE]
     assert check.findings[0].test.shape == pytest.approx(made.size * made.axis.about["mode"], rel=0.5)
+
+
+def test_a_torque_constant_that_falls_with_the_current_is_named_with_its_size() -> None:
+    made = spoiled(605, "saturation", 5.0)
+    assert made is not None
+    check = faults_of(identify(made.record, made.axis.loop), made.record)
+    test = check.findings[0].test
+    assert test.fault is TORQUE_SATURATION
+    assert test.size == pytest.approx(made.size, abs=0.03)
+    assert re.search(
+        r"the motor makes 1[234]\.?\d* .*% less torque than its current says.*data sheet", check.sentences[0]
+    )
 
 
 @pytest.mark.parametrize(("fault", "seed"), [("second mode", 135), ("cubic spring", 164)])

@@ -127,6 +127,16 @@ def test_a_friction_that_grows_with_the_load_is_named() -> None:
     assert any('with a spring, and friction = "load-dependent" (by didim)' in one for one in found.sentences)
 
 
+def test_a_torque_constant_that_falls_with_the_current_is_named() -> None:
+    def more_current(torque: FloatArray) -> FloatArray:
+        return torque * (1.0 + 0.1 * (torque / np.max(np.abs(torque))) ** 2)
+
+    records = logged_torque(records_of(arm(3), 2, noise=0.02), 1, more_current)
+    found = diagnose_robot(identified(arm(3), records), records)
+    assert named(found) == [("joint2", "torque_saturation")]
+    assert found.axes[1].faults.findings[0].test.size == pytest.approx(0.09, abs=0.03)
+
+
 def test_positions_in_degrees_are_named_by_the_limits_of_the_model() -> None:
     records = records_of(arm(3), 2)
     links = tuple(replace(link, limits=(-3.0, 3.0)) for link in arm(3).links)
