@@ -39,6 +39,10 @@ FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
     "second mode", "spring in pieces", "stribeck", "saturation", "lost samples", "gravity", "uneven friction",
 )  # fmt: skip
+PAIRS = (
+    "cubic spring, cogging", "cubic spring, load-dependent friction", "saturation, cogging",
+    "saturation, changing friction", "load-dependent friction, cogging",
+)  # fmt: skip
 RIGHT = {  # what the check should call them
     "cubic spring": ("cubic_spring",), "spring in pieces": ("cubic_spring",), "backlash": ("backlash",),
     "load-dependent friction": ("load_dependent_friction", "motor_load_friction"),
@@ -366,10 +370,11 @@ def judge(
         return Said(seed, fault, made.size, about, f"{type(error).__name__}: {error}", "", "", None, None, ())
     row, truth = found["stiffness"], made.stiffness(spring)
     named = [
-        str(reason.values.get("suspect", reason.values.get("law", "")))
+        str(values.get("suspect", values.get("law", values.get("cause", ""))))
         for verdict in found.checks.verdicts
         if str(verdict.subject) == "loop"
         for reason in verdict.reasons
+        for values in reason.values.get("causes", [reason.values])
     ]
     return Said(
         seed, fault, made.size, about, "", found.sentence, str(found.answer.trust.code),
@@ -439,7 +444,8 @@ def summarise(runs: Sequence[Said]) -> str:
         z = np.abs([run.z for run in given if run.z is not None])
         sizes = [f"{np.median(a):.2g} {np.quantile(a, 0.9):.2g}" for a in (off, z) if a.size]
         relied = sum(run.trust.startswith("reliable") for run in given)
-        right = [bool(run.named) and run.named[0] in RIGHT.get(fault, ()) for run in here]
+        sought, most = fault.split(", "), 1 + fault.count(", ")  # of a pair both, in either order
+        right = [all({*run.named[:most]} & {*RIGHT.get(one, ())} for one in sought) for run in here]
         missed = sum(not named and run.z is not None and abs(run.z) > 2 for run, named in zip(here, right, strict=True))
         named = Counter(run.named[0] if run.named else "nothing" for run in here).most_common()
         lines.append(
@@ -456,7 +462,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--longest", type=float, default=12.0)
-    parser.add_argument("--fault", action="append", choices=FAULTS)
+    parser.add_argument("--fault", action="append", choices=(*FAULTS, *PAIRS))
     parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
     parser.add_argument("--friction", choices=FRICTIONS, default="symmetric")
     parser.add_argument("--ripple", action="store_true", help="declare the period of the cogging")

@@ -28,6 +28,7 @@ from jointid.uncertainty.verdict import Reason
 _STEP = 1e-4  # of the known signal
 _WAVES = 4  # periods in the travel
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
+_HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
 _SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
 _FEWEST = 12  # steps of an injected signal
 _CLEAR = 10.0  # times the median change of a sample: size of a step
@@ -159,6 +160,32 @@ TORQUE_SATURATION = Fault(
     vary=_vary_saturation, along=_along_current, mechanical=True, one_sided=True, measure=Measure.SHARE,
     remedy=lambda _: "; the joint file has one torque constant: record with half of that torque, or see the curve of "
     "torque and current in the motor's data sheet",
+)  # fmt: skip
+
+
+def _vary_gravity(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    """Yield the signatures of a load that hangs in four directions."""
+    joint, run = problem.joint, problem.simulate(x)
+    gear = joint.transmission
+    if joint.gravity is not None or (joint.kind if gear is None else gear.load) != "revolute":
+        return
+    angle = run.motor_position if run.load_position is None else run.load_position
+    if gear is not None and gear.ratio is not None and gear.side == "motor":
+        angle = angle / gear.ratio
+    for hangs in _HANGS:
+        for raw in respond_to_force(problem, x, -np.sin(angle - hangs)):
+            yield FaultSignature(GRAVITY, problem.filter(raw), hangs, raw)
+
+
+def _describe_gravity(finding: Finding, check: AxisFaults, spread: bool) -> str:
+    size = finding.test.show_size(check.on_side("torque"), spread=spread)
+    return words("the load hangs: its weight turns the joint", size and f"by {size} at most")
+
+
+GRAVITY = Fault(
+    "gravity", "load that hangs", describe=_describe_gravity, vary=_vary_gravity, mechanical=True,
+    measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+    remedy=lambda _: '; to identify it, declare it: [gravity] load = "link"',
 )  # fmt: skip
 
 INJECTED = Fault("injected", "signal that is not declared")
@@ -318,7 +345,7 @@ COUPLED = Fault(
     along=_along_others, mechanical=True,
 )  # fmt: skip
 
-FAULTS = (OFFSET, INJECTED_GAIN, TORQUE_SATURATION, INJECTED, POSITION_FORCE, COUPLED)
+FAULTS = (OFFSET, INJECTED_GAIN, TORQUE_SATURATION, GRAVITY, INJECTED, POSITION_FORCE, COUPLED)
 
 
 def find_steps(record: Record) -> Message | None:

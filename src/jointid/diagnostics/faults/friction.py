@@ -91,6 +91,37 @@ PRESLIDING = replace(
 )  # fmt: skip
 
 
+def _vary_along_travel(position: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+    """Yield shapes over the travel, of at most 1, and the number of each: a line, half a wave and a whole one."""
+    low, span = float(position.min()), float(np.ptp(position)) or 1.0
+    way = 2.0 * (position - low) / span - 1.0
+    for shape, over in enumerate((way, np.cos(np.pi * way), np.sin(np.pi * way))):
+        yield float(shape), over
+
+
+def _vary_uneven(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    run = problem.simulate(x)
+    for shape, over in _vary_along_travel(run.motor_position):
+        for raw in respond_to_force(problem, x, -np.sign(run.motor_velocity) * over):
+            yield FaultSignature(UNEVEN_FRICTION, problem.filter(raw), shape, raw)
+
+
+def _along_uneven(motion: AxisMotion) -> Iterator[FaultSignature]:
+    for shape, over in _vary_along_travel(motion.position):
+        yield FaultSignature(UNEVEN_FRICTION, np.sign(motion.velocity) * over, shape)
+
+
+def _describe_uneven(finding: Finding, check: AxisFaults, spread: bool) -> str:
+    size = finding.test.show_size(check.on_side("torque"), spread=spread)
+    return words("the friction differs along the travel", size and f"by {size} either way")
+
+
+UNEVEN_FRICTION = Fault(
+    "uneven_friction", "friction that differs along the travel", describe=_describe_uneven, vary=_vary_uneven,
+    along=_along_uneven, mechanical=True, measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+)  # fmt: skip
+
+
 def _beside_lines(
     joint: FlexibleJoint,
     law: DriftingFriction | LoadDependentFriction | PreslidingFriction,
@@ -193,6 +224,6 @@ ASYMMETRIC_FRICTION = Fault(
     reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(AsymmetricFriction.name,),
 )  # fmt: skip
 FAULTS = (
-    STRIBECK, PRESLIDING, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, MOTOR_LOAD_FRICTION, CHANGING_FRICTION,
-    ASYMMETRIC_FRICTION,
+    STRIBECK, PRESLIDING, UNEVEN_FRICTION, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, MOTOR_LOAD_FRICTION,
+    CHANGING_FRICTION, ASYMMETRIC_FRICTION,
 )  # fmt: skip
