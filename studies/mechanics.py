@@ -37,7 +37,8 @@ from studies.seeds import judge_seeds
 
 FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
-    "second mode", "spring in pieces", "stribeck", "saturation", "lost samples", "gravity", "uneven friction",
+    "second mode", "spring in pieces", "stribeck", "motor load friction", "saturation", "lost samples", "gravity",
+    "uneven friction",
 )  # fmt: skip
 PAIRS = (
     "cubic spring, cogging", "cubic spring, load-dependent friction", "saturation, cogging",
@@ -46,6 +47,7 @@ PAIRS = (
 RIGHT = {  # what the check should call them
     "cubic spring": ("cubic_spring",), "spring in pieces": ("cubic_spring",), "backlash": ("backlash",),
     "load-dependent friction": ("load_dependent_friction", "motor_load_friction"),
+    "motor load friction": ("motor_load_friction", "load_dependent_friction"),
     "changing friction": ("changing_friction",), "presliding": ("winding_friction", "presliding"),
     "cogging": ("cogging",), "second mode": ("second_mode",), "stribeck": ("stribeck", "presliding"),
     "saturation": ("torque_saturation",), "lost samples": ("lost_samples",), "gravity": ("gravity",),
@@ -56,7 +58,7 @@ _SETTLED = 1.0  # s until a load hangs still
 _MOST_LOST = 8  # samples at one instant
 _BY_ONE_NUMBER = {  # and what that is a share of
     "load-dependent friction": ("loss", ""), "presliding": ("presliding", "travel"),
-    "changing friction": ("warming", ""),
+    "changing friction": ("warming", ""), "motor load friction": ("motor_loss", ""),
 }  # fmt: skip
 _NEWER = ("saturation", "gravity", "uneven friction")
 
@@ -75,6 +77,7 @@ _ORDER = (
     "rise", "slow",  # share of the Coulomb friction that is added to it below that speed, rad/s, on both sides
     "sag", "peak",  # share of the torque that the motor does not make at that torque, N m, and of its square below
     "weight", "tilt",  # N m of the load, which hangs down at that angle, rad
+    "motor_loss",  # friction of the motor per torque through the spring
     "uneven", "span", "middle",  # share of the friction that is added to it at that distance from a position, rad
 )  # fmt: skip
 
@@ -122,6 +125,7 @@ def _run(  # type: ignore[no-untyped-def]
         peak,
         weight,
         tilt,
+        motor_loss,
         uneven,
         span,
         middle,
@@ -156,7 +160,7 @@ def _run(  # type: ignore[no-untyped-def]
             if cogging != 0.0:
                 push1 -= cogging * math.sin(2 * math.pi * q1 / pitch)
             push2 = -spring - left * b2 * v2 - weight * math.sin(q2 - tilt)
-            held1 = f1 * _times(q1, v1, rise, slow, uneven, span, middle)
+            held1 = f1 * _times(q1, v1, rise, slow, uneven, span, middle) + motor_loss * abs(spring)
             held2 = f2 * _times(q2, v2, rise, slow, uneven, span, middle) + loss * abs(spring)
             if m3 > 0.0:
                 third = k3 * (q3 - q2) + c3 * (v3 - v2)
@@ -166,7 +170,7 @@ def _run(  # type: ignore[no-untyped-def]
             if soft > 0.0:  # Dahl's: the friction winds up over a displacement
                 z1 += h * (v1 - abs(v1) * z1) / soft
                 z2 += h * (v2 - abs(v2) * z2) / soft
-                v1 += h * (push1 - f1 * z1) / m1
+                v1 += h * (push1 - held1 * z1) / m1
                 v2 += h * (push2 - held2 * z2) / m2
             else:
                 v1 += h * push1 / m1
@@ -218,19 +222,19 @@ class Spoiled:
         return 1 / (1 / first + share**2 / self.truth["third_stiffness"])
 
 
-def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
+def spoiled(seed: int, fault: str, longest: float = 12.0, noise: str = "") -> Spoiled | None:
     """Return a drive of `studies.healthy` with one fault; None where its loop is not stable with it.
 
     Springs that are 11 to 94 % stiffer at the largest wind-up, gaps of 0.1 to 2 such wind-ups, modes at 1.5 to 4 times
-    the first, friction of 2 to 15 % of the load's torque, friction that winds up over 1e-4 to 1e-2 of the travel,
-    cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %, springs of three stiffnesses of
-    which the last is 20 to 100 % above the first, from a quarter and a half of the largest wind-up on, a Coulomb
-    friction that is 60 % smaller to 80 % larger towards standstill, below 1 to 10 % of the largest speed, a motor that
-    makes 6 to 14 % less than its current says at the peak, 1 to 8 samples that are lost at one to three instants of the
-    motion, a hanging load of 20 to 100 % of the torque's scatter, Coulomb friction that rises by 10 to 30 % from either
-    end of the travel to its middle, and as much beyond.
+    the first, friction of 2 to 15 % of the load's torque on either side, friction that winds up over 1e-4 to 1e-2 of
+    the travel, cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %, springs of three
+    stiffnesses of which the last is 20 to 100 % above the first, from a quarter and a half of the largest wind-up on, a
+    Coulomb friction that is 60 % smaller to 80 % larger towards standstill, below 1 to 10 % of the largest speed, a
+    motor that makes 6 to 14 % less than its current says at the peak, 1 to 8 samples that are lost at one to three
+    instants of the motion, a hanging load of 20 to 100 % of the torque's scatter, Coulomb friction that rises by 10 to
+    30 % from either end of the travel to its middle, and as much beyond.
     """
-    axis = drive(seed, longest)
+    axis = drive(seed, longest, noise)
     rng = np.random.default_rng([seed, 19])
     record, truth, about = axis.record, dict(axis.truth), axis.about
     assert record.torque is not None and record.reference is not None
@@ -245,7 +249,7 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
     }  # fmt: skip
     faults, size = fault.split(", "), 0.0
     for one in faults:
-        size = given.get(one, 0.0)
+        size = given.get("load-dependent friction" if one == "motor load friction" else one, 0.0)
         if one == "cubic spring":
             truth["cubic"] = size / wound**2
         elif one == "backlash":
@@ -273,16 +277,16 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
     for _ in range(3 if "saturation" in faults else 0):  # less torque takes more current
         current = simulate(axis, truth, experiment.after_limit)[0] + experiment.after_limit
         truth["peak"] = float(np.abs(current).max())
-    noise = scale * _draw_noise(rng, about, record.torque.values.size)
+    drawn = scale * _draw_noise(rng, about, record.torque.values.size)
     on_log = about["noise"] == "log"
     # A load hangs in balance before its record begins.
     rest = np.zeros(round(_SETTLED / about["period"]) if "gravity" in faults else 0)
     held = record.reference.values[0] + rest
     before = replace(record.reference, values=np.concatenate([held, record.reference.values]))
     resting = replace(axis, record=ji.Record(reference=before)) if rest.size else axis
-    after = np.concatenate([rest, experiment.after_limit + (0.0 if on_log else noise)])
+    after = np.concatenate([rest, experiment.after_limit + (0.0 if on_log else drawn)])
     out = simulate(resting, truth, after)[0][rest.size :]
-    shown = out + experiment.shown + (noise if on_log else 0.0)
+    shown = out + experiment.shown + (drawn if on_log else 0.0)
     if not np.all(np.isfinite(shown)) or np.abs(shown).max() > 10 * np.abs(clean).max():
         return None
     made = replace(record, torque=replace(record.torque, values=shown))
@@ -351,12 +355,13 @@ def judge(
     spring: str = LinearSpring.name,
     friction: str = "symmetric",
     ripple: bool = False,
+    noise: str = "",
 ) -> Said | None:
     """Identify a drive with a fault, by a model with that spring and friction; None where there is none.
 
     With `ripple` the model has one of the cogging's period.
     """
-    made = spoiled(seed, fault, longest)
+    made = spoiled(seed, fault, longest, noise)
     if made is None:
         return None
     about, loop = made.axis.about, made.axis.loop

@@ -4,11 +4,15 @@ Each fault of `fault_tests` is tested alone. Faults of loop and log are one fami
 faults of the mechanics are another, with a tenth of that. The fault with the largest statistic is named, with those
 that are nearly as likely by the likelihood ratio. The problem is solved again with the fault corrected, which shows its
 effect on the parameters, and the remaining faults are tested again.
+
+Where the declared law makes the logged torque of a logged motor position, faults of law and log that it excludes are
+not named.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -27,6 +31,7 @@ from jointid.diagnostics.fault_tests import (
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest, Hint
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, ParameterShift
 from jointid.diagnostics.faults.forces import OFFSET, free_number
+from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN
 from jointid.diagnostics.faults.other_laws import (
     INTERPOLATIONS,
     MEASURED_VELOCITY,
@@ -44,13 +49,15 @@ from jointid.diagnostics.faults.other_laws import (
 )
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.trials import solve_with_fault
+from jointid.diagnostics.model_free import LawOnPosition, excludes
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import numbers_of
+from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
+from jointid.models.controllers.servo_base import DiagramController
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widen
@@ -68,6 +75,7 @@ _REACH = 2.0  # times the same is what any faster drive changes
 _MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not searched for
 _TIMES_UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
 _FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
+_AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
 
@@ -109,6 +117,32 @@ class SearchState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Proof:
+    """A record whose declared law makes the logged torque of the logged motor position."""
+
+    record: Record
+    loop: ClosedLoop
+
+    def excludes(self, test: FaultTest) -> bool:
+        """Whether a fault of law or log of that size is not in the record."""
+        controller, size = self.loop.controller, test.size
+        if test.fault is LOG_GAIN:
+            return excludes(self.record, self.loop, controller, gain=size)
+        if test.fault is LOG_DELAY:
+            return excludes(self.record, self.loop, controller, late=size)
+        if (declared := numbers_of(controller).get(test.name)) is None or test.fault.value is not None:
+            return False
+        most = _AT_MOST * abs(declared) or abs(size)
+        with suppress(JointidError):  # no law has such a number
+            return self.excludes_law(with_numbers(controller, {test.name: declared + max(-most, min(size, most))}))
+        return False
+
+    def excludes_law(self, other: Controller) -> bool:
+        """Whether the drive does not run another law."""
+        return excludes(self.record, self.loop, other)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _TestResults:
     """Residual and columns of a state, (rows, ...), fault signatures and their tests, the likeliest first.
 
@@ -130,6 +164,7 @@ def search_faults(
     std: Mapping[str, float] | None = None,
     record: Record | None = None,
     shown: Sequence[DriveNumber] = (),
+    law: LawOnPosition | None = None,
 ) -> tuple[AxisFaults, SearchState]:
     """Return the faults of a loop and its log, and the problem with these faults corrected.
 
@@ -141,6 +176,7 @@ def search_faults(
             when None.
         record: of the problem; without it a drive that runs faster than the log is not searched for.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
+        law: what the declared law leaves of the torque along the record's motor position; None without one.
 
     Raises:
         MethodError: a fault asked for cannot be tested in this record.
@@ -152,14 +188,16 @@ def search_faults(
     faster: list[_OtherLawTest] = []
     first: _TestResults | None = None
     first_law: _OtherLawTest | None = None
+    proof = _Proof(record, problem.loop) if record is not None and law is not None and law.holds else None
     while len(findings) < settings.most:
-        found = _search_shapes(state, _run_tests(state, settings), settings)
+        found = _search_shapes(state, _run_tests(state, settings, proof), settings)
         if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filter(problem.measured)):
             first, others = first or found, []
             break
-        others = _test_other_laws(state, found, settings, known, record)
+        others = _without_excluded(_test_other_laws(state, found, settings, known, record), proof)
         if first is None:
-            first, faster = found, _test_faster_laws(state, found, settings, known, record)
+            first = found
+            faster = _without_excluded(_test_faster_laws(state, found, settings, known, record), proof)
         laws = others if findings else [*others, *faster]
         stated = max(
             (one for one in laws if one.explains(found.tests, settings.level)),
@@ -218,7 +256,22 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
     return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
 
 
-def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
+def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: ClosedLoopProblem) -> bool:
+    """Return whether the torque acts within a sample after its log, by a delay that nobody stated and that matters.
+
+    The law must make the logged torque of the motor position: then the delay is behind the log, and no fault of law or
+    log looks like it.
+    """
+    controller = problem.loop.controller
+    stated = not isinstance(controller, DiagramController) or controller.delay or controller.undeclared == "none"
+    if stated or law is None or not law.holds or not check.findings:
+        return False
+    first = check.findings[0]
+    moves = any(abs(change.sigmas) > _INTERVAL for change in first.changes.values())
+    return moves and first.test.fault is DELAY and 0.0 < first.test.size < problem.experiment.law.period
+
+
+def _run_tests(state: SearchState, settings: LoopTests, proof: _Proof | None) -> _TestResults:
     residual, own, signatures = compute_signatures(state.problem, state.x)
     known = {a.fault.name: a.fault for a in signatures}
     searched = (one.name for one in FAULTS if one.applies is not None and one.applies(state.problem.joint))
@@ -234,8 +287,14 @@ def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
         if not {name, fault.kin} & {*state.named} and (settings.faults is None or name in settings.faults)
     }
     where, by_forces = cache(lambda: _assign_cells(state)), cache(lambda: _simulate_forces(state))
-    tests = score_signatures(residual, _stack_columns(state, own), signatures, declared, where, by_forces)
-    tests = rank_tests(tests, settings.level)
+    columns = _stack_columns(state, own)
+    while True:
+        tests = rank_tests(score_signatures(residual, columns, signatures, declared, where, by_forces), settings.level)
+        likely = [one for one in tests if one.p_value <= settings.level] if proof is not None else []
+        excluded = [one.fault for one in likely if proof is not None and proof.excludes(one)]
+        if not excluded:
+            break
+        declared = {fault: value for fault, value in declared.items() if fault not in excluded}
     return _TestResults(residual, own, signatures, tests, where, by_forces)
 
 
@@ -377,6 +436,10 @@ def _test_faster_laws(
             break
         tests += (one for one in here if one.possible and one.as_likely(here))
     return tests
+
+
+def _without_excluded(tests: list[_OtherLawTest], proof: _Proof | None) -> list[_OtherLawTest]:
+    return [one for one in tests if proof is None or not proof.excludes_law(one.refit.law.controller)]
 
 
 def _judge_law(state: SearchState, found: _TestResults, other: Refit) -> tuple[_OtherLawTest, ...]:

@@ -23,7 +23,9 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter, adjust_parameters
 from jointid.common.text import in_words, number, pluralise
+from jointid.diagnostics.check_loop import LoopTests, has_unstated_delay, search_faults
 from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, ReportedEstimate, compare_estimates
+from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_comparison import (
     RIGID,
@@ -35,6 +37,7 @@ from jointid.diagnostics.law_comparison import (
     parts_of,
     rank,
 )
+from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method, Task, methods
@@ -155,9 +158,32 @@ def _compare_laws(
     didim: DIDIM | None,
     progress: Progress,
 ) -> LawComparison:
-    """Identify a joint with every law of its spring or friction."""
+    """Identify a joint with every law of its spring or friction, and with an unstated delay that the shown one has."""
     settings = _check(loop.joint, among, didim)
     check_record(record)
+    judged, end = _judge_laws(record, loop, among, filtering, parameters, settings, progress)
+    followed = compare_law(record, loop)
+    if followed is None or not followed.holds or end is None or DELAY.name in settings.free:
+        return judged
+    asked = LoopTests(most=1, faults=(DELAY.name,))
+    check, _ = search_faults(end.problem, end.solution.x, asked, record=record, law=followed)
+    if not has_unstated_delay(check, followed, end.problem):
+        return judged
+    progress("the torque acts within a sample after its log: the delay is identified with every law")
+    freed = replace(settings, free=(*settings.free, DELAY.name))
+    return _judge_laws(record, loop, among, filtering, parameters, freed, progress)[0]
+
+
+def _judge_laws(
+    record: Record,
+    loop: ClosedLoop,
+    among: Literal["springs", "frictions"],
+    filtering: Filtering | None,
+    parameters: Mapping[str, Parameter] | None,
+    settings: DIDIM,
+    progress: Progress,
+) -> tuple[LawComparison, Solved | None]:
+    """Identify a joint with every law of its spring or friction; return the comparison, and the shown law's end."""
     tolerance = settings.stopping_tolerance(loop.joint.model)
     joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
     history, given, chosen = History(progress), dict(parameters or {}), filtering or Filtering()
@@ -171,6 +197,7 @@ def _compare_laws(
         solved = free_more(solved, settings.free, tolerance, history)
     parts = parts_of(solved.problem, among)
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
+    ends: dict[str, Solved] = {}
     line: tuple[JudgedLaw, FloatArray] | None = None
     made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
     laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
@@ -198,6 +225,7 @@ def _compare_laws(
                 words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
                 fitted = replace(fitted, words=words)
             found.append((fitted, squares))
+            ends[name] = end
         except (JointidError, np.linalg.LinAlgError) as error:
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
             if law == simple:
@@ -205,7 +233,8 @@ def _compare_laws(
                 raise MethodError(f"The joint cannot be judged with {first}: {why}") from error
             found.append((JudgedLaw(name, len(of_law), {}, {}, None, None, refusal=why), None))
     result = SpringComparison if kind == "spring" else FrictionComparison
-    return result(record.name, rank(found), getattr(joint, kind).name, joint.transmission)
+    judged = result(record.name, rank(found), getattr(joint, kind).name, joint.transmission)
+    return judged, ends.get(judged.shown.name)
 
 
 _SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "frictions": SymmetricFriction()}

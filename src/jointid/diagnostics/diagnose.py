@@ -15,10 +15,10 @@ from jointid.diagnostics.axis_faults import find_axis_faults, find_follower
 from jointid.diagnostics.axis_parameters import AxisParameter, parameters_by_axis
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.check_loop import LoopTests, SearchState, list_laws, search_faults
-from jointid.diagnostics.diagnosis import OF_LAW, AxisDiagnosis, Diagnosis
+from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.model_free import LawOnPosition, compare_law
+from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimateParts
@@ -128,11 +128,12 @@ def diagnose_joint(
     """
     problem, x = solved
     std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
-    faults, state = search_faults(problem, x, tests, std, record, shown)
+    law = compare_law(record, problem.loop)
+    faults, state = search_faults(problem, x, tests, std, record, shown, law)
     torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
     axis = _diagnose_axis(
         "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit), parameters_by_axis(estimate),
-        compare_law(record, problem.loop), faults, find_follower(torques),
+        law, faults, find_follower(torques),
         None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
         else found.significant,
     )  # fmt: skip
