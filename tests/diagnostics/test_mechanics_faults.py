@@ -143,6 +143,13 @@ def test_what_adds_a_force_along_the_motion_is_named_with_its_size(
     assert re.search(said, check.sentences[0])
 
 
+def test_two_faults_at_once_are_both_named_in_the_answer() -> None:
+    made = spoiled(632, "cubic spring, cogging", 5.0)
+    assert made is not None
+    said = ji.identify(made.record, made.axis.loop).answer.trust.words
+    assert "the spring is not linear" in said and "comes back with the motor's position" in said
+
+
 @pytest.mark.parametrize(("fault", "seed"), [("second mode", 135), ("cubic spring", 164)])
 def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, seed: int) -> None:
     made, plain = identified(fault, seed)
