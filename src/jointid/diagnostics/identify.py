@@ -20,7 +20,7 @@ from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.numbers import DELAY
-from jointid.diagnostics.faults.record import find_too_short
+from jointid.diagnostics.faults.record import find_lost_samples, find_too_short
 from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, screen_causes
 from jointid.diagnostics.hypothesis_fits import Fit
 from jointid.diagnostics.undeclared import widen_for_undeclared
@@ -281,7 +281,10 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
-    tested = part.has_controllers or of_logs
+    lost = next(filter(None, map(find_lost_samples, fit.records)), None)
+    if lost is not None:
+        loop = Verdict(Subject.LOOP, Status.FAILED, (lost,))
+    tested = part.has_controllers or of_logs or lost is not None
     wider = _widen_for_undeclared(fit, found)
     return CheckResults((residual, loop) if tested else (residual,), tuple(wider), diagnosis=found)
 
