@@ -29,8 +29,9 @@ FAULTS = [
     (
         SMALLEST + "position_gian = 3",
         "controller.position_gian is not a known key; expected one of law, side, gain, limit, period, delay, "
-        "interpolation, reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, "
-        "viscous_feedforward, coulomb_feedforward, constant_feedforward, torque_feedforward_delay, undeclared, "
+        "interpolation, reference_average, reference_delay, velocity_filter, torque_filters, filters_at, "
+        "acceleration_feedforward, viscous_feedforward, coulomb_feedforward, constant_feedforward, "
+        "torque_feedforward_delay, undeclared, "
         "position_gain, velocity_gain, integral_gain, anti_windup, velocity_feedforward, "
         "velocity_feedforward_delay, reference_velocity, velocity_limit, position_period, "
         "position_offset, integral_time: did you mean position_gain?",
@@ -40,7 +41,7 @@ FAULTS = [
             "cascade", "pd"
         ),
         "controller.integral_gain is not a known key; expected one of law, side, gain, limit, period, delay, "
-        "interpolation, "
+        "interpolation, reference_average, "
         "reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, viscous_feedforward, "
         "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, undeclared, position_gain, "
         "derivative_gain, reference_velocity, derivative_time: leave it out.",

@@ -79,6 +79,7 @@ law = {
     "period": st.none() | st.floats(1e-6, 1e-2),
     "delay": none_or_more,
     "interpolation": st.sampled_from((None, "hold", "linear", "cubic")),
+    "reference_average": seconds,
     "reference_delay": seconds,
     "position_gain": positive,
     "velocity_filter": row | filters,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.config import loads
 from jointid.config.logged import describe_log
+from jointid.records.checks import find_record_warnings
 from jointid.records.formats import read_table
 from jointid.records.record import Record
 
@@ -320,7 +322,7 @@ URDF = f"""<robot name="leg"><link name="base"/><link name="thigh">{BODY}</link>
 def compared(record: Record, joint: int, name: str) -> None:
     """Compare the channels of a joint at the record's own instants, which a log with several clocks begins later."""
     steps = STEPS.get(name, (3e-4, 1e-3))  # of straight lines between samples of 5 and 10 ms, or of a field
-    made = {"motor_position": MOTION, "reference": COMMAND, "torque": TORQUE}
+    made = {"motor_position": MOTION, "reference": COMMAND} | ({} if name == "pace" else {"torque": TORQUE})
     for channel, found in record.items():
         if channel not in made:
             continue
@@ -339,9 +341,10 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
     profile = f'profile = "{found.recognised.profile.name}"'
     axis = "knee" if name in ("sage", "ros2") else "2"
     idim = '\n[method]\nname = "idim"\n'
-    if name == "pace":  # which logs no torque
-        for joint in range(2):
-            compared(ji.read(path, drive=ji.Drive("pace", joint + 1)), joint, name)
+    if name == "pace":  # which logs no torque: the law, which no file states, stands for it
+        text = describe_log(found, path.name, "2")
+        assert 'torque = "from_controller"' in text
+        compared(loads(text + LAW, tmp_path).record(), 1, name)
         return
     alone = describe_log(found, path.name, axis).replace(profile, f"{profile}\n{MOTORS.get(name, '')}") + idim
     file = loads(alone, tmp_path)
@@ -355,4 +358,104 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
         compared(record, number, name)
     assert {type(one).__name__ for one in robot.controllers} == (
         {"PD"} if name in ("mit", "unitree", "unitree_json") else {"NoneType"}
+    )
+
+
+# What is wrong in such a log
+# ---------------------------
+
+JOINT = '[joint]\nkind = "revolute"\n[record]\nfile = "run.csv"\n'
+LAW = '[controller]\nlaw = "pd"\nposition_gain = "40 N m/rad"\nderivative_gain = "1.5 N m s/rad"\n'
+
+
+def one_motor(path: Path, **changed: Any) -> Path:
+    """Write the log of one motor, with its gains."""
+    columns = {"t": TIME, "q": MOTION[:, 0], "tauEst": TORQUE[:, 0], "q_des": COMMAND[:, 0], "kp": 0 * TIME + KP}
+    return table(path / "run.csv", columns | {"kd": 0 * TIME + KD, "tau_ff": 0.2 * np.sin(TIME)} | changed)
+
+
+def refusal(path: Path, text: str) -> str:
+    with pytest.raises(RecordError) as error:
+        loads(text, path).record()
+    (said,) = error.value.faults
+    assert said.endswith(".")
+    return said
+
+
+def test_gains_of_the_log_are_held_against_the_declared_ones(tmp_path: Path) -> None:
+    text = JOINT + '[drive]\nprofile = "mit"\n' + LAW
+    one_motor(tmp_path)
+    record = loads(text, tmp_path).record()
+    assert record.injected is not None
+    assert (record.injected.at, record.tap) == ("before_limit", "measured")
+    assert 'kp (column "kp") is 40 in the record, and controller.position_gain is 60; correct' in refusal(
+        tmp_path, text.replace("40 N m", "60 N m")
+    )
+    # A bare key of the drive is the law's, too.
+    named = text.replace('position_gain = "40 N m/rad"', "kp = 40").replace(
+        'derivative_gain = "1.5 N m s/rad"', "kd = 1.5"
+    )
+    assert loads(named, tmp_path).controller == loads(text, tmp_path).controller
+
+
+def test_gains_that_vary_are_refused_in_a_sentence_and_a_part_is_read(tmp_path: Path) -> None:
+    text = JOINT + 'stop = 0.5\n[drive]\nprofile = "mit"\n' + LAW
+    one_motor(tmp_path, kp=np.where(TIME < 0.6, KP, 2 * KP))
+    assert loads(text, tmp_path).record().torque is not None
+    said = refusal(tmp_path, text.replace("stop = 0.5\n", ""))
+    assert 'kp (column "kp") varies from 40 to 80, and the controller has one position_gain, 40; read a part' in said
+    found = ji.inspect(tmp_path / "run.csv")
+    assert "\n[controller]" not in describe_log(found, "run.csv")
+
+
+def test_gains_in_the_drives_whole_numbers_are_refused(tmp_path: Path) -> None:
+    one_motor(tmp_path, kp=0 * TIME + 1638)
+    said = refusal(tmp_path, JOINT + '[drive]\nprofile = "mit"\n' + LAW)
+    assert (
+        "kp (column \"kp\") reaches 1638, more than the drive's 500 N m/rad: it is in the drive's whole numbers" in said
+    )
+
+
+def test_a_field_needs_the_motors_range_and_its_own_bits(tmp_path: Path) -> None:
+    damiao(tmp_path / "run")
+    text = JOINT + '[drive]\nprofile = "damiao"\naxis = 1\nmotor = "DM4340"\n[method]\nname = "idim"\n'
+    with pytest.raises(
+        RecordError, match=r"field of 12 bits, which needs the drive's torque_range, or its motor \(DM3507"
+    ):
+        loads(text.replace('motor = "DM4340"', "position_range = 12.5"), tmp_path).record()
+    with pytest.raises(Exception, match="motor is 'DM1'; expected DM3507"):
+        loads(text.replace("DM4340", "DM1"), tmp_path)
+    robstride(tmp_path / "run")
+    channels = (
+        '[record.channels]\ntorque = { column = "t_int16_0" }\nmotor_position = { column = "p_int16_0", bits = 16 }\n'
+    )
+    other = text.replace("[drive]", 'time = "timestamp"\n[drive]').replace(
+        'profile = "damiao"\naxis = 1\nmotor = "DM4340"', "position_range = 12.5\ntorque_range = 17.0"
+    )
+    said = refusal(tmp_path, other + channels.replace('t_int16_0"', 't_int16_0", bits = 12'))
+    assert re.search(r"reaches from \d+ to \d+; expected whole numbers from 0 to 4095 of a field of 12 bits", said)
+
+
+def test_a_data_set_needs_its_unit_and_says_what_its_rate_tells(tmp_path: Path) -> None:
+    lerobot(tmp_path / "set")
+    drive = ji.Drive("lerobot", joint="knee")
+    with pytest.raises(RecordError) as error:
+        ji.read(tmp_path / "set", drive=drive, part=2)
+    assert len(error.value.faults) == 2
+    assert 'is in "units of the calibration"; expected one of rad, mrad, deg' in error.value.faults[0]
+    columns = {name: ji.Column(unit="deg") for name in ("reference", "motor_position")}
+    record = ji.read(tmp_path / "set", columns, drive=drive, part=2)
+    assert record.motor_position is not None
+    np.testing.assert_allclose(np.degrees(record.motor_position.values), MOTION[:, 1], atol=1e-6)
+    (said,) = [text for text in find_record_warnings(record, record.channels) if "samples a second" in text]
+    assert said.startswith(
+        "the record has 30 samples a second: of a slow motion it tells inertia, friction and gravity"
+    )
+
+
+def test_a_clock_in_another_unit_is_a_rate_that_tells_nothing(tmp_path: Path) -> None:
+    one_motor(tmp_path, t=TIME * 1e6)
+    said = refusal(tmp_path, JOINT + '[drive]\nprofile = "mit"\n' + LAW)
+    assert said.startswith(
+        "The record has a sample every 5e+03 s (at most 0.1 s expected): it tells nothing of a joint's"
     )

@@ -44,6 +44,7 @@ LAWS: dict[str, Cascade | PD] = {
     "P-PI, after, track": replace(P_PI, limit=60.0, filters_at="after_limit", anti_windup="track", gain=0.5,
     velocity_gain=12e3),
     "P-P": replace(P_PI, integral_gain=0.0),
+    "P-P, averaged": replace(P_PI, integral_gain=0.0, interpolation="hold", reference_average=42.3 * FAST),
     "PID": PID(
         position_gain=3e5, derivative_gain=6e3, integral_gain=3e6, period=FAST, delay=0.7 * FAST, limit=80.0,
         velocity_filter=(0.5, 0.5),
@@ -139,8 +140,13 @@ class Driven:
             injected=Injection(Channel(self.pushed, "N", FAST), "before_limit"),  # type: ignore[arg-type]
         )
 
-    def filled(self, interpolation: str) -> np.ndarray:
+    def filled(self, interpolation: str, average: float = 0.0) -> np.ndarray:
         """The reference, period by period."""
+        if average:  # of each period the mean of the last ones, of the first of which only a part counts
+            plain, n = self.filled(interpolation), average / FAST
+            begun = np.concatenate([plain[0] + (plain[1] - plain[0]) * np.arange(-math.ceil(n), 0), plain])
+            weights = [min(1.0, n - j) / n for j in range(math.ceil(n))]
+            return sum(w * begun[math.ceil(n) - j :][: plain.size] for j, w in enumerate(weights))  # type: ignore[return-value]
         values, repeat = self.values, round(self.command / FAST)
         k = np.arange(values.size)
         at = np.minimum(np.arange(values.size * repeat) / repeat, values.size - 1)
@@ -181,7 +187,7 @@ def check(
     experiment = prepare(loop, driven.record())
     # Its second difference brings out the last bit, so both have the very same.
     reference = experiment.inputs[:, REFERENCE]
-    assert np.max(np.abs(reference - driven.filled(law.interpolation))) <= 1e-15
+    assert np.max(np.abs(reference - driven.filled(law.interpolation, law.reference_average))) <= 1e-15
     found = simulate(loop, experiment, values, Initial(torque=torque))
     rubs = any(size and "coulomb" in name for name, size in values.items())
     drive = (Rubbing if rubs else Smooth)(plant(values), float(driven.values[0]))

@@ -623,7 +623,8 @@ class JointFile(File[Record]):
             needed |= {"motor_position", *self.controller.channels}
         columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
         if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
-            columns |= {n: Column() for n in needed if n not in columns and n != "injected"}
+            unsought = {"injected", "torque"} if self.computes_torque else {"injected"}
+            columns |= {n: Column() for n in needed - unsought if n not in columns}
         return columns
 
     @property

@@ -44,7 +44,8 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
     last = max((k for k, moves in enumerate(moving) if moves), default=len(moving) - 1)
     every = log.axes[: last + 1]  # messages have more slots than a robot has motors
     used = every if chosen is None else (chosen,)
-    record = {"file": file, **_clock(columns, used)}
+    alone = all("torque" not in one.channels for one in used)
+    record = {"file": file, **({"torque": "from_controller"} if alone else {}), **_clock(columns, used)}
     said = [
         f"# {log.sentence}",
         *(f"# {text}" for text in log.profile.assumed),

@@ -11,8 +11,9 @@ not named.
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -20,7 +21,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
+from jointid.common.messages import Message
 from jointid.common.parameters import Quantity, unit_of
+from jointid.common.text import number
 from jointid.diagnostics.fault_tests import (
     compute_signatures,
     fit_whitener,
@@ -33,7 +36,9 @@ from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, P
 from jointid.diagnostics.faults.forces import OFFSET, free_number
 from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN
 from jointid.diagnostics.faults.other_laws import (
+    AVERAGED,
     INTERPOLATIONS,
+    LATE,
     MEASURED_VELOCITY,
     OTHER_LAWS,
     PERIOD,
@@ -41,13 +46,17 @@ from jointid.diagnostics.faults.other_laws import (
     TIMES_FASTER,
     Refit,
     faster_laws,
+    late_interpolations,
     other_interpolations,
     prepare_anew,
     refit,
+    refit_late_references,
     refit_other_laws,
     runs_at_the_logs_rate,
+    screen_mean,
 )
 from jointid.diagnostics.faults.registry import FAULTS
+from jointid.diagnostics.faults.springs import SECOND_MODE
 from jointid.diagnostics.faults.trials import solve_with_fault
 from jointid.diagnostics.model_free import LawOnPosition, excludes
 from jointid.estimation.descent import descend
@@ -58,9 +67,11 @@ from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, frictions_beside, springs_beside
+from jointid.models.springs import ElasticLoad
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widen
+from jointid.uncertainty.verdict import Reason
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 _SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer
@@ -76,6 +87,7 @@ _MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by o
 _TIMES_UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
 _FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
 _AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one
+_LARGEST_SHARE = 0.5  # of the load on a spring of its own
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
 
@@ -133,7 +145,7 @@ class _Proof:
         if (declared := numbers_of(controller).get(test.name)) is None or test.fault.value is not None:
             return False
         most = _AT_MOST * abs(declared) or abs(size)
-        with suppress(JointidError):  # no law has such a number
+        with contextlib.suppress(JointidError):  # no law has such a number
             return self.excludes_law(with_numbers(controller, {test.name: declared + max(-most, min(size, most))}))
         return False
 
@@ -146,7 +158,8 @@ class _Proof:
 class _TestResults:
     """Residual and columns of a state, (rows, ...), fault signatures and their tests, the likeliest first.
 
-    `where` and `by_forces` are arguments of `score_signatures`, simulated once and on demand.
+    `where` and `by_forces` are arguments of `score_signatures`, simulated once and on demand. `excluded` are the
+    significant tests of faults that the motor position excludes.
     """
 
     residual: FloatArray
@@ -155,6 +168,7 @@ class _TestResults:
     tests: tuple[FaultTest, ...]
     where: Callable[[], Cells]
     by_forces: Callable[[], list[FloatArray]]
+    excluded: tuple[FaultTest, ...] = ()
 
 
 def search_faults(
@@ -244,8 +258,53 @@ def search_faults(
         law=numbers_of(problem.loop.controller),
         shown={one.number: one for one in shown},
         laws=list_laws(joint),
+        assumed=None if first is None or findings else _bound_second_mode(beginning, first, known),
+        excluded=() if findings else found.excluded,
+        lacking={} if findings else _measure_lacking(state, found),
     )
     return check, state
+
+
+def _bound_second_mode(state: SearchState, found: _TestResults, known: Mapping[str, float]) -> Message | None:
+    """Return how much stiffer a spring is behind which a part of the load swings; None where that is in its interval.
+
+    Of each mode that was tried, the part of the load is the largest within two deviations of its test, up to half.
+    """
+    shapes = [one for one in found.signatures if one.fault is SECOND_MODE and one.shape]
+    if not shapes:
+        return None
+    joint, values, whiten = state.problem.joint, state.problem.values(state.x), fit_whitener(found.residual)
+    assert isinstance(joint, FlexibleJoint)
+    own, error = whiten(found.own), whiten(found.residual)
+    left = error - own @ np.linalg.lstsq(own, error, rcond=None)[0]
+    first, bounds = joint.frequencies(values)["free_free"], []
+    for one in shapes:
+        column = whiten(one.column)
+        alone = (column - own @ np.linalg.lstsq(own, column, rcond=None)[0])[:, np.newaxis]
+        size = float(alone[:, 0] @ left) / float(alone[:, 0] @ alone[:, 0])
+        share = min(max(size, 0.0) + _INTERVAL * float(robust(alone, alone, left).std[0]), _LARGEST_SHARE)
+        start = ElasticLoad().start(values, share, (one.shape or 0.0) / first)
+        bounds.append((start["stiffness"] / values["stiffness"] - 1.0, share, one.shape))
+    more, share, mode = max(bounds)
+    if more * values["stiffness"] <= _INTERVAL * known.get("stiffness", math.inf):
+        return None
+    symbol = next(p.symbol for p in joint.parameters if p.name == "stiffness")
+    said = (
+        f"that the load is rigid is assumed: if {number(100 * share, 2)} % of it swings at {number(mode, 2)} Hz, which "
+    )
+    said += f"this record does not exclude, {symbol} is {number(100 * more, 2)} % larger"
+    return Message(Reason.LOAD_NOT_RIGID, said, {"swinging_share": share, "second_mode": mode, "stiffer": more})
+
+
+def _measure_lacking(state: SearchState, found: _TestResults) -> dict[str, float]:
+    """Return the largest shift of each parameter by the excluded faults.
+
+    They are not in loop or log, so the joint has what looks like them, and its model has not.
+    """
+    own, shapes = _stack_columns(state, found.own), {(one.fault, one.shape): one.column for one in found.signatures}
+    moved = [one.size * np.linalg.pinv(own) @ shapes[one.fault, one.shape] for one in found.excluded]
+    names = [p.name for p in state.problem.free_joint]
+    return {name: float(max(abs(by[k]) for by in moved)) for k, name in enumerate(names)} if moved else {}
 
 
 def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
@@ -257,7 +316,7 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
 
 
 def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: ClosedLoopProblem) -> bool:
-    """Return whether the torque acts within a sample after its log, by a delay that nobody stated and that matters.
+    """Return whether the torque acts within a sample after its log, by a delay that nobody stated.
 
     The law must make the logged torque of the motor position: then the delay is behind the log, and no fault of law or
     log looks like it.
@@ -266,9 +325,8 @@ def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: Cl
     stated = not isinstance(controller, DiagramController) or controller.delay or controller.undeclared == "none"
     if stated or law is None or not law.holds or not check.findings:
         return False
-    first = check.findings[0]
-    moves = any(abs(change.sigmas) > _INTERVAL for change in first.changes.values())
-    return moves and first.test.fault is DELAY and 0.0 < first.test.size < problem.experiment.law.period
+    first = check.findings[0].test
+    return first.fault is DELAY and 0.0 < first.size < problem.experiment.law.period
 
 
 def _run_tests(state: SearchState, settings: LoopTests, proof: _Proof | None) -> _TestResults:
@@ -287,15 +345,17 @@ def _run_tests(state: SearchState, settings: LoopTests, proof: _Proof | None) ->
         if not {name, fault.kin} & {*state.named} and (settings.faults is None or name in settings.faults)
     }
     where, by_forces = cache(lambda: _assign_cells(state)), cache(lambda: _simulate_forces(state))
-    columns = _stack_columns(state, own)
+    columns, excluded = _stack_columns(state, own), list[FaultTest]()
     while True:
         tests = rank_tests(score_signatures(residual, columns, signatures, declared, where, by_forces), settings.level)
         likely = [one for one in tests if one.p_value <= settings.level] if proof is not None else []
-        excluded = [one.fault for one in likely if proof is not None and proof.excludes(one)]
-        if not excluded:
+        found = [one for one in likely if proof is not None and proof.excludes(one)]
+        if not found:
             break
-        declared = {fault: value for fault, value in declared.items() if fault not in excluded}
-    return _TestResults(residual, own, signatures, tests, where, by_forces)
+        excluded += found
+        gone = {one.fault for one in found}
+        declared = {fault: value for fault, value in declared.items() if fault not in gone}
+    return _TestResults(residual, own, signatures, tests, where, by_forces, tuple(excluded))
 
 
 def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
@@ -306,7 +366,8 @@ def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests)
         if fault.search is None or not asked or fault.name in state.named:
             continue
         test = next((one for one in found.tests if one.fault == fault), None)
-        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level)
+        first = next((one.fault for one in found.tests[:1] if one.p_value <= settings.level), None)
+        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level, first)
         signatures = fault.search(state.problem, state.x, hint)
         if signatures:
             better = _test_signature(state, found, *signatures)
@@ -395,7 +456,35 @@ def _test_interpolations(
         except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable under it is not that of the record
             continue
         tests += _judge_law(state, found, refitted)
-    return tests
+    return tests + _test_late_references(state, found, settings, record)
+
+
+def _test_late_references(
+    state: SearchState, found: _TestResults, settings: LoopTests, record: Record
+) -> list[_OtherLawTest]:
+    """Return the tests of a reference that is interpolated late, delayed or averaged.
+
+    One simulation of a short mean decides whether there is evidence: all of these are late, or early.
+    """
+    problem, screened = state.problem, screen_mean(state.problem)
+    names = {LATE.name, AVERAGED.name, *(one.name for one in INTERPOLATIONS.values())}
+    if screened is None or names & {*state.named} or not (settings.faults is None or names & {*settings.faults}):
+        return []
+    try:
+        moved = found.residual - prepare_anew(problem, screened, record).residual(state.x)
+        step = _test_signature(state, found, FaultSignature(AVERAGED, moved, raw=np.zeros(0)))
+    except JointidError:
+        return []
+    if not step.p_value <= settings.level:
+        return []
+    refits: list[Refit] = []
+    with contextlib.suppress(JointidError, np.linalg.LinAlgError):
+        refits += refit_late_references(problem, state.x, record)
+    for law in late_interpolations(problem.loop.controller, record, problem.experiment.law.period):
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):
+            refits.append(refit(problem, state.x, law, prepare_anew(problem, law, record), state.x))
+    wanted = names if settings.faults is None else {*settings.faults}
+    return [test for one in refits if one.law.fault.name in wanted for test in _judge_law(state, found, one)]
 
 
 def _test_faster_laws(

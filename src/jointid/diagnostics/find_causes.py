@@ -275,7 +275,9 @@ def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> t
     A torque that is computed from the controller has no faults of its own.
     """
     declared = Hypothesis(None, record, (loop,), filtering)
-    corrected = (replace(one, fault=f) for f in FAULTS if f.correct is not None for one in f.correct(declared))
+    corrected = (
+        replace(one, fault=one.fault or f) for f in FAULTS if f.correct is not None for one in f.correct(declared)
+    )
     return (declared, *(one for one in corrected if not record.computed or one.record.torque is record.torque))
 
 

@@ -31,6 +31,7 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
+from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.assemble import CheckResults, FitResult, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import IdentifiedRobot
@@ -154,12 +155,13 @@ def identify(
 
 
 def _free_unstated_delay(fit: FitResult, method: Method | None, found: CheckResults) -> Method | None:
-    """Return the method with the delay of the torque free, where `has_unstated_delay`; None elsewhere."""
+    """Return the method with an unstated delay of the torque free, where it leaves a doubt; None elsewhere."""
     settings = DIDIM() if method is None else method
     if not isinstance(found.diagnosis, Diagnosis) or fit.problem is None or not isinstance(settings, DIDIM):
         return None
     (axis,) = found.diagnosis.axes
-    if not has_unstated_delay(axis.faults, axis.law, fit.problem):
+    doubted = assemble(fit, found).answer.trust.code is not Trust.RELIABLE
+    if not (doubted and has_unstated_delay(axis.faults, axis.law, fit.problem)):
         return None
     return replace(settings, free=(*settings.free, DELAY.name))
 
@@ -300,14 +302,17 @@ def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
 def widen_for_faults(check: AxisFaults) -> list[Widening]:
     """Return the shifts of parameters by the faults of the mechanics that a check found; none without any.
 
-    Faults of loop and log widen no interval: they are corrected, or not.
+    Faults of loop and log widen no interval: they are corrected, or not. Where they are excluded, the joint has what
+    looks like them.
     """
     found = [one for one in check.findings if one.test.fault.mechanical]
     moved: dict[str, float] = {}
     for finding in found:
         for name, change in finding.changes.items():
             moved[name] = math.hypot(moved.get(name, 0.0), change.by)
-    return [Widening(moved, "what the joint has and its model has not")] if found else []
+    for name, by in check.lacking.items():
+        moved[name] = 0.5 * by  # two deviations hold it
+    return [Widening(moved, "what the joint has and its model has not")] if moved else []
 
 
 def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedResidual) -> Widening:

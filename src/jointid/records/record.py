@@ -26,8 +26,6 @@ from jointid.common.transmission import Side, Transmission
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from jointid.models.controllers import Controller
-
 
 class Timing(StrEnum):
     """Instants represented by a logged value."""
@@ -225,7 +223,7 @@ class Record(Charted, Documented):
     begin: float = 0.0
     resampled: Resampled | None = None
     remarks: tuple[str, ...] = ()
-    computed_by: Controller | None = None
+    computed_by: Any = None  # a controller, of which this room knows nothing
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))

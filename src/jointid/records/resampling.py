@@ -31,6 +31,7 @@ _LARGEST = 10**8  # samples of one channel
 _SAME = 1e-6  # of a sample
 _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm
+_LONGEST_MEAN = 10_000  # values
 _LONGEST = 10_000  # refreshes within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _SHOWN = 25.0  # F of the jitter in a position, from which on that follows it: five standard deviations
@@ -313,8 +314,8 @@ def update_interval(values: FloatArray) -> int:
 
 
 def default_interpolation(channel: Channel) -> Interpolation:
-    """Return the interpolation of a slow channel for which none is declared."""
-    return "linear" if channel.timing is Timing.SAMPLED else "hold"
+    """Return the interpolation of a slow channel for which none is declared: one that repeats its values is held."""
+    return "linear" if channel.timing is Timing.SAMPLED and update_interval(channel.values) == 1 else "hold"
 
 
 def at_period(
@@ -340,6 +341,42 @@ def at_period(
     straight, low, high = second - first, 0.5 * (second - before), 0.5 * (after - first)
     curve = (low - straight) * (1 - t) - (high - straight) * t
     return np.asarray(first + t * (straight + (1 - t) * curve))
+
+
+def fill_in(channel: Channel, every: int, period: float, interpolation: Interpolation) -> Channel:
+    """Return a channel that repeats each value `every` times at a shorter period, its values filled in."""
+    (changes,) = np.nonzero(np.diff(channel.values))
+    phase = int(changes[0] + 1) % every if changes.size else 0
+    points = np.concatenate([channel.values[:1] if phase else [], channel.values[phase::every]])
+    slow = replace(channel, values=points, sample_time=every * channel.sample_time)
+    repeat = period_ratio(period, channel.sample_time, "reference")[1]
+    early = repeat * (every - phase if phase else 0)  # of the first setpoint, before the record
+    filled = at_period(slow, period, early + repeat * channel.values.size, "reference", interpolation)
+    return replace(channel, values=filled[early:], sample_time=channel.sample_time / repeat)
+
+
+def running_mean(values: FloatArray, periods: float, slope: float) -> FloatArray:
+    """Return the mean of the last `periods` values (samples,), as many rounded up of which the first has a part.
+
+    Before the first sample they moved by `slope` per sample. At rest the mean is at rest to the last bit.
+
+    Raises:
+        RecordError: the mean is over more than 10,000 values.
+    """
+    if periods <= 1:
+        return values
+    if periods > _LONGEST_MEAN:
+        raise RecordError(
+            f"The reference is averaged over {periods:.6g} of the controller's periods; expected {_LONGEST_MEAN} at "
+            "most: correct reference_average."
+        )
+    weights = np.ones(math.ceil(periods - _WHOLE))
+    weights[-1] -= max(weights.size - periods, 0.0)
+    weights /= weights.sum()
+    steps = np.concatenate([np.full(weights.size, slope), np.diff(values)])
+    moved = np.cumsum(np.convolve(steps, weights, "valid")[1:])
+    first = values[0] - slope * float(weights @ np.arange(weights.size))
+    return np.concatenate([[first], first + moved])
 
 
 def period_ratio(long: float, short: float, name: str) -> tuple[int, int]:

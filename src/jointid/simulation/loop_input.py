@@ -29,7 +29,7 @@ from jointid.models.controllers import (
 from jointid.models.joints import ClosedLoop
 from jointid.models.linear import SNAP
 from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_units
-from jointid.records.resampling import at_period, period_ratio
+from jointid.records.resampling import at_period, period_ratio, running_mean
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Feedback, SampledLoop
@@ -146,11 +146,14 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
         )
     period_ratio(law.period, log.sample_time, "the log")
     filled: Interpolation | None = getattr(loop.controller, "interpolation", None)
+    averaged = getattr(loop.controller, "reference_average", 0.0) / law.period
     velocity = None
     if "reference_velocity" in loop.controller.channels:
         assert record.reference_velocity is not None
         velocity = at_period(record.reference_velocity, law.period, periods, "reference_velocity", filled)
-    inputs = law_inputs(at_period(record.reference, law.period, periods, "reference", filled), velocity)
+        velocity = running_mean(velocity, averaged, 0.0)
+    reference = at_period(record.reference, law.period, periods, "reference", filled)
+    inputs = law_inputs(running_mean(reference, averaged, float(reference[1] - reference[0])), velocity)
     after, logged = np.zeros(periods), np.zeros(periods)
     if record.injected is not None:
         signal = at_period(record.injected.channel, law.period, periods, "injected")

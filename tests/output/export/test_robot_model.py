@@ -18,7 +18,7 @@ from jointid.output.export import export
 from tests.estimation.robots.twin import arm
 from tests.models.robots.trees import by_mujoco, random_robot
 
-pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+mujoco = pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 DOWN = np.array([0.0, 0.0, -9.81])
 
 
@@ -90,8 +90,6 @@ def test_what_is_refused() -> None:
 
 @pytest.mark.parametrize("law", [LinearSpring(), Backlash()], ids=lambda law: law.name)
 def test_a_robot_with_a_spring_moves_in_mujoco_as_ours_does(law: Spring) -> None:
-    import mujoco
-
     robot = arm(2)
     gap = {} if law.linear else {"gap": 0.02}
     soft = replace(robot.joints[1], spring=JointSpring(5000.0, 3.0, law=law), numbers=gap, viscous=0.0, coulomb=0.0)
@@ -109,9 +107,8 @@ def test_a_robot_with_a_spring_moves_in_mujoco_as_ours_does(law: Spring) -> None
     assert back.joints[1].rotor_inertia == soft.rotor_inertia
 
 
+@pytest.mark.skipif(not hasattr(mujoco.MjModel, "actuator_delay"), reason="this MuJoCo has no delays")
 def test_a_robot_is_driven_by_the_law_of_its_controllers() -> None:
-    import mujoco
-
     law = ji.controller.PD(position_gain=500.0, derivative_gain=20.0, limit=30.0, reference_delay=6e-3)
     robot = replace(arm(2), gravity=np.zeros(3))
     made = export(robot, "mjcf", controllers=[law, law], control="pd", timestep=2e-3)

@@ -14,11 +14,14 @@ the identified joint is another one: so the same law at half of the log's period
 too. The change of the torque by the first of them at the same joint shows whether the record can decide.
 
 A drive that is faster than its reference holds it, draws lines through it, or cubics. A held reference acts half of its
-period later than lines through it. So each way that is not declared is another law.
+period later than lines through it. So each way that is not declared is another law. A drive that waits for the next
+setpoint is late by one, or two. A log may repeat a setpoint that the drive fills in. A drive may also average the
+reference over a time, which makes it later by half of that; so the time follows from the delay that fits.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
 from functools import partial
@@ -31,13 +34,15 @@ from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis, Shown
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
+from jointid.diagnostics.faults.numbers import REFERENCE_DELAY
+from jointid.diagnostics.hypothesis_fits import MORE, Fit, follow, pose
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_present_sample
-from jointid.models.controllers.servo_base import DiagramController, Interpolation
+from jointid.models.controllers.servo_base import LONGEST_DELAY, DiagramController, Interpolation
 from jointid.models.joints import ClosedLoop
-from jointid.records.record import Record
-from jointid.records.resampling import default_interpolation
+from jointid.records.record import Channel, Record
+from jointid.records.resampling import default_interpolation, fill_in, update_interval
 from jointid.simulation.loop_input import prepare
 
 TIMES_FASTER = (2, 4, 8, 16)
@@ -46,6 +51,10 @@ _FASTER = (2, 4, 8)  # times the log's rate, of a hypothesis: further ones leave
 _SLOWER = 1.5  # times the controller's period: a reference of such a sample time is filled in
 _SOLVED = 1e-6  # far below a deviation
 _WAYS: tuple[Interpolation, ...] = ("hold", "linear", "cubic")
+_WAITS: tuple[tuple[Interpolation, int], ...] = (("linear", 0), ("linear", 1), ("cubic", 1), ("cubic", 2))  # setpoints
+_SCREENED = 4  # samples of the log: of a mean that shows whether the reference is late
+_PASSES = 3  # in which the time of a delay or a mean is found
+_NEARLY = 0.5  # periods
 _HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is the velocity half a period ago
 
 
@@ -106,7 +115,8 @@ def faster_laws(problem: ClosedLoopProblem, record: Record, times: int) -> Itera
     words = f"the controller runs faster than the log, at {1e-3 / period:.4g} kHz"
     remedy = f"its period, {1e3 * period:.4g} ms"
     faster = replace(controller, period=period)
-    yield OtherLaw((PERIOD,), words, remedy, faster, 1 / period)
+    used = controller.interpolation or default_interpolation(cast("Channel", record.reference))
+    yield OtherLaw((PERIOD,), words, f'{remedy}, and interpolation = "{used}"', faster, 1 / period)
     # The ways are those of the least rate, so that every rate has the same.
     for way in _list_other_ways(faster, record, problem.sample_time / TIMES_FASTER[0]):
         if way != "cubic" or _differentiates_reference(controller):
@@ -123,6 +133,97 @@ def other_interpolations(problem: ClosedLoopProblem, record: Record) -> Iterator
             (INTERPOLATIONS[way],), f"the reference is {_DONE[way]} between its samples", f'interpolation = "{way}"',
             replace(controller, interpolation=way),
         )  # fmt: skip
+
+
+def late_interpolations(controller: Controller, record: Record, period: float) -> Iterator[OtherLaw]:
+    """Yield the law of a drive that interpolates its setpoints and waits for the next ones.
+
+    Args:
+        controller: as declared; there is none where its interpolation is declared.
+        record: whose reference may repeat each setpoint.
+        period: of the controller, s.
+    """
+    reference = record.reference
+    if reference is None or not isinstance(controller, DiagramController) or controller.interpolation is not None:
+        return
+    every = update_interval(reference.values)
+    setpoint = every * reference.sample_time
+    for way, wait in _WAITS[0 if every > 1 else 1 :]:
+        delay = controller.reference_delay + wait * setpoint
+        if setpoint < _SLOWER * period or delay > LONGEST_DELAY * period:
+            return
+        late = ("", ", one setpoint late", ", two setpoints late")[wait]
+        words = f"the drive interpolates a setpoint of {1e3 * setpoint:.4g} ms by {_BY[way]}{late}"
+        remedy = [f'interpolation = "{way}"', *([f"reference_delay = {delay:.6g}"] if wait else [])]
+        if every > 1:
+            remedy = [f"update_time = {setpoint:.6g} of the reference's channel", *remedy]
+        filled = fill_in(reference, every, min(period, reference.sample_time), way) if every > 1 else None
+        law = replace(controller, interpolation=way, reference_delay=delay)
+        said = " and ".join(filter(None, (", ".join(remedy[:-1]), remedy[-1])))
+        yield OtherLaw((INTERPOLATIONS[way],), words, said, law, reference=filled)
+
+
+def screen_mean(problem: ClosedLoopProblem) -> OtherLaw | None:
+    """Return the law with a short mean of its reference; None where it cannot have one, or has one."""
+    controller = problem.loop.controller
+    if not isinstance(controller, DiagramController) or controller.reference_average or _has_free_law(problem):
+        return None
+    return OtherLaw((AVERAGED,), "", "", replace(controller, reference_average=_SCREENED * problem.sample_time))
+
+
+def refit_late_references(problem: ClosedLoopProblem, x: FloatArray, record: Record) -> Iterator[Refit]:
+    """Yield a solved problem under a reference that is late, or averaged, solved again.
+
+    Raises:
+        JointidError, LinAlgError: the loop cannot be solved under it.
+    """
+    controller: Any = problem.loop.controller
+    period = problem.experiment.law.period
+    late, start = controller.reference_delay, x
+    for _ in range(_PASSES):
+        law = _delay_reference(controller, late)
+        other = prepare_anew(problem, law, record)
+        delayed = refit(problem, x, law, other, start)
+        start, step = delayed.x, _find_delay_step(other, delayed.x)
+        if abs(step) < _NEARLY * period or not late + step > controller.reference_delay:
+            break
+        late += step
+    yield delayed
+    mean, start = 2 * (late - controller.reference_delay) + period, delayed.x
+    for _ in range(_PASSES):
+        mean = period * max(round(mean / period), 2)
+        law = _average_reference(controller, mean)
+        other = prepare_anew(problem, law, record)
+        averaged = refit(problem, x, law, other, start)
+        start, step = averaged.x, _find_delay_step(other, averaged.x)
+        if abs(step) < _NEARLY * period:
+            break
+        mean += 2 * step
+    yield averaged
+
+
+def _delay_reference(controller: Any, delay: float) -> OtherLaw:
+    words = f"the law sees the reference {number(1e3 * delay, 3)} ms late"
+    return OtherLaw((LATE,), words, f"reference_delay = {delay:.4g}", replace(controller, reference_delay=delay))
+
+
+def _average_reference(controller: Any, mean: float) -> OtherLaw:
+    law = replace(controller, reference_average=mean)
+    return OtherLaw((AVERAGED,), _say_time(mean), f"reference_average = {mean:.6g}", law)
+
+
+def _say_time(mean: float) -> str:
+    return f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
+
+
+def _find_delay_step(problem: ClosedLoopProblem, x: FloatArray) -> float:
+    """Return by how much later the reference would have to be, s, by one Gauss-Newton step beside all parameters."""
+    wider = problem.freeing(REFERENCE_DELAY.name)
+    residual, slopes = wider.linearise(wider.vector(problem.values(x)))
+    sizes = np.linalg.norm(slopes, axis=0)
+    sizes[sizes == 0.0] = 1.0
+    at = [p.name for p in wider.free].index(REFERENCE_DELAY.name)
+    return float((np.linalg.lstsq(-slopes / sizes, residual, rcond=None)[0] / sizes)[at])
 
 
 def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
@@ -148,6 +249,7 @@ def prepare_anew(problem: ClosedLoopProblem, law: OtherLaw, record: Record) -> C
         RecordError, MethodError: the record, or the law, cannot be at that period.
     """
     loop = replace(problem.loop, controller=law.controller)
+    record = record if law.reference is None else record.with_channels({"reference": law.reference})
     return replace(problem, loop=loop, experiment=prepare(loop, record))
 
 
@@ -235,6 +337,47 @@ def _try_interpolation(way: Interpolation, declared: Hypothesis) -> Iterator[Hyp
         if way in _list_other_ways(law, declared.record, faster[0].period or 0.0):
             held = declared.under([replace(one, interpolation=way) for one in faster])
             yield replace(held, number=lambda problem: problem.experiment.law.period)
+    for one in late_interpolations(law, declared.record, declared.period):
+        if one.fault is INTERPOLATIONS[way]:
+            filled = {} if one.reference is None else {"reference": one.reference}
+            late = replace(declared.under([one.controller]), record=declared.record.with_channels(filled))
+            yield replace(late, fault=replace(one.fault, clause=f"{one.words}: declare {one.remedy}"))
+
+
+def _judge_mean(declared: Hypothesis, best: Fit | None, _: float) -> tuple[float | None, float] | None:
+    """Return the time of a mean that fits where another late reference fits best, and its residual."""
+    reference, controller = declared.record.reference, declared.controller
+    if best is None or reference is None or not hasattr(controller, "velocity_filter"):
+        return None
+    late = numbers_of(best.problem.loop.controller)[REFERENCE_DELAY.name] - controller.reference_delay
+    if best.hypothesis.fault is REFERENCE_DELAY:
+        late = (best.number or 0.0) - controller.reference_delay
+    elif late > 0 and (every := update_interval(reference.values)) > 1:  # lines and cubics are earlier than steps
+        late -= 0.5 * every * reference.sample_time
+    if late < _NEARLY * declared.period:
+        return None
+    mean, values, found = 2 * late + declared.period, best.values, math.inf
+    for _pass in range(_PASSES):
+        mean = declared.period * max(round(mean / declared.period), 2)
+        loop = replace(best.problem.loop, controller=replace(controller, reference_average=mean))
+        problem = pose(declared, loop)
+        if problem is None:
+            return None
+        try:
+            x = follow(problem, problem.vector(values), MORE).x
+            step = _find_delay_step(problem, x)
+        except (JointidError, np.linalg.LinAlgError):
+            return None
+        found, values = float(np.linalg.norm(problem.residual(x))) / problem.size, problem.values(x)
+        if abs(step) < _NEARLY * declared.period:
+            break
+        mean += 2 * step
+    return mean, found
+
+
+def _say_mean(value: float | None, _: ClosedLoop, __: Shown) -> str:
+    mean = value or 0.0
+    return f"{_say_time(mean)}: declare reference_average = {mean:.6g}"
 
 
 def _say_interpolation(way: Interpolation, period: float | None, _: ClosedLoop, __: Shown) -> str:
@@ -242,6 +385,7 @@ def _say_interpolation(way: Interpolation, period: float | None, _: ClosedLoop, 
     return said if period is None else f"{said}, and the controller's period, about {1e3 * period:.4g} ms"
 
 
+_BY: dict[Interpolation, str] = {"linear": "lines", "cubic": "cubics"}
 _DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
 INTERPOLATIONS: dict[Interpolation, Fault] = {
     way: Fault(
@@ -250,6 +394,11 @@ INTERPOLATIONS: dict[Interpolation, Fault] = {
     )
     for way, name in zip(_WAYS, ("held", "linear", "cubic"), strict=True)
 }  # fmt: skip
+AVERAGED = Fault(
+    "averaged_reference", "reference averaged by the drive", "an averaged reference", _describe_laws,
+    judge=_judge_mean, clause=_say_mean,
+)  # fmt: skip
+LATE = replace(REFERENCE_DELAY, describe=_describe_laws, correct=None)
 PRESENT_SAMPLE = Fault(
     "present_sample",
     "integral that takes in the present sample",
@@ -259,7 +408,7 @@ PRESENT_SAMPLE = Fault(
 MEASURED_VELOCITY = Fault("measured_velocity", "velocity that is no difference of positions", describe=_describe_laws)
 PERIOD = Fault(
     "period", "period of the controller", "the period of the controller", _describe_laws, correct=_try_periods,
-    clause="the controller runs faster than the log: declare its period, about {fine} ms",
+    clause="the controller runs faster than the log: declare its period, about {fine} ms, and its interpolation",
 )  # fmt: skip
 
-FAULTS = OTHER_LAWS = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *INTERPOLATIONS.values())
+FAULTS = OTHER_LAWS = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *INTERPOLATIONS.values(), AVERAGED)

@@ -251,7 +251,7 @@ class StateSpaceController(ServoController):
         A: (nz, nz). C: (nz,).
         B: name of an input to its column (nz,); inputs are "reference", "reference_velocity", "position", "excess".
         D: name of an input to its direct gain; "position" feeds back negatively, so its gain is usually < 0.
-        gain, limit, period, delay, interpolation, ratio: see `ServoController`.
+        gain, limit, period, delay, interpolation, reference_average, ratio: see `ServoController`.
     """
 
     A: ArrayLike

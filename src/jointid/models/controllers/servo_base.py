@@ -39,7 +39,7 @@ from jointid.models.controllers.sampled import (
 
 Interpolation = Literal["hold", "linear", "cubic"]
 
-_NOT_FREE = ("period", "position_period", "position_offset", "ratio")  # a law at another rate is another law
+_NOT_FREE = ("period", "position_period", "position_offset", "ratio", "reference_average")  # another law with another
 
 CONTROLLER_UNITS = "controller units"
 """What a law gives out, where nothing says in which unit; its gain takes it to torque."""
@@ -242,7 +242,14 @@ class ServoController:
     interpolation: Interpolation | None = setting(
         None,
         "how a reference that is slower than the controller is filled in, cubic through two commands with the slopes "
-        "of their neighbours; without it a held channel is held, and lines are drawn through any other",
+        "of their neighbours; without it a channel that is held or repeats its values is held, any other gets lines",
+    )
+    reference_average: float = setting(
+        0.0,
+        "time over which the drive averages the reference that is filled in, and so limits its jerk; each value is the "
+        "mean of the last ones",
+        unit="s",
+        at_least=0,
     )
     reference_delay: float = setting(
         0.0,

@@ -43,6 +43,8 @@ _NO_LAW = PDLaw(
 Written = tuple[str, tuple[str, ...]]
 Entry = tuple[str, dict[str, Any], list[str]]
 """What a language calls an actuator, its keys, and a sentence for each loss."""
+Writer = Callable[[JointModel | Robot, Sequence["Actuator"], float], Written]
+"""From a joint or a robot, its actuators and a time step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,101 +73,59 @@ class Actuator:
     peak: tuple[float, float] | None = None
 
 
-def isaac_lab(
-    model: JointModel | Robot,
-    laws: Sequence[PDLaw | None] = (),
-    *,
-    timestep: float = _TIMESTEP,
-    stall_torque: float | None = None,
-    no_load_speed: float | None = None,
-) -> Written:
-    """Return joints as a configuration of Isaac Lab's actuators, and its losses.
+def _isaac_lab(one: Actuator, timestep: float) -> Entry:
+    """Return the configuration of an actuator of Isaac Lab.
 
-    A Python file that builds `ACTUATORS`, for `ArticulationCfg.actuators`: an `ImplicitActuatorCfg`, a
-    `DelayedPDActuatorCfg` where commands are late, a `DCMotorCfg` where the torque falls with the speed.
-
-    Args:
-        model: the joint, or a robot.
-        laws: of the robot's joints; none where they are not known.
-        timestep: of the physics in s, of which a delay is a number.
-        stall_torque: of a joint's motor at standstill, behind the gear.
-        no_load_speed: of that motor without torque, behind the gear.
-
-    Raises:
-        MethodError: a setting is out of range, or no such actuator can have these numbers.
+    A `DelayedPDActuatorCfg` where commands are late, a `DCMotorCfg` where the torque falls with the speed, else an
+    `ImplicitActuatorCfg`.
     """
-
-    def entry(one: Actuator) -> Entry:
-        law, (steps, lost) = one.law, _commands(one.law, timestep)
-        rise = one.rise[0] if one.rise and one.rise[0] > 0 else 0.0
-        keys: dict[str, Any] = {
-            "joint_names_expr": [re.escape(one.name)], "stiffness": law.stiffness, "damping": law.damping,
-            "armature": one.armature, "friction": one.coulomb + rise, "dynamic_friction": one.coulomb,
-            "viscous_friction": one.viscous,
-        }  # fmt: skip
-        if rise:
-            lost.append("the speed over which friction rises towards standstill")
-        limit = {"effort_limit": law.limit} if law.limit < math.inf else {}
-        if one.peak is not None:
-            if steps:
-                lost.append(f"the command delay of {1e3 * law.command_delay:.4g} ms, beside a torque-speed curve")
-            motor = {"saturation_effort": one.peak[0], "velocity_limit": one.peak[1]}
-            return "DCMotorCfg", keys | motor | (limit or {"effort_limit": one.peak[0]}), lost
+    law, (steps, lost) = one.law, _commands(one.law, timestep)
+    rise = one.rise[0] if one.rise and one.rise[0] > 0 else 0.0
+    keys: dict[str, Any] = {
+        "joint_names_expr": [re.escape(one.name)], "stiffness": law.stiffness, "damping": law.damping,
+        "armature": one.armature, "friction": one.coulomb + rise, "dynamic_friction": one.coulomb,
+        "viscous_friction": one.viscous,
+    }  # fmt: skip
+    if rise:
+        lost.append("the speed over which friction rises towards standstill")
+    limit = {"effort_limit": law.limit} if law.limit < math.inf else {}
+    if one.peak is not None:
         if steps:
-            return "DelayedPDActuatorCfg", keys | limit | {"min_delay": steps, "max_delay": steps}, lost
-        return "ImplicitActuatorCfg", keys | {f"{key}_sim": value for key, value in limit.items()}, lost
+            lost.append(f"the command delay of {1e3 * law.command_delay:.4g} ms, beside a torque-speed curve")
+        motor = {"saturation_effort": one.peak[0], "velocity_limit": one.peak[1]}
+        return "DCMotorCfg", keys | motor | (limit or {"effort_limit": one.peak[0]}), lost
+    if steps:
+        return "DelayedPDActuatorCfg", keys | limit | {"min_delay": steps, "max_delay": steps}, lost
+    return "ImplicitActuatorCfg", keys | {f"{key}_sim": value for key, value in limit.items()}, lost
 
-    actuators = _actuators(model, laws, "Isaac Lab", timestep, stall_torque, no_load_speed)
-    return _python(model, actuators, entry, "isaaclab.actuators", keyed=True)
 
+def _mjlab(one: Actuator, timestep: float) -> Entry:
+    """Return the configuration of an actuator of mjlab.
 
-def mjlab(
-    model: JointModel | Robot,
-    laws: Sequence[PDLaw | None] = (),
-    *,
-    timestep: float = _TIMESTEP,
-    stall_torque: float | None = None,
-    no_load_speed: float | None = None,
-) -> Written:
-    """Return joints as a configuration of mjlab's actuators, and its losses.
-
-    A Python file that builds `ACTUATORS`, for `EntityArticulationInfoCfg.actuators`: an `IdealPdActuatorCfg`, a
-    `BuiltinPositionActuatorCfg` where the law takes no velocity of the reference, a `DcMotorActuatorCfg` where the
-    torque falls with the speed. Arguments and errors are those of `isaac_lab`.
+    A `DcMotorActuatorCfg` where the torque falls with the speed, a `BuiltinPositionActuatorCfg` where the law takes no
+    velocity of the reference, else an `IdealPdActuatorCfg`.
     """
-
-    def entry(one: Actuator) -> Entry:
-        law, (steps, lost) = one.law, _commands(one.law, timestep)
-        keys: dict[str, Any] = {
-            "target_names_expr": (re.escape(one.name),), "stiffness": law.stiffness, "damping": law.damping,
-            "armature": one.armature, "frictionloss": one.coulomb, "viscous_damping": one.viscous,
-        }  # fmt: skip
-        keys |= {"effort_limit": law.limit} if law.limit < math.inf else {}
-        keys |= {"delay_min_lag": steps, "delay_max_lag": steps} if steps else {}
-        if one.peak is not None:
-            motor = {"saturation_effort": one.peak[0], "velocity_limit": one.peak[1]}
-            return "DcMotorActuatorCfg", {"effort_limit": one.peak[0]} | keys | motor, lost
-        return "IdealPdActuatorCfg" if law.share else "BuiltinPositionActuatorCfg", keys, lost
-
-    actuators = _actuators(model, laws, "mjlab", timestep, stall_torque, no_load_speed)
-    return _python(model, actuators, entry, "mjlab.actuator", keyed=False, rise_lost=True)
+    law, (steps, lost) = one.law, _commands(one.law, timestep)
+    keys: dict[str, Any] = {
+        "target_names_expr": (re.escape(one.name),), "stiffness": law.stiffness, "damping": law.damping,
+        "armature": one.armature, "frictionloss": one.coulomb, "viscous_damping": one.viscous,
+    }  # fmt: skip
+    keys |= {"effort_limit": law.limit} if law.limit < math.inf else {}
+    keys |= {"delay_min_lag": steps, "delay_max_lag": steps} if steps else {}
+    lost += _rise_lost(one)
+    if one.peak is not None:
+        motor = {"saturation_effort": one.peak[0], "velocity_limit": one.peak[1]}
+        return "DcMotorActuatorCfg", {"effort_limit": one.peak[0]} | keys | motor, lost
+    return "IdealPdActuatorCfg" if law.share else "BuiltinPositionActuatorCfg", keys, lost
 
 
-def usd(
-    model: JointModel | Robot,
-    laws: Sequence[PDLaw | None] = (),
-    *,
-    timestep: float = _TIMESTEP,
-    stall_torque: float | None = None,
-    no_load_speed: float | None = None,
-) -> Written:
+def _usd(model: JointModel | Robot, actuators: Sequence[Actuator], timestep: float) -> Written:
     """Return joints as USD text, for Newton and Isaac Sim, and its losses.
 
     Each joint has a `NewtonJointAPI` and a `PhysicsDriveAPI`, whose angular numbers are per degree. Where commands are
     late, or the torque falls with the speed, a `NewtonActuator` takes the place of the drive; its numbers are per
-    radian. Arguments and errors are those of `isaac_lab`.
+    radian.
     """
-    actuators = _actuators(model, laws, "USD", timestep, stall_torque, no_load_speed)
     lines, lost, taken = list[str](), list[str](), set[str]()
     for one in actuators:
         law, (steps, late) = one.law, _commands(one.law, timestep)
@@ -320,28 +280,44 @@ def _remarks(model: JointModel | Robot, lost: Iterable[str]) -> list[str]:
     return [one_line(line) for line in (head, *(f"Lost: {sentence}" for sentence in lost))]
 
 
-def _python(
-    model: JointModel | Robot,
-    actuators: Sequence[Actuator],
-    entry: Callable[[Actuator], Entry],
-    module: str,
-    *,
-    keyed: bool,
-    rise_lost: bool = False,
-) -> Written:
-    """Return a Python file that builds a configuration and does nothing else: a dict by the names, or a tuple."""
-    made = [(one, *entry(one)) for one in actuators]
-    lost = [
-        sentence for one, _, _, more in made for sentence in (*one.lost, *more, *(_rise_lost(one) if rise_lost else ()))
-    ]
-    lost = [*dict.fromkeys(lost)]
-    lines = [f"# {line}" for line in _remarks(model, lost)]
-    lines += ["", f"from {module} import {', '.join(sorted({kind for _, kind, _, _ in made}))}", ""]
-    lines += ["ACTUATORS = {" if keyed else "ACTUATORS = ("]
-    for one, kind, keys, _ in made:
-        said = (f"{key}={number(value) if isinstance(value, float) else ascii(value)}" for key, value in keys.items())
-        lines += [f"    {f'{one.name!a}: ' if keyed else ''}{kind}(", *(f"        {key}," for key in said), "    ),"]
-    return "\n".join([*lines, "}" if keyed else ")", ""]), tuple(lost)
+def _python(module: str, entry: Callable[[Actuator, float], Entry], *, keyed: bool) -> Writer:
+    """Return the writer of a Python file that builds a configuration, a dict by the names or a tuple, and no more."""
+
+    def write(model: JointModel | Robot, actuators: Sequence[Actuator], timestep: float) -> Written:
+        made = [(one, *entry(one, timestep)) for one in actuators]
+        lost = [*dict.fromkeys(sentence for one, _, _, more in made for sentence in (*one.lost, *more))]
+        lines = [f"# {line}" for line in _remarks(model, lost)]
+        lines += ["", f"from {module} import {', '.join(sorted({kind for _, kind, _, _ in made}))}", ""]
+        lines += ["ACTUATORS = {" if keyed else "ACTUATORS = ("]
+        for one, kind, keys, _ in made:
+            said = (f"{key}={number(one) if isinstance(one, float) else ascii(one)}" for key, one in keys.items())
+            name = f"{one.name!a}: " if keyed else ""
+            lines += [f"    {name}{kind}(", *(f"        {key}," for key in said), "    ),"]
+        return "\n".join([*lines, "}" if keyed else ")", ""]), tuple(lost)
+
+    return write
+
+
+def _language(called: str, write: Writer) -> Callable[..., Written]:
+    """Return the function of a language of actuators.
+
+    Its arguments are a joint or a robot, and of the robot the laws of its joints, as far as they are known. Its
+    settings are the `timestep` of the physics in s, of which a delay is a number, and of a joint the torque of its
+    motor at standstill and its speed without torque, behind the gear. It raises a `MethodError` where a setting is
+    out of range, or no such actuator can have these numbers.
+    """
+
+    def language(
+        model: JointModel | Robot,
+        laws: Sequence[PDLaw | None] = (),
+        *,
+        timestep: float = _TIMESTEP,
+        stall_torque: float | None = None,
+        no_load_speed: float | None = None,
+    ) -> Written:
+        return write(model, _actuators(model, laws, called, timestep, stall_torque, no_load_speed), timestep)
+
+    return language
 
 
 def _prim(kind: str, name: str, schemas: list[str], said: dict[str, float], more: list[str]) -> list[str]:
@@ -350,3 +326,8 @@ def _prim(kind: str, name: str, schemas: list[str], said: dict[str, float], more
     numbers = [f"float {key} = {number(value)}" for key, value in said.items()]
     head = [f'def {kind} "{name}" (', f"    prepend apiSchemas = [{applied}]", ")", "{"]
     return [f"    {line}" for line in (*head, *(f"    {line}" for line in (*numbers, *more)), "}")]
+
+
+isaac_lab = _language("Isaac Lab", _python("isaaclab.actuators", _isaac_lab, keyed=True))
+mjlab = _language("mjlab", _python("mjlab.actuator", _mjlab, keyed=False))
+usd = _language("USD", _usd)
