@@ -313,14 +313,14 @@ class _OtherLawTest:
 def _choose_law(explaining: Sequence[_OtherLawTest]) -> _OtherLawTest | None:
     """Return the likeliest law; of those that differ in what they make of the reference the one that leaves least.
 
-    Many of these are alike, and of equal ones the plainest comes first in the list.
+    Many of these are alike: of those that leave nearly as little the plainest comes first in the list.
     """
     likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
     if likeliest is None or not likeliest.of_reference:
         return likeliest
     likely = [one for one in explaining if one.of_reference and one.as_likely([likeliest])]
     best = max(likely, key=lambda one: one.gain)
-    return next(one for one in likely if (best.gain - one.gain) * best.likelihood <= best.gain)
+    return next(one for one in likely if (best.gain - one.gain) * best.likelihood <= _RIVAL * best.gain)
 
 
 def _test_other_laws(
