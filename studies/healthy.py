@@ -39,8 +39,8 @@ class Drive:
     about: dict[str, Any]
 
 
-def drive(seed: int, longest: float = 60.0) -> Drive:
-    """Return a seeded drive.
+def drive(seed: int, longest: float = 60.0, noise: str = "") -> Drive:
+    """Return a seeded drive, with a noise of its own unless one of `NOISES` is given.
 
     Free-free modes of 8 to 60 Hz, loads of 15 to 85 % of the inertia, damping of 0.5 to 5 %, Coulomb friction of 5 to
     30 % of the torque of the ramps; P-P, P-PI and PID of 4 to 30 Hz at 1 and 4 kHz; trapezoids, S-curves, sweeps and
@@ -48,12 +48,12 @@ def drive(seed: int, longest: float = 60.0) -> Drive:
     """
     rng = np.random.default_rng([seed, 18])
     while True:
-        found = _drawn(rng, longest)
+        found = _drawn(rng, longest, noise)
         if found is not None:
             return found
 
 
-def _drawn(rng: np.random.Generator, longest: float) -> Drive | None:
+def _drawn(rng: np.random.Generator, longest: float, given: str) -> Drive | None:
     inertia, share = 10 ** rng.uniform(-3, 1.5), rng.uniform(0.15, 0.85)
     mode, ratio = (
         10 ** rng.uniform(math.log10(8), math.log10(60)),
@@ -62,7 +62,8 @@ def _drawn(rng: np.random.Generator, longest: float) -> Drive | None:
     reduced, pulsation = inertia * share * (1 - share), 2 * math.pi * mode
     period = float(rng.choice([1e-3, 2.5e-4]))
     duration = 2.0 * (longest / 2.0) ** rng.uniform()
-    motion, noise = str(rng.choice(MOTIONS)), str(rng.choice(NOISES))
+    motion, drawn = str(rng.choice(MOTIONS)), str(rng.choice(NOISES))
+    noise = given or drawn
     speed, acceleration = 10 ** rng.uniform(-0.5, 1), 10 ** rng.uniform(1, 2.3)
     reference = _reference(rng, motion, speed, acceleration, period, duration)
     if motion in MOTIONS[2:]:
@@ -183,9 +184,9 @@ class Said:
     values: dict[str, float]
 
 
-def judge(seed: int, longest: float = 60.0) -> Said:
+def judge(seed: int, longest: float = 60.0, noise: str = "") -> Said:
     """Identify a drive and compare."""
-    axis = drive(seed, longest)
+    axis = drive(seed, longest, noise)
     begin = time.process_time()
     try:
         found = ji.identify(axis.record, axis.loop)

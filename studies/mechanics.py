@@ -37,11 +37,12 @@ from studies.seeds import judge_seeds
 
 FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
-    "second mode", "spring in pieces", "stribeck",
+    "second mode", "spring in pieces", "stribeck", "motor load friction",
 )  # fmt: skip
 RIGHT = {  # what the check should call them
     "cubic spring": ("cubic_spring",), "spring in pieces": ("cubic_spring",), "backlash": ("backlash",),
     "load-dependent friction": ("load_dependent_friction", "motor_load_friction"),
+    "motor load friction": ("motor_load_friction", "load_dependent_friction"),
     "changing friction": ("changing_friction",), "presliding": ("winding_friction", "presliding"),
     "cogging": ("cogging",), "second mode": ("second_mode",), "stribeck": ("stribeck", "presliding"),
 }  # fmt: skip
@@ -60,6 +61,7 @@ _ORDER = (
     "warming",  # the viscous friction falls by this share from beginning to end
     "bend", "more", "next_bend", "still_more",  # rad, N m/rad: from these wind-ups on the spring is stiffer by that
     "rise", "slow",  # share of the Coulomb friction that is added to it below that speed, rad/s, on both sides
+    "motor_loss",  # friction of the motor per torque through the spring
 )  # fmt: skip
 
 
@@ -95,6 +97,7 @@ def _run(  # type: ignore[no-untyped-def]
         still_more,
         rise,
         slow,
+        motor_loss,
     ) = d
     z = state.copy()
     q1, q2, q3, v1, v2, v3 = first, first, first, 0.0, 0.0, 0.0
@@ -125,7 +128,7 @@ def _run(  # type: ignore[no-untyped-def]
             if cogging != 0.0:
                 push1 -= cogging * math.sin(2 * math.pi * q1 / pitch)
             push2 = -spring - left * b2 * v2
-            held1, held2 = f1, f2 + loss * abs(spring)
+            held1, held2 = f1 + motor_loss * abs(spring), f2 + loss * abs(spring)
             if slow > 0.0:
                 held1 += rise * f1 * math.exp(-((v1 / slow) ** 2))
                 held2 += rise * f2 * math.exp(-((v2 / slow) ** 2))
@@ -137,7 +140,7 @@ def _run(  # type: ignore[no-untyped-def]
             if soft > 0.0:  # Dahl's: the friction winds up over a displacement
                 z1 += h * (v1 - abs(v1) * z1) / soft
                 z2 += h * (v2 - abs(v2) * z2) / soft
-                v1 += h * (push1 - f1 * z1) / m1
+                v1 += h * (push1 - held1 * z1) / m1
                 v2 += h * (push2 - held2 * z2) / m2
             else:
                 v1 += h * push1 / m1
@@ -189,16 +192,16 @@ class Spoiled:
         return 1 / (1 / first + share**2 / self.truth["third_stiffness"])
 
 
-def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
+def spoiled(seed: int, fault: str, longest: float = 12.0, noise: str = "") -> Spoiled | None:
     """Return a drive of `studies.healthy` with one fault; None where its loop is not stable with it.
 
     Springs that are 11 to 94 % stiffer at the largest wind-up, gaps of 0.1 to 2 such wind-ups, modes at 1.5 to 4 times
-    the first, friction of 2 to 15 % of the load's torque, friction that winds up over 1e-4 to 1e-2 of the travel,
-    cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %, springs of three stiffnesses of
-    which the last is 20 to 100 % above the first, from a quarter and a half of the largest wind-up on, a Coulomb
-    friction that is 60 % smaller to 80 % larger towards standstill, below 1 to 10 % of the largest speed.
+    the first, friction of 2 to 15 % of the load's torque on either side, friction that winds up over 1e-4 to 1e-2 of
+    the travel, cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %, springs of three
+    stiffnesses of which the last is 20 to 100 % above the first, from a quarter and a half of the largest wind-up on, a
+    Coulomb friction that is 60 % smaller to 80 % larger towards standstill, below 1 to 10 % of the largest speed.
     """
-    axis = drive(seed, longest)
+    axis = drive(seed, longest, noise)
     rng = np.random.default_rng([seed, 19])
     record, truth, about = axis.record, dict(axis.truth), axis.about
     assert record.torque is not None and record.reference is not None
@@ -211,7 +214,7 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
         "second mode": rng.uniform(1.5, 4.0), "load-dependent friction": rng.uniform(0.02, 0.15),
         "presliding": 10 ** rng.uniform(-4, -2), "cogging": rng.uniform(0.01, 0.05),
         "changing friction": rng.uniform(0.2, 0.6), "spring in pieces": 0.0, "stribeck": rng.uniform(-0.6, 0.8),
-    }[fault]  # fmt: skip
+    }["load-dependent friction" if fault == "motor load friction" else fault]  # fmt: skip
     if fault == "cubic spring":
         truth["cubic"] = size / wound**2
     elif fault == "backlash":
@@ -227,6 +230,8 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
         truth["third_damping"] = 0.02 * third * pulsation
     elif fault == "load-dependent friction":
         truth["loss"] = size
+    elif fault == "motor load friction":
+        truth["motor_loss"] = size
     elif fault == "presliding":
         truth["presliding"] = size * travel
     elif fault == "cogging":
@@ -236,13 +241,13 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
     elif fault == "stribeck":
         fastest = float(np.max(np.abs(np.gradient(record.reference.values)))) / record.reference.sample_time
         truth |= {"rise": size, "slow": fastest * 10 ** rng.uniform(-2, -1)}
-    noise = rng.standard_normal(samples)
+    drawn = rng.standard_normal(samples)
     if about["noise"] == "coloured force":
-        noise = lfilter([1.0], [1.0, -math.exp(-about["period"] * 2 * math.pi * rng.uniform(2, 30))], noise)
-    noise *= about["size"] * scale / noise.std()
+        drawn = lfilter([1.0], [1.0, -math.exp(-about["period"] * 2 * math.pi * rng.uniform(2, 30))], drawn)
+    drawn *= about["size"] * scale / drawn.std()
     on_log = about["noise"] == "log"
-    out, _, _ = simulate(axis, truth, experiment.after_limit + (0.0 if on_log else noise))
-    shown = out + experiment.shown + (noise if on_log else 0.0)
+    out, _, _ = simulate(axis, truth, experiment.after_limit + (0.0 if on_log else drawn))
+    shown = out + experiment.shown + (drawn if on_log else 0.0)
     if not np.all(np.isfinite(shown)) or np.abs(shown).max() > 10 * np.abs(clean).max():
         return None
     return Spoiled(replace(record, torque=replace(record.torque, values=shown)), axis, size, truth)
@@ -277,12 +282,13 @@ def judge(
     spring: str = LinearSpring.name,
     friction: str = "symmetric",
     ripple: bool = False,
+    noise: str = "",
 ) -> Said | None:
     """Identify a drive with a fault, by a model with that spring and friction; None where there is none.
 
     With `ripple` the model has one of the cogging's period.
     """
-    made = spoiled(seed, fault, longest)
+    made = spoiled(seed, fault, longest, noise)
     if made is None:
         return None
     about, loop = made.axis.about, made.axis.loop

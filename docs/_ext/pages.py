@@ -31,6 +31,7 @@ REPOSITORY = {
     "CONTRIBUTING.md": "contributing",
     "CHANGELOG.md": "changelog",
     "examples/emps/README.md": "example-emps",
+    "examples/actuator/README.md": "example-actuator",
     "examples/kr300/README.md": "example-kr300",
     "examples/motorbench/README.md": "example-motorbench",
 }

@@ -39,6 +39,7 @@ from .records.record import Channel, Record
 from .records.signals.filtering import Filtering
 from .records.writing import convert, write
 from .simulation import excitation
+from .simulation.controller_torque import compute_controller_torque
 from .simulation.prescribed import DriveSide, OpenLoop
 from .simulation.synthesis import simulate, simulated_record
 from .tuning.proposals import Tuning
@@ -78,6 +79,7 @@ __all__ = [
     "Windowing",
     "advise",
     "compare",
+    "compute_controller_torque",
     "controller",
     "convert",
     "design",

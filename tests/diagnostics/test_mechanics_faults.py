@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
@@ -24,7 +27,7 @@ from jointid.diagnostics.faults.friction import (
 )
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
-from jointid.diagnostics.faults.trials import solve_with_fault, vary_mechanics
+from jointid.diagnostics.faults.trials import search_stiffer, solve_with_fault, vary_mechanics
 from jointid.diagnostics.identify import worst_shift
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.estimation.descent import descend
@@ -32,10 +35,11 @@ from jointid.estimation.methods.force_in_loop import find_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.springs import ElasticLoad
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
-from jointid.uncertainty.verdict import Reason
+from jointid.uncertainty.verdict import Reason, Subject
 from studies.healthy import drive
 from studies.mechanics import Spoiled, simulate, spoiled
 from tests.estimates import identify
@@ -103,8 +107,17 @@ def test_what_is_wrong_is_named_first(fault: str, seed: int, named: Fault) -> No
     check = faults_of(estimate, made.record)
     assert check.findings[0].test.fault is named
     assert {CUBIC_SPRING, BACKLASH} - {one.test.fault for one in check.findings}  # two words for one thing
-    asked = {CUBIC_SPRING: "three-piece", BACKLASH: "backlash", SECOND_MODE: "elastic-load"}.get(named)
+    # Of the laws of a spring that is not linear, the one that predicts the record with the fewest parameters.
+    asked = {CUBIC_SPRING: "cubic", BACKLASH: "backlash", SECOND_MODE: "elastic-load"}.get(named)
     assert asked is None or f'; to identify it, declare the joint with spring = "{asked}"' in str(check.sentences[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fault", "kind"), [("cubic spring", "springs"), ("spring in pieces", "springs")])
+def test_the_law_that_is_advised_first_is_the_one_that_a_comparison_shows(fault: str, kind: Literal["springs"]) -> None:
+    made, estimate = identified(fault, 3005, 12.0)
+    check = faults_of(estimate, made.record)
+    assert check.list_laws_with(check.findings[0])[0] == ji.compare(made.record, made.axis.loop, kind).shown.name
 
 
 def test_a_small_second_mode_is_found_by_a_search() -> None:
@@ -273,3 +286,69 @@ def test_a_residual_that_follows_the_motion_widens_alike_in_any_unit() -> None:
     assert worst_shift(made, x, 1.0) == pytest.approx(
         dict(zip([p.name for p in made.free], exact, strict=True)), rel=1e-6
     )
+
+
+@cache
+def wound_up(seed: int, share: float, friction: float) -> tuple[Spoiled, Estimate]:
+    """Return a drive whose friction winds up over that share of the travel, further than its spring."""
+    axis = drive(seed, 3.0)
+    torque, reference, rng = axis.record.torque, axis.record.reference, np.random.default_rng([seed, 77])
+    assert torque is not None and reference is not None
+    truth = {name: (friction if "coulomb" in name else 1.0) * value for name, value in axis.truth.items()}
+    experiment = prepare(axis.loop, axis.record)
+    scale = float(np.std(simulate(axis, truth, experiment.after_limit)[0]))
+    truth["presliding"] = share * float(np.ptp(reference.values))
+    white, slow = rng.standard_normal(torque.values.size), rng.uniform(2, 30)  # Hz, of a force in the loop
+    force = lfilter([1.0], [1.0, -math.exp(-2 * math.pi * slow * axis.about["period"])], white)
+    force *= rng.uniform(0.005, 0.03) * scale / force.std()
+    out, _, _ = simulate(axis, truth, experiment.after_limit + force)
+    record = replace(axis.record, torque=replace(torque, values=out + experiment.shown))
+    made = Spoiled(record, axis, share, truth)
+    return made, identify(record, axis.loop)
+
+
+def test_a_joint_with_winding_friction_is_identified_from_a_far_softer_one() -> None:
+    made, estimate = wound_up(704, 0.004, 2.5)
+    own, x = rebuild_problem(estimate, made.record, "")
+    truth, soft = made.truth["stiffness"], own.values(x)["stiffness"]
+    assert soft < 0.2 * truth
+    fit = search_stiffer(own, x, WINDING_FRICTION)
+    assert fit is not None
+    assert fit.values["stiffness"] == pytest.approx(truth, rel=0.1)
+
+
+@pytest.mark.slow
+def test_friction_that_is_taken_for_the_spring_is_named_and_leaves_no_wrong_interval() -> None:
+    made, _ = wound_up(704, 0.004, 2.5)
+    found = ji.identify(made.record, made.axis.loop)
+    loop = next(one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    assert loop.reasons[0].values["suspect"] == WINDING_FRICTION.name
+    interval = found["stiffness"].interval
+    assert interval is not None and interval[0] < made.truth["stiffness"] < interval[1]
+
+
+def test_the_answer_says_how_much_stiffer_a_spring_is_if_the_load_is_not_rigid() -> None:
+    axis = drive(502, 3.0)
+    found = ji.identify(axis.record, axis.loop)
+    loop = next(one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    said, plain = loop.reasons[0].values, found["stiffness"]
+    assert found.answer.trust.code == Trust.RELIABLE  # which it does not question
+    assert plain.value is not None and plain.stderr
+    assert "% larger" in str(loop.reasons[0])
+    truth = dict(axis.truth)
+    times = said["second_mode"] / ji.FlexibleJoint.frequencies(truth)["free_free"]
+    swings = ElasticLoad().start(truth, said["swinging_share"], times)
+    stiffer = swings["stiffness"] / truth["stiffness"] - 1.0
+    assert stiffer == pytest.approx(said["stiffer"], rel=0.1)
+    assert stiffer * truth["stiffness"] > 4 * plain.stderr
+    carried = said["swinging_share"] * truth["load_inertia"]
+    truth |= {"stiffness": swings["stiffness"], "load_inertia": truth["load_inertia"] - carried}
+    truth |= {"third_inertia": carried, "third_stiffness": swings["swinging_stiffness"]}
+    truth["third_damping"] = swings["swinging_damping"]
+    experiment, torque = prepare(axis.loop, axis.record), axis.record.torque
+    assert torque is not None
+    usual, _, _ = simulate(axis, axis.truth, experiment.after_limit)
+    elastic, _, _ = simulate(axis, truth, experiment.after_limit)
+    record = replace(axis.record, torque=replace(torque, values=torque.values + elastic - usual))
+    as_stiff = identify(record, axis.loop)["stiffness"].value
+    assert as_stiff == pytest.approx(plain.value, abs=0.25 * stiffer * plain.value)

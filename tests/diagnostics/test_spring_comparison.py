@@ -12,7 +12,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.diagnostics import compare
+from jointid.diagnostics import law_comparison
 from jointid.diagnostics.law_comparison import RIGID, JudgedLaw, SpringComparison, SpringShown
 from jointid.models.springs import SPRINGS, LinearSpring, TwoPieceSpring
 from jointid.records.record import Record
@@ -76,7 +76,7 @@ def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: t
 
 def judging(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     """Judge these springs alone, the rigid joint beside them."""
-    monkeypatch.setattr(compare, "SPRINGS", {name: SPRINGS[name] for name in names})
+    monkeypatch.setattr(law_comparison, "SPRINGS", {name: SPRINGS[name] for name in names})
 
 
 def test_a_rigid_axis_shows_no_spring(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,7 +111,7 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
     def fail(*_: object) -> None:
         raise MethodError("The loop runs away.")
 
-    monkeypatch.setattr(compare, "from_linear_laws", fail)
+    monkeypatch.setattr(law_comparison, "from_linear_laws", fail)
     case, _ = plain
     found = compare_springs(some_of(case.clean, 2000), case.loop, didim=ji.DIDIM(frequency=case.mode))
     assert found.shown.name == "linear"

@@ -21,6 +21,7 @@ from tests.docs.blocks import ROOT, pages
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))
 
 import commands
+import curves
 import diagrams
 import joint_file_keys
 import pages as generated
@@ -82,6 +83,16 @@ def test_a_diagram_is_drawn_by_its_program_and_names_keys_of_the_controller(name
     assert drawing.svg() == saved, "write it again: python docs/_ext/diagrams.py"
     assert set(drawing.keys) <= set(re.findall(r"`controller\.(\w+)`", joint_file_keys.page()))
     assert f"images/{name}.svg" in (ROOT / "docs" / "controllers.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("name", "draw"), curves.CURVES.items())
+def test_a_curve_is_drawn_by_its_program(name: str, draw: Callable[[], Any]) -> None:
+    numbers, saved = re.compile(r"\d+(?:\.\d+)?"), (curves.IMAGES / f"{name}.svg").read_text(encoding="utf-8")
+    drawn = draw().svg()
+    assert numbers.sub("", drawn) == numbers.sub("", saved), "write it again: python docs/_ext/curves.py"
+    now, before = ([float(one) for one in numbers.findall(text)] for text in (drawn, saved))
+    assert now == pytest.approx(before, abs=0.3)
+    assert f"images/{name}.svg" in (ROOT / "docs" / "how-well-it-works.md").read_text(encoding="utf-8")
 
 
 def test_every_public_name_has_an_entry_and_a_docstring() -> None:

@@ -10,6 +10,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics.compare import compare
+from jointid.diagnostics.model_free import compare_law
 from jointid.diagnostics.validation import validate
 from jointid.models.friction import FRICTIONS, AsymmetricStribeckFriction, StribeckFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -100,6 +101,29 @@ def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_puls
         changes.append((found.shown.values["stribeck_force"], found.shown.std["stribeck_force"]))
     (first, std), (second, other) = changes
     assert abs(first - second) < 2 * np.hypot(std, other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pulses", [False, True])
+def test_the_first_line_of_every_law_agrees_with_the_comparison_and_the_motor_position(
+    pulses: bool, emps: Record, emps_pulses: Record
+) -> None:
+    record = emps_pulses if pulses else emps
+    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
+    followed = compare_law(record, loop)
+    assert followed is not None
+    assert followed.holds
+    shown = compare(record, loop, "frictions").shown
+    assert shown.name == "asymmetric-stribeck"
+    for name in ("symmetric", "asymmetric", "presliding", "stribeck", "drifting", "asymmetric-stribeck"):
+        estimate = ji.identify(record, replace(loop, joint=RigidJoint("prismatic", FRICTIONS[name]())))
+        first = str(estimate).split("\n\n")[0]
+        assert "You can rely on it" in " ".join(first.split()), name
+        assert not any(word in first for word in ("gain", "logged torque", "time stamps", "period")), name
+    assert estimate.answer.trust.code == "reliable"  # of the last, which the comparison shows
+    for key, value in shown.values.items():
+        assert estimate.params[key].value == pytest.approx(value, rel=1e-3)
+    assert 1e3 * estimate["delay"].value == pytest.approx(0.29, abs=0.02)
 
 
 def test_what_takes_friction_for_a_line_refuses_it() -> None:

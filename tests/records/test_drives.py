@@ -15,7 +15,7 @@ from jointid.common.transmission import Transmission
 from jointid.common.units import COUNTS, SHARE, unit
 from jointid.config import load, loads
 from jointid.records.columns import Column, known_units
-from jointid.records.drives import Drive, load_profile, profile_names
+from jointid.records.drives import Drive, load_profile, place_of, profile_names
 from jointid.records.reading import read
 from jointid.records.record import CHANNELS, Record, Tap, Timing
 
@@ -208,7 +208,7 @@ def test_a_drive_that_cannot_be_is_refused() -> None:
     for wrong, part in (
         ({"rated_torque": -1.0}, "rated_torque is -1.0; expected a positive number"),
         ({"axis": 0}, "axis is 0; expected a whole number, 1 or more"),
-        ({"profile": "abc"}, 'profile is "abc"; expected "cia402", "generic",'),
+        ({"profile": "abc"}, 'profile is "abc"; expected "cia402", "damiao",'),
         ({"rated_torque": 1.0, "rated_current": 2.0, "torque_constant": 0.707}, "1.41 times as much"),
     ):
         with pytest.raises(RecordError, match=re.escape(part)):
@@ -225,17 +225,19 @@ def test_a_profile_is_whole(name: str) -> None:
     assert profile.title
     assert all(profile.sources)
     assert all(text.endswith((".", '".')) for text in profile.assumed)
-    drive = Drive(name, 2, 1.0, torque_constant=1.0, counts_per_turn=1000.0, counts_per_metre=1000.0)
+    place = place_of(2, "elbow")
+    drive = Drive(name, 2, rated_torque=1.0, torque_constant=1.0, counts_per_turn=1000.0, counts_per_metre=1000.0)
     for channel, signals in profile.channels.items():
         assert channel in CHANNELS
         for signal in signals:
             known = known_units(channel, "revolute")
-            assert signal.unit is None or drive.resolve_unit(unit(signal.unit), "revolute").si == unit(known[0]).si
+            stated = signal.unit is None or signal.unit.startswith("units of the ")  # that the user has to say
+            assert stated or drive.resolve_unit(unit(signal.unit or ""), "revolute").si == unit(known[0]).si
             assert signal.tap is None or channel == "torque"
-            for called in signal.names_on(2):
+            for called in signal.names_on(place):
                 # No name of one channel may be another's, or its own twice.
-                others = [c for c in profile.channels if profile.signals(c, called, 2)]
-                assert (others, len(profile.signals(channel, called, 2))) == ([channel], 1), called
+                others = [c for c in profile.channels if profile.signals(c, called, place)]
+                assert (others, len(profile.signals(channel, called, place))) == ([channel], 1), called
 
 
 def test_every_profile_is_on_the_page() -> None:

@@ -348,6 +348,14 @@ def _channel_faults(file: FileTable) -> Iterator[Fault]:
         for fault in table.build().misplaced_faults(name):
             yield file.fault(("record", "channels", name), fault.removeprefix(name))
         yield from _unit_faults(file, name, table, kinds)
+    if file.computes_torque:
+        key = file.key("record", "torque")
+        if "torque" in file.channels:
+            yield file.fault(("record", "torque"), ' is "from_controller" beside a torque channel; keep one of them.')
+        channels = ("motor_position", *(("reference",) if (law := _law(file)) is None else law.channels))
+        places: list[Place] = [("record", "channels", name) for name in channels if name not in file.channel_names]
+        for place in [*places, *([] if file.controlled else [("controller",)])]:
+            yield file.fault(place, f' is missing, but {key} = "from_controller" needs it: add it.', "missing")
     if "injected" in file.channels:
         pairs = {(_si_unit(file, "injected", kind), _si_unit(file, "torque", kind)) for kind in kinds}
         pair = pairs.pop() if len(pairs) == 1 else (None, None)

@@ -38,7 +38,7 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import Controller, with_numbers
+from jointid.models.controllers import PD, Controller, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.limits import AxisLimits
@@ -163,7 +163,9 @@ class File(ABC, Generic[R]):
         """
         found = self.records(path)
         whole = None not in self.controllers and all(one.reference is not None for one in found)
-        return self._of_axes(self._fed_forward(found) if self.simulates or (judged and whole) else found)
+        computed = any(axis.computes_torque for axis in self.axes)
+        found = self._fed_forward(found) if self.simulates or (judged and whole) or computed else found
+        return self._of_axes(tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True)))
 
     def driving(self, path: str | os.PathLike[str] | None = None) -> R:
         """Read the signals that drive a simulation: reference and injection, others if present.
@@ -404,6 +406,24 @@ class JointFile(File[Record]):
         )
 
     @property
+    def computes_torque(self) -> bool:
+        """Whether the torque is computed from the controller and the motor position."""
+        logged = "torque" in self.columns or self.drive.traces is not None
+        return self.source.torque == "from_controller" or (not logged and self.controller is not None)
+
+    def with_torque(self, record: Record) -> Record:
+        """Return a record of this axis with the computed torque, if it is not a logged one.
+
+        Raises:
+            RecordError: see `jointid.compute_controller_torque`.
+        """
+        if not self.computes_torque or self.controller is None:
+            return record
+        from jointid.simulation.controller_torque import compute_controller_torque
+
+        return compute_controller_torque(record, ClosedLoop(self.joint, self.controller))
+
+    @property
     def torque_per_unit(self) -> float | None:
         """The torque constant: torque per plain number of a controller on the motor's side."""
         return self.drive.torque_constant or self.drive.torque_per_volt
@@ -503,7 +523,9 @@ class JointFile(File[Record]):
         return record
 
     def _reader(self, columns: Mapping[str, Column], table: Table) -> RecordReader:
-        return RecordReader(columns, **{**self._reading, **self._clock, **self.source.reading(table)})
+        law = self.controller if isinstance(self.controller, PD) else None
+        gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
+        return RecordReader(columns, **{**self._reading, **self._clock, **self.source.reading(table)}, gains=gains)
 
     def explain(self, error: JointidError, record: Record, progress: Progress = ignore_progress) -> JointidError:
         """Return the error of a failed identification, with its cause before it or in its place."""
@@ -569,6 +591,11 @@ class JointFile(File[Record]):
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.
         """
+        if self.computes_torque:
+            raise RecordError(
+                "A torque that is computed from the controller needs the whole record; leave --window out, or give the "
+                "torque."
+            )
         if self.source.files and path is None:
             raise RecordError(
                 "A record in several files is not read in chunks; join them to one file, or leave --window out."
@@ -592,9 +619,12 @@ class JointFile(File[Record]):
     def _columns(self) -> dict[str, Column]:
         """The channels to read: those that the method needs, and others if they are there."""
         needed = {*needed_channels(self.method.name, self.controller, self.joint.model), "injected"}
+        if self.computes_torque and self.controller is not None:
+            needed |= {"motor_position", *self.controller.channels}
         columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
         if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
-            columns |= {n: Column() for n in needed if n not in columns and n != "injected"}
+            unsought = {"injected", "torque"} if self.computes_torque else {"injected"}
+            columns |= {n: Column() for n in needed - unsought if n not in columns}
         return columns
 
     @property

@@ -173,6 +173,11 @@ class RobotFileTable(Table):
         """Name of the given method, or of the default one for the channels."""
         if self.method.name is not None:
             return self.method.name
+        shared, controlled = self.record.channels, all(one.controller is not None for one in self.joints)
+        own = [one.channels for one in self.joints if one.channels is not None]
+        logged = any(one.torque is not None for one in (shared, *own)) or self.drive.profile is not None
+        if controlled and not logged and self.record.torque is None:
+            return "didim"  # of the motor positions
         # A joint without a controller leaves one method only.
         measured = self.record.channels.motor_position is not None or any(
             one.controller is None or (one.channels is not None and one.channels.motor_position is not None)
@@ -192,7 +197,8 @@ class RobotFileTable(Table):
         channels = self.record.channels.given_values() | ({} if own.channels is None else own.channels.given_values())
         named = {channel: _fill_placeholders(table, own.name, number) for channel, table in channels.items()}
         record = self.record.model_copy(update={"channels": ChannelsTable().model_copy(update=named)})
-        axis = {} if self.drive.profile is None or "axis" in self.drive.model_fields_set else {"axis": number + 1}
+        place: dict[str, Any] = {} if self.drive.profile is None else {"axis": number + 1, "joint": own.name}
+        place = {key: value for key, value in place.items() if key not in self.drive.model_fields_set}
         # What a joint of a robot is identified by is not its own method, but says which channels must be there.
         name = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
         method = own.method if alone and own.method is not None else MethodTable()
@@ -200,7 +206,7 @@ class RobotFileTable(Table):
         table = FileTable.model_construct(
             joint=own.table(kind),
             record=record,
-            drive=self.drive.model_copy(update=axis),
+            drive=self.drive.model_copy(update=place),
             method=method.model_copy(update={"name": method.name or name}),
             filtering=self.filtering,
             limits=own.limits or LimitsTable(),

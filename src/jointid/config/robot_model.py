@@ -53,6 +53,7 @@ _JOINT = (
     "range",
     "limited",
 )
+_OF_DRIVE = ("armature", "damping", "frictionloss")
 _MJCF: Mapping[str, tuple[str, ...]] = {
     "mujoco": ("model",),
     "compiler": (
@@ -153,6 +154,7 @@ def read_robot(
         raise JointFileError(f"{called} holds <{root.tag}>; expected <robot>, URDF, or <mujoco>, MJCF: check the file.")
     kept = _URDF if root.tag == "robot" else _MJCF
     _refuse_elements(root, called)
+    _join_motors(root)
     order = [one.get("name", "") for one in root.iter("joint")]
     stripped = _filter_tree(root, kept)
     for one in stripped.iter():
@@ -187,6 +189,30 @@ def read_robot(
         raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], robot.names)}")
     ordered = reorder_joints(lock_joints(robot, still), order)
     return replace(ordered, remarks=tuple(f"{called}: {one}" for one in remarks))
+
+
+def _join_motors(root: ET.Element) -> None:
+    """Make one joint of a motor and a link that a spring joins, as `output.export` writes them.
+
+    The motor is a body beside the link that carries nothing; a fixed tendon whose length is the difference of both
+    positions is the spring.
+    """
+    above = {child: body for body in root.iter() for child in body.findall("body")}
+    moving = {joint.get("name"): (body, joint) for body in above for joint in body.findall("joint")}
+    for tendon in (one for tendons in root.findall("tendon") for one in tendons.findall("fixed")):
+        ends = {one.get("coef"): one.get("joint") for one in tendon.findall("joint")}
+        if tendon.get("stiffness") is None or len(ends) != 2 or not moving.keys() >= {ends.get("1"), ends.get("-1")}:
+            continue
+        (_, link), (body, motor) = moving[ends["1"]], moving[ends["-1"]]
+        if len(body.findall("body")) or len(body.findall("joint")) > 1:
+            continue
+        try:
+            sums = {key: float(link.get(key, 0)) + float(motor.get(key, 0)) for key in _OF_DRIVE}
+        except ValueError:  # MuJoCo's parser says it
+            continue
+        link.attrib.update({key: repr(value) for key, value in sums.items()})
+        above[body].remove(body)
+        del moving[ends["-1"]]
 
 
 def _follow_ties(

@@ -715,6 +715,15 @@ class FileTable(Table):
         return found
 
     @property
+    def computes_torque(self) -> bool:
+        """Whether the torque is computed from the controller and the motor position."""
+        channels, drive = self.record.channels, self.drive_of_joint
+        named: str | None = self.record.torque
+        if named is not None or channels.torque is not None or (drive is not None and drive.traces is not None):
+            return named == "from_controller"
+        return self.controlled and channels.motor_position is not None and self.method.name in (None, "didim")
+
+    @property
     def drive_of_joint(self) -> Drive | None:
         """Drive with the torque constant of [joint]; None if it is wrong or contradicts the constant."""
         try:
@@ -729,7 +738,9 @@ class FileTable(Table):
         if drive is None:  # of a drive that is wrong nobody knows which channels its profile finds
             return CHANNELS
         wrong = [str(part[2]) for part in self._wrong if len(part) == _OF_CHANNEL]
-        return tuple(dict.fromkeys([*self.channels, *wrong, *(drive.traces.channels if drive.traces else ())]))
+        computed = ["torque"] if self.computes_torque else []
+        found = [*self.channels, *wrong, *(drive.traces.channels if drive.traces else ()), *computed]
+        return tuple(dict.fromkeys(found))
 
 
 _OF_CHANNEL = len(("record", "channels", "torque"))

@@ -52,6 +52,11 @@ class Source:
     )
     start: float | None = setting(None, "first instant to read, of the log's own clock", unit="s")
     stop: float | None = setting(None, "last instant to read, of the log's own clock", unit="s")
+    torque: Literal["logged", "from_controller"] | None = setting(
+        None,
+        "whether the torque is a channel of the record, or what the controller outputs for the motor position; without "
+        "it logged, or for DIDIM from the controller where no torque channel is declared",
+    )
     part: int | None = setting(
         None, "which part between jumps of the clock to read, counted from 1; 0 takes the longest", at_least=0
     )

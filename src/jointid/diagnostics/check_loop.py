@@ -4,11 +4,15 @@ Each fault of `fault_tests` is tested alone. Faults of loop and log are one fami
 faults of the mechanics are another, with a tenth of that. The fault with the largest statistic is named, with those
 that are nearly as likely by the likelihood ratio. The problem is solved again with the fault corrected, which shows its
 effect on the parameters, and the remaining faults are tested again.
+
+Where the declared law makes the logged torque of a logged motor position, faults of law and log that it excludes are
+not named.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -17,7 +21,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
+from jointid.common.messages import Message
 from jointid.common.parameters import Quantity, unit_of
+from jointid.common.text import number
 from jointid.diagnostics.fault_tests import (
     compute_signatures,
     fit_whitener,
@@ -28,6 +34,7 @@ from jointid.diagnostics.fault_tests import (
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest, Hint
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, ParameterShift
 from jointid.diagnostics.faults.forces import OFFSET, free_number
+from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN
 from jointid.diagnostics.faults.other_laws import (
     AVERAGED,
     INTERPOLATIONS,
@@ -49,17 +56,22 @@ from jointid.diagnostics.faults.other_laws import (
     screen_mean,
 )
 from jointid.diagnostics.faults.registry import FAULTS
+from jointid.diagnostics.faults.springs import SECOND_MODE
 from jointid.diagnostics.faults.trials import solve_with_fault
+from jointid.diagnostics.model_free import LawOnPosition, excludes
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import numbers_of
+from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
+from jointid.models.controllers.servo_base import DiagramController
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, frictions_beside, springs_beside
+from jointid.models.springs import ElasticLoad
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widen
+from jointid.uncertainty.verdict import Reason
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 _SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer
@@ -74,6 +86,8 @@ _REACH = 2.0  # times the same is what any faster drive changes
 _MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not searched for
 _TIMES_UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
 _FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
+_AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one
+_LARGEST_SHARE = 0.5  # of the load on a spring of its own
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
 
@@ -115,10 +129,37 @@ class SearchState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Proof:
+    """A record whose declared law makes the logged torque of the logged motor position."""
+
+    record: Record
+    loop: ClosedLoop
+
+    def excludes(self, test: FaultTest) -> bool:
+        """Whether a fault of law or log of that size is not in the record."""
+        controller, size = self.loop.controller, test.size
+        if test.fault is LOG_GAIN:
+            return excludes(self.record, self.loop, controller, gain=size)
+        if test.fault is LOG_DELAY:
+            return excludes(self.record, self.loop, controller, late=size)
+        if (declared := numbers_of(controller).get(test.name)) is None or test.fault.value is not None:
+            return False
+        most = _AT_MOST * abs(declared) or abs(size)
+        with contextlib.suppress(JointidError):  # no law has such a number
+            return self.excludes_law(with_numbers(controller, {test.name: declared + max(-most, min(size, most))}))
+        return False
+
+    def excludes_law(self, other: Controller) -> bool:
+        """Whether the drive does not run another law."""
+        return excludes(self.record, self.loop, other)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _TestResults:
     """Residual and columns of a state, (rows, ...), fault signatures and their tests, the likeliest first.
 
-    `where` and `by_forces` are arguments of `score_signatures`, simulated once and on demand.
+    `where` and `by_forces` are arguments of `score_signatures`, simulated once and on demand. `excluded` are the
+    significant tests of faults that the motor position excludes.
     """
 
     residual: FloatArray
@@ -127,6 +168,7 @@ class _TestResults:
     tests: tuple[FaultTest, ...]
     where: Callable[[], Cells]
     by_forces: Callable[[], list[FloatArray]]
+    excluded: tuple[FaultTest, ...] = ()
 
 
 def search_faults(
@@ -136,6 +178,7 @@ def search_faults(
     std: Mapping[str, float] | None = None,
     record: Record | None = None,
     shown: Sequence[DriveNumber] = (),
+    law: LawOnPosition | None = None,
 ) -> tuple[AxisFaults, SearchState]:
     """Return the faults of a loop and its log, and the problem with these faults corrected.
 
@@ -147,6 +190,7 @@ def search_faults(
             when None.
         record: of the problem; without it a drive that runs faster than the log is not searched for.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
+        law: what the declared law leaves of the torque along the record's motor position; None without one.
 
     Raises:
         MethodError: a fault asked for cannot be tested in this record.
@@ -158,14 +202,16 @@ def search_faults(
     faster: list[_OtherLawTest] = []
     first: _TestResults | None = None
     first_law: _OtherLawTest | None = None
+    proof = _Proof(record, problem.loop) if record is not None and law is not None and law.holds else None
     while len(findings) < settings.most:
-        found = _search_shapes(state, _run_tests(state, settings), settings)
+        found = _search_shapes(state, _run_tests(state, settings, proof), settings)
         if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filter(problem.measured)):
             first, others = first or found, []
             break
-        others = _test_other_laws(state, found, settings, known, record)
+        others = _without_excluded(_test_other_laws(state, found, settings, known, record), proof)
         if first is None:
-            first, faster = found, _test_faster_laws(state, found, settings, known, record)
+            first = found
+            faster = _without_excluded(_test_faster_laws(state, found, settings, known, record), proof)
         laws = others if findings else [*others, *faster]
         stated = _choose_law([one for one in laws if one.explains(found.tests, settings.level)])
         if stated is None and (not found.tests or found.tests[0].p_value > settings.level):
@@ -208,8 +254,53 @@ def search_faults(
         law=numbers_of(problem.loop.controller),
         shown={one.number: one for one in shown},
         laws=list_laws(joint),
+        assumed=None if first is None or findings else _bound_second_mode(beginning, first, known),
+        excluded=() if findings else found.excluded,
+        lacking={} if findings else _measure_lacking(state, found),
     )
     return check, state
+
+
+def _bound_second_mode(state: SearchState, found: _TestResults, known: Mapping[str, float]) -> Message | None:
+    """Return how much stiffer a spring is behind which a part of the load swings; None where that is in its interval.
+
+    Of each mode that was tried, the part of the load is the largest within two deviations of its test, up to half.
+    """
+    shapes = [one for one in found.signatures if one.fault is SECOND_MODE and one.shape]
+    if not shapes:
+        return None
+    joint, values, whiten = state.problem.joint, state.problem.values(state.x), fit_whitener(found.residual)
+    assert isinstance(joint, FlexibleJoint)
+    own, error = whiten(found.own), whiten(found.residual)
+    left = error - own @ np.linalg.lstsq(own, error, rcond=None)[0]
+    first, bounds = joint.frequencies(values)["free_free"], []
+    for one in shapes:
+        column = whiten(one.column)
+        alone = (column - own @ np.linalg.lstsq(own, column, rcond=None)[0])[:, np.newaxis]
+        size = float(alone[:, 0] @ left) / float(alone[:, 0] @ alone[:, 0])
+        share = min(max(size, 0.0) + _INTERVAL * float(robust(alone, alone, left).std[0]), _LARGEST_SHARE)
+        start = ElasticLoad().start(values, share, (one.shape or 0.0) / first)
+        bounds.append((start["stiffness"] / values["stiffness"] - 1.0, share, one.shape))
+    more, share, mode = max(bounds)
+    if more * values["stiffness"] <= _INTERVAL * known.get("stiffness", math.inf):
+        return None
+    symbol = next(p.symbol for p in joint.parameters if p.name == "stiffness")
+    said = (
+        f"that the load is rigid is assumed: if {number(100 * share, 2)} % of it swings at {number(mode, 2)} Hz, which "
+    )
+    said += f"this record does not exclude, {symbol} is {number(100 * more, 2)} % larger"
+    return Message(Reason.LOAD_NOT_RIGID, said, {"swinging_share": share, "second_mode": mode, "stiffer": more})
+
+
+def _measure_lacking(state: SearchState, found: _TestResults) -> dict[str, float]:
+    """Return the largest shift of each parameter by the excluded faults.
+
+    They are not in loop or log, so the joint has what looks like them, and its model has not.
+    """
+    own, shapes = _stack_columns(state, found.own), {(one.fault, one.shape): one.column for one in found.signatures}
+    moved = [one.size * np.linalg.pinv(own) @ shapes[one.fault, one.shape] for one in found.excluded]
+    names = [p.name for p in state.problem.free_joint]
+    return {name: float(max(abs(by[k]) for by in moved)) for k, name in enumerate(names)} if moved else {}
 
 
 def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
@@ -220,7 +311,21 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
     return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
 
 
-def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
+def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: ClosedLoopProblem) -> bool:
+    """Return whether the torque acts within a sample after its log, by a delay that nobody stated.
+
+    The law must make the logged torque of the motor position: then the delay is behind the log, and no fault of law or
+    log looks like it.
+    """
+    controller = problem.loop.controller
+    stated = not isinstance(controller, DiagramController) or controller.delay or controller.undeclared == "none"
+    if stated or law is None or not law.holds or not check.findings:
+        return False
+    first = check.findings[0].test
+    return first.fault is DELAY and 0.0 < first.size < problem.experiment.law.period
+
+
+def _run_tests(state: SearchState, settings: LoopTests, proof: _Proof | None) -> _TestResults:
     residual, own, signatures = compute_signatures(state.problem, state.x)
     known = {a.fault.name: a.fault for a in signatures}
     searched = (one.name for one in FAULTS if one.applies is not None and one.applies(state.problem.joint))
@@ -236,9 +341,17 @@ def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
         if not {name, fault.kin} & {*state.named} and (settings.faults is None or name in settings.faults)
     }
     where, by_forces = cache(lambda: _assign_cells(state)), cache(lambda: _simulate_forces(state))
-    tests = score_signatures(residual, _stack_columns(state, own), signatures, declared, where, by_forces)
-    tests = rank_tests(tests, settings.level)
-    return _TestResults(residual, own, signatures, tests, where, by_forces)
+    columns, excluded = _stack_columns(state, own), list[FaultTest]()
+    while True:
+        tests = rank_tests(score_signatures(residual, columns, signatures, declared, where, by_forces), settings.level)
+        likely = [one for one in tests if one.p_value <= settings.level] if proof is not None else []
+        found = [one for one in likely if proof is not None and proof.excludes(one)]
+        if not found:
+            break
+        excluded += found
+        gone = {one.fault for one in found}
+        declared = {fault: value for fault, value in declared.items() if fault not in gone}
+    return _TestResults(residual, own, signatures, tests, where, by_forces, tuple(excluded))
 
 
 def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
@@ -249,7 +362,8 @@ def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests)
         if fault.search is None or not asked or fault.name in state.named:
             continue
         test = next((one for one in found.tests if one.fault == fault), None)
-        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level)
+        first = next((one.fault for one in found.tests[:1] if one.p_value <= settings.level), None)
+        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level, first)
         signatures = fault.search(state.problem, state.x, hint)
         if signatures:
             better = _test_signature(state, found, *signatures)
@@ -425,6 +539,10 @@ def _test_faster_laws(
             break
         tests += (one for one in here if one.possible and one.as_likely(here))
     return tests
+
+
+def _without_excluded(tests: list[_OtherLawTest], proof: _Proof | None) -> list[_OtherLawTest]:
+    return [one for one in tests if proof is None or not proof.excludes_law(one.refit.law.controller)]
 
 
 def _judge_law(state: SearchState, found: _TestResults, other: Refit) -> tuple[_OtherLawTest, ...]:

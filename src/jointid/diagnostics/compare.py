@@ -13,44 +13,35 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Listing, Table, common_facts, data_frame
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Detail, Progress, follow, ignore_progress
-from jointid.common.parameters import Parameter, adjust_parameters
+from jointid.common.parameters import Parameter
 from jointid.common.text import in_words, number, pluralise
+from jointid.diagnostics.check_loop import LoopTests, has_unstated_delay, search_faults
 from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, ReportedEstimate, compare_estimates
+from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.identify import identify
-from jointid.diagnostics.law_comparison import (
-    RIGID,
-    FrictionComparison,
-    JudgedLaw,
-    LawComparison,
-    SpringComparison,
-    judge,
-    parts_of,
-    rank,
-)
-from jointid.estimation.descent import History, Solved, free_more, least_squares
+from jointid.diagnostics.law_comparison import LawComparison, compare_laws
+from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.registry import Method, Task, methods
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.methods.registry import Method, methods
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import show_value
-from jointid.estimation.starts.nonlinear_laws import from_linear_laws
-from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction, find_friction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, of_whole
-from jointid.models.springs import SPRINGS, LinearSpring, Spring
+from jointid.models.friction import find_friction
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+_INTERVAL = 2.0  # deviations: half an interval
 
 
 @overload
@@ -155,167 +146,20 @@ def _compare_laws(
     didim: DIDIM | None,
     progress: Progress,
 ) -> LawComparison:
-    """Identify a joint with every law of its spring or friction."""
-    settings = _check(loop.joint, among, didim)
-    check_record(record)
-    tolerance = settings.stopping_tolerance(loop.joint.model)
-    joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
-    history, given, chosen = History(progress), dict(parameters or {}), filtering or Filtering()
-    adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
-    plain = _with_law(loop, kind, simple)
-    own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
-    parts_of(torque_problem(record, plain, chosen, own), among)  # before the search, which takes its time
-    task = Task(record, plain.joint, plain, own, chosen, progress)
-    solved = settings.solve(task, history)
-    if settings.free:
-        solved = free_more(solved, settings.free, tolerance, history)
-    parts = parts_of(solved.problem, among)
-    found: list[tuple[JudgedLaw, FloatArray | None]] = []
-    line: tuple[JudgedLaw, FloatArray] | None = None
-    made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
-    laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
-    # A rigid joint is judged beside the laws of a spring.
-    tried = [None, *laws] if among == "springs" else [*laws]
-    history.progress = lambda message: progress(Detail(message))  # the bar says how far it is
-    for law in follow(tried, progress, f"comparing {among}", len(tried), among):
-        name, of_law = (RIGID, ()) if law is None else (law.name, _parameters(joint, law))
-        named = f"a {name} spring" if kind == "spring" else f"{name} friction"
-        history.progress(f"fitting {'a rigid joint' if law is None else named}")
-        try:
-            if law is None:
-                end = _rigid(solved, record, plain, tolerance, history)
-            elif law == simple:
-                end = solved
-            else:
-                other = _with_law(loop, kind, law)
-                wanted = adjust_parameters(other.joint.parameters, _of_law(given, joint, other.joint))
-                end = _search(solved, record, other, wanted, tolerance, history)
-            fitted, squares = judge(end, name, of_law, parts, line)
-            line = (fitted, squares) if law == simple else line
-            if isinstance(law, Spring):
-                fitted = replace(fitted, words=law.describe(fitted.intervals))
-            elif law is not None:
-                words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
-                fitted = replace(fitted, words=words)
-            found.append((fitted, squares))
-        except (JointidError, np.linalg.LinAlgError) as error:
-            why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
-            if law == simple:
-                first = "a linear spring" if kind == "spring" else "symmetric friction"
-                raise MethodError(f"The joint cannot be judged with {first}: {why}") from error
-            found.append((JudgedLaw(name, len(of_law), {}, {}, None, None, refusal=why), None))
-    result = SpringComparison if kind == "spring" else FrictionComparison
-    return result(record.name, rank(found), getattr(joint, kind).name, joint.transmission)
-
-
-_SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "frictions": SymmetricFriction()}
-"""The law that is always identified, from which the others begin."""
-
-
-def _check(joint: Joint, among: str, didim: DIDIM | None) -> DIDIM:
-    """Return the settings of DIDIM; raise a `MethodError` if the laws of the joint cannot be compared."""
-    if among == "springs" and not isinstance(joint, FlexibleJoint):
-        raise MethodError(
-            'Only a flexible joint has a spring; received a rigid one: declare it with model = "flexible".'
-        )
+    """Identify a joint with every law of its spring or friction, and with an unstated delay that the shown one has."""
     settings = didim or DIDIM()
-    settings.require_settings_of(joint.model)
-    if settings.minimiser != "least-squares":
-        raise MethodError(
-            f"{among.capitalize()} are compared by least squares; received the minimiser {settings.minimiser}."
-        )
-    if joint.gravity is not None and joint.gravity.varies:
-        raise MethodError(
-            f"{among.capitalize()} are not compared beside gravity that follows the position, with which {among} in "
-            "pieces are not simulated; expected a constant load or none."
-        )
-    return settings
-
-
-def _with_law(loop: ClosedLoop, kind: str, law: Spring | Friction) -> ClosedLoop:
-    """Return a loop whose joint has another spring or friction."""
-    joint: Any = replace(loop.joint, **{kind: law})  # type: ignore[arg-type]
-    return replace(loop, joint=joint)
-
-
-def _parameters(joint: Joint, law: Spring | Friction) -> tuple[Parameter, ...]:
-    """Return the parameters of a law, of friction on both sides of a joint or of its one inertia."""
-    if isinstance(law, Spring):
-        return law.parameters
-    sides = (("motor_", "1"), ("load_", "2")) if isinstance(joint, FlexibleJoint) else (("", ""),)
-    return tuple(p for side in sides for p in law.parameters(*side))
-
-
-def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> dict[str, Parameter]:
-    """Return the parameter changes that hold for another law than the declared one.
-
-    Those of another spring do not, nor does an offset that is part of the Coulomb forces of one of two frictions.
-    """
-    meant = {p.name for p in joint.parameters}
-    if declared.friction.offset_identifiable != joint.friction.offset_identifiable:
-        meant -= {"offset"}
-    if isinstance(declared, FlexibleJoint) and isinstance(joint, FlexibleJoint) and declared.spring != joint.spring:
-        meant -= {p.name for p in (*declared.spring.parameters, *joint.spring.parameters)} - {"damping"}
-    return {name: change for name, change in given.items() if name in meant}
-
-
-def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, history: History) -> Solved:
-    """Solve for a rigid joint in the same band, from the lumped parameters of a flexible one.
-
-    A lumped parameter is fixed where those of both sides are.
-    """
-    flexible, problem, values = loop.joint, solved.problem, solved.problem.values(solved.solution.x)
-    assert isinstance(flexible, FlexibleJoint)
-    known, sums = {p.name: p for p in problem.parameters}, dict[str, float]()
-    own = []
-    for p in flexible.rigid.parameters:
-        if p.name in known:
-            own.append(known[p.name])
-            continue
-        sides = [name for side in ("motor", "load") if (name := f"{side}_{p.name}") in known]
-        sums[p.name] = of_whole(p, values)
-        own.append(p if any(known[name].free for name in sides) else p.fix(sums[p.name]))
-    beside = problem.parameters[len(flexible.parameters) :]
-    rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)
-    return history.solve(rigid, least_squares(rigid, tolerance), rigid.vector(values | sums))
-
-
-def _search(
-    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
-) -> Solved:
-    """Solve with another law, from the solution with the simple one."""
-    friction, lines = loop.joint.friction, loop.joint.friction.lines
-    if friction != solved.problem.joint.friction and lines != SymmetricFriction():
-        linear = _with_law(loop, "friction", lines)
-        by_name = {p.name: p for p in own}
-        of_lines = tuple(by_name[p.name] for p in linear.joint.parameters)
-        solved = _search_lines(solved, record, linear, of_lines, tolerance, history)
-        if friction.linear:
-            return solved
-    problem = torque_problem(record, loop, solved.problem.filtering, own)
-    return from_linear_laws(problem, solved, tolerance, history)
-
-
-def _search_lines(
-    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
-) -> Solved:
-    """Solve with one line for each direction, from the symmetric solution.
-
-    An offset that is no parameter of the law is part of its Coulomb forces.
-    """
-    values = solved.problem.values(solved.solution.x)
-    beside = solved.problem.parameters[len(solved.problem.joint.parameters) :]
-    problem = torque_problem(record, loop, solved.problem.filtering, own, beside)
-    start, joint = dict(values), loop.joint
-    for prefix in ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",):
-        for one in joint.friction.coefficients:
-            start[prefix + one.name] = values[f"{prefix}{one.part}"]
-    if not joint.friction.offset_identifiable:
-        side = "motor_" if isinstance(joint, FlexibleJoint) else ""
-        for name, weight in joint.friction.constant(side).items():
-            start[name] += 2 * weight * values["offset"]
-        start["offset"] = 0.0
-    return history.solve(problem, least_squares(problem, tolerance), problem.vector(start))
+    judged, end = compare_laws(record, loop, among, filtering, parameters, settings, progress)
+    followed = compare_law(record, loop)
+    if followed is None or not followed.holds or end is None or DELAY.name in settings.free:
+        return judged
+    asked = LoopTests(most=1, faults=(DELAY.name,))
+    check, _ = search_faults(end.problem, end.solution.x, asked, record=record, law=followed)
+    moved = (by.sigmas for one in check.findings for by in one.changes.values())
+    if not has_unstated_delay(check, followed, end.problem) or all(abs(by) <= _INTERVAL for by in moved):
+        return judged
+    progress("the torque acts within a sample after its log: the delay is identified with every law")
+    freed = replace(settings, free=(*settings.free, DELAY.name))
+    return compare_laws(record, loop, among, filtering, parameters, freed, progress)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -15,10 +17,11 @@ from jointid.diagnostics.axis_faults import find_axis_faults, find_follower
 from jointid.diagnostics.axis_parameters import AxisParameter, parameters_by_axis
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.check_loop import LoopTests, SearchState, list_laws, search_faults
-from jointid.diagnostics.diagnosis import OF_LAW, AxisDiagnosis, Diagnosis
+from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.model_free import LawOnPosition, compare_law
+from jointid.diagnostics.law_comparison import order_laws
+from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimateParts
@@ -128,15 +131,30 @@ def diagnose_joint(
     """
     problem, x = solved
     std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
-    faults, state = search_faults(problem, x, tests, std, record, shown)
+    law = compare_law(record, problem.loop)
+    faults, state = search_faults(problem, x, tests, std, record, shown, law)
+    faults = _compare_laws_with(faults, problem, x, record)
     torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
     axis = _diagnose_axis(
         "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit), parameters_by_axis(estimate),
-        compare_law(record, problem.loop), faults, find_follower(torques),
+        law, faults, find_follower(torques),
         None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
         else found.significant,
     )  # fmt: skip
     return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
+
+
+def _compare_laws_with(faults: AxisFaults, problem: ClosedLoopProblem, x: FloatArray, record: Record) -> AxisFaults:
+    """Return the faults of a loop with the laws that have them compared, where a fault has several."""
+    compared: list[str] = []
+    kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
+    for kind in kinds:
+        found = [one for one in faults.findings if f"{one.test.fault.table}s" == kind]
+        names = {law for one in found for law in faults.list_laws_with(one)}
+        if len(names) > 1:
+            with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # they stand as they are then
+                compared += order_laws(problem, x, record, kind, names)
+    return replace(faults, compared=tuple(compared))
 
 
 def diagnose_robot(

@@ -16,22 +16,17 @@ from jointid.common.text import join, number, pluralise, sentence
 from jointid.diagnostics.axis_parameters import AxisParameter, Told
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.model_free import LawOnPosition
+from jointid.diagnostics.model_free import BEYOND_NOISE, OF_LAW, LawOnPosition
 from jointid.estimation.robots.zeros import EncoderZero
 from jointid.uncertainty.residual_tests import Coupling, Whiteness
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
 _SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together
 _MUCH = 0.25  # of what is left, that follows one thing
-_BEYOND_NOISE = 2.0  # times what any law leaves: the declared one is not what the drive runs
 _OF_ANY_LAW = 0.1  # of a torque, that any law leaves: no law alone makes the torque
-_GAIN = 0.03  # off 1
 _RESTS = 0.5  # of the record, moving
 _MOST_NAMES = 8
 _MOST_TESTS = 20  # rows of a table
-
-OF_LAW = 0.03
-"""Share of a torque that a controller which holds leaves along the logged position, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +100,7 @@ class AxisDiagnosis:
     @property
     def law_holds(self) -> bool | None:
         """Whether the declared controller makes the logged torque; None where that is not seen."""
-        if self.law is None:
-            return None
-        found = self.law
-        in_time = found.late == 0.0 and abs(found.gain - 1.0) < _GAIN
-        return in_time and found.left < max(OF_LAW, _BEYOND_NOISE * found.noise)
+        return None if self.law is None else self.law.holds
 
     @property
     def as_declared(self) -> bool | None:
@@ -176,7 +167,7 @@ class AxisDiagnosis:
     def _describe_law(self) -> str:
         """Return a fault of the controller or the log that one number corrects, or ""."""
         law = self.law
-        if law is None or self.law_holds or law.left_in_time > _BEYOND_NOISE * max(law.noise, OF_LAW):
+        if law is None or self.law_holds or law.left_in_time > BEYOND_NOISE * max(law.noise, OF_LAW):
             return ""
         share = f"{100 * law.left:.3g} % of the torque"
         said = f"along the logged position the declared controller leaves {share}"

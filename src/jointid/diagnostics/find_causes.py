@@ -270,12 +270,15 @@ def _suspect(
 
 
 def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
-    """Return the declared drive, and a hypothesis for every fault that this record and controller can have."""
+    """Return the declared drive, and a hypothesis for every fault that this record and controller can have.
+
+    A torque that is computed from the controller has no faults of its own.
+    """
     declared = Hypothesis(None, record, (loop,), filtering)
     corrected = (
         replace(one, fault=one.fault or f) for f in FAULTS if f.correct is not None for one in f.correct(declared)
     )
-    return (declared, *corrected)
+    return (declared, *(one for one in corrected if not record.computed or one.record.torque is record.torque))
 
 
 def _judge_faults(declared: Hypothesis, fits: Sequence[Fit], loop: ClosedLoop) -> list[_Found]:

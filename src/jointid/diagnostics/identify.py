@@ -15,19 +15,23 @@ from jointid.common.messages import Message, Progress, Suspicions, ignore_progre
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
+from jointid.diagnostics.check_loop import has_unstated_delay
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.faults.record import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, screen_causes
 from jointid.diagnostics.hypothesis_fits import Fit
 from jointid.diagnostics.undeclared import widen_for_undeclared
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.identify import fit as fit_records
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
+from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.assemble import CheckResults, FitResult, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import IdentifiedRobot
@@ -141,7 +145,31 @@ def identify(
         return assemble(fit, _left_out("not checked: the checks were left out"), torque_constant=torque_constant)
     if unchecked is not None:
         unchecked(assemble(fit, _left_out("not checked yet"), torque_constant=torque_constant))
-    return assemble(fit, run_checks(fit, progress, shown, low), torque_constant=torque_constant)
+    found = run_checks(fit, progress, shown, low)
+    if (freed := _free_unstated_delay(fit, method, found)) is not None:
+        progress("the torque acts within a sample after its log: the delay is identified, too")
+        fit = fit_records(record, model, freed, filtering=filtering, parameters=parameters, progress=progress)
+        fit = replace(fit, after=(*fit.after, _DELAY_SAID))
+        found = run_checks(fit, progress, shown, low)
+    return assemble(fit, found, torque_constant=torque_constant)
+
+
+def _free_unstated_delay(fit: FitResult, method: Method | None, found: CheckResults) -> Method | None:
+    """Return the method with an unstated delay of the torque free, where it leaves a doubt; None elsewhere."""
+    settings = DIDIM() if method is None else method
+    if not isinstance(found.diagnosis, Diagnosis) or fit.problem is None or not isinstance(settings, DIDIM):
+        return None
+    (axis,) = found.diagnosis.axes
+    doubted = assemble(fit, found).answer.trust.code is not Trust.RELIABLE
+    if not (doubted and has_unstated_delay(axis.faults, axis.law, fit.problem)):
+        return None
+    return replace(settings, free=(*settings.free, DELAY.name))
+
+
+_DELAY_SAID = (
+    "the torque acts within a sample after its log, and no delay is declared: it is identified with the joint. Declare "
+    'it, or set undeclared = "none" in [controller]'
+)
 
 
 def _left_out(why: str) -> CheckResults:
@@ -182,8 +210,7 @@ def run_checks(
     whole = all(p.value is not None for p in fit.params.rows)
     if whole:
         try:
-            # DIDIM reads torque and reference alone: its checks do not read the motor's position either.
-            found, state = diagnose_joint(fit, record.without("motor_position"), (problem, x), shown=shown)
+            found, state = diagnose_joint(fit, record, (problem, x), shown=shown)
             check = found.axes[0].faults
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
             if isinstance(state.problem.joint, FlexibleJoint):
@@ -241,6 +268,8 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
             (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said), *found.name_faults(of_model=True)),
         )
     none = "no motor position and reference of a declared controller were logged"
+    if any(record.computed for record in fit.records):
+        none = "the torque is that of the declared controllers"
     loop = skip_test(Subject.LOOP, found.untested_clause or none, found.untested)
     if all(joint.law_holds for joint in found.axes):
         said = found.describe_laws(holds=True)
@@ -270,14 +299,17 @@ def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
 def widen_for_faults(check: AxisFaults) -> list[Widening]:
     """Return the shifts of parameters by the faults of the mechanics that a check found; none without any.
 
-    Faults of loop and log widen no interval: they are corrected, or not.
+    Faults of loop and log widen no interval: they are corrected, or not. Where they are excluded, the joint has what
+    looks like them.
     """
     found = [one for one in check.findings if one.test.fault.mechanical]
     moved: dict[str, float] = {}
     for finding in found:
         for name, change in finding.changes.items():
             moved[name] = math.hypot(moved.get(name, 0.0), change.by)
-    return [Widening(moved, "what the joint has and its model has not")] if found else []
+    for name, by in check.lacking.items():
+        moved[name] = 0.5 * by  # two deviations hold it
+    return [Widening(moved, "what the joint has and its model has not")] if moved else []
 
 
 def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedResidual) -> Widening:

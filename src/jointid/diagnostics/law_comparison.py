@@ -12,26 +12,33 @@ hardly larger, the one with the fewest parameters is chosen (L. Breiman et al., 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
-from jointid.common.errors import MethodError
-from jointid.common.messages import Message
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.errors import JointidError, MethodError
+from jointid.common.messages import Detail, Message, Progress, follow, ignore_progress
+from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.common.text import interval, join, number
 from jointid.common.transmission import Transmission
-from jointid.estimation.descent import Solved, least_squares
+from jointid.estimation.descent import History, Solved, descend, free_more, least_squares
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.base import INITIAL
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.friction import SymmetricFriction
-from jointid.models.springs import LinearSpring
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.starts.nonlinear_laws import from_linear_laws
+from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, of_whole
+from jointid.models.springs import SPRINGS, LinearSpring, Spring
+from jointid.records.checks import check_record
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import solve
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -353,3 +360,234 @@ def rank(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLa
         worse, error = (0.0, 0.0) if squares is None else mean_logarithm(squares, best)
         stated.append(replace(law, worse=worse, error=error))
     return tuple(stated)
+
+
+def compare_laws(
+    record: Record,
+    loop: ClosedLoop,
+    among: Literal["springs", "frictions"],
+    filtering: Filtering | None,
+    parameters: Mapping[str, Parameter] | None,
+    didim: DIDIM | None,
+    progress: Progress,
+) -> tuple[LawComparison, Solved | None]:
+    """Identify a joint with every law of its spring or friction; return the comparison, and the shown law's end."""
+    settings = _check(loop.joint, among, didim)
+    check_record(record)
+    tolerance = settings.stopping_tolerance(loop.joint.model)
+    joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
+    history, given, chosen = History(progress), dict(parameters or {}), filtering or Filtering()
+    adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
+    plain = _with_law(loop, kind, simple)
+    own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
+    parts_of(torque_problem(record, plain, chosen, own), among)  # before the search, which takes its time
+    task = Task(record, plain.joint, plain, own, chosen, progress)
+    solved = settings.solve(task, history)
+    if settings.free:
+        solved = free_more(solved, settings.free, tolerance, history)
+    made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
+    laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
+    # A rigid joint is judged beside the laws of a spring.
+    tried = [None, *laws] if among == "springs" else [*laws]
+    found, ends = _judge_laws(solved, record, loop, among, tried, given, tolerance, progress)
+    result = SpringComparison if kind == "spring" else FrictionComparison
+    judged = result(record.name, rank(found), getattr(joint, kind).name, joint.transmission)
+    return judged, ends.get(judged.shown.name)
+
+
+def order_laws(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    record: Record,
+    among: Literal["springs", "frictions"],
+    names: Collection[str],
+) -> tuple[str, ...]:
+    """Return names of laws in the order in which `compare_laws` chooses among them.
+
+    Args:
+        problem: of a joint.
+        x: (free,) its solution.
+        record: of the problem.
+        among: what the laws are of.
+        names: of the laws.
+
+    Raises:
+        JointidError, LinAlgError: the laws cannot be compared.
+    """
+    joint, loop, simple, made = (
+        problem.joint,
+        problem.loop,
+        _SIMPLE[among],
+        SPRINGS if among == "springs" else FRICTIONS,
+    )
+    tolerance = _check(joint, among, None).stopping_tolerance(joint.model)
+    given = {p.name: p for p, usual in zip(problem.parameters, joint.parameters, strict=False) if p != usual}
+    if getattr(joint, among.removesuffix("s")) == simple:
+        solved = Solved(problem, descend(problem, x, tolerance))
+    else:
+        plain = _with_law(loop, among.removesuffix("s"), simple)
+        own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
+        task = Task(record, plain.joint, plain, own, problem.filtering, ignore_progress)
+        solved = DIDIM().solve(task, History(ignore_progress))
+    laws = [simple, *(law() for law in made.values() if law.name in names and law.name != simple.name)]
+    ranked = rank(_judge_laws(solved, record, loop, among, laws, given, tolerance, ignore_progress)[0])
+    best = sorted(ranked, key=lambda one: (bool(one.refusal), not one.predicts_as_well, one.parameters))
+    return tuple(one.name for one in best)
+
+
+def _judge_laws(
+    solved: Solved,
+    record: Record,
+    loop: ClosedLoop,
+    among: Literal["springs", "frictions"],
+    laws: Sequence[Spring | Friction | None],
+    given: Mapping[str, Parameter],
+    tolerance: float,
+    progress: Progress,
+) -> tuple[list[tuple[JudgedLaw, FloatArray | None]], dict[str, Solved]]:
+    """Judge laws, and a rigid joint for None, each searched from the solution with the simple law; and their ends."""
+    joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
+    plain, history = _with_law(loop, kind, simple), History(lambda message: progress(Detail(message)))
+    parts = parts_of(solved.problem, among)
+    found: list[tuple[JudgedLaw, FloatArray | None]] = []
+    ends: dict[str, Solved] = {}
+    line: tuple[JudgedLaw, FloatArray] | None = None
+    for law in follow(laws, progress, f"comparing {among}", len(laws), among):  # the bar says how far it is
+        name, of_law = (RIGID, ()) if law is None else (law.name, _parameters(joint, law))
+        named = f"a {name} spring" if kind == "spring" else f"{name} friction"
+        history.progress(f"fitting {'a rigid joint' if law is None else named}")
+        try:
+            if law is None:
+                end = _rigid(solved, record, plain, tolerance, history)
+            elif law == simple:
+                end = solved
+            else:
+                other = _with_law(loop, kind, law)
+                wanted = adjust_parameters(other.joint.parameters, _of_law(given, joint, other.joint))
+                end = _search(solved, record, other, wanted, tolerance, history)
+            fitted, squares = judge(end, name, of_law, parts, line)
+            line = (fitted, squares) if law == simple else line
+            if isinstance(law, Spring):
+                fitted = replace(fitted, words=law.describe(fitted.intervals))
+            elif law is not None:
+                words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
+                fitted = replace(fitted, words=words)
+            found.append((fitted, squares))
+            ends[name] = end
+        except (JointidError, np.linalg.LinAlgError) as error:
+            why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
+            if law == simple:
+                first = "a linear spring" if kind == "spring" else "symmetric friction"
+                raise MethodError(f"The joint cannot be judged with {first}: {why}") from error
+            found.append((JudgedLaw(name, len(of_law), {}, {}, None, None, refusal=why), None))
+    return found, ends
+
+
+_SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "frictions": SymmetricFriction()}
+"""The law that is always identified, from which the others begin."""
+
+
+def _check(joint: Joint, among: str, didim: DIDIM | None) -> DIDIM:
+    """Return the settings of DIDIM; raise a `MethodError` if the laws of the joint cannot be compared."""
+    if among == "springs" and not isinstance(joint, FlexibleJoint):
+        raise MethodError(
+            'Only a flexible joint has a spring; received a rigid one: declare it with model = "flexible".'
+        )
+    settings = didim or DIDIM()
+    settings.require_settings_of(joint.model)
+    if settings.minimiser != "least-squares":
+        raise MethodError(
+            f"{among.capitalize()} are compared by least squares; received the minimiser {settings.minimiser}."
+        )
+    if joint.gravity is not None and joint.gravity.varies:
+        raise MethodError(
+            f"{among.capitalize()} are not compared beside gravity that follows the position, with which {among} in "
+            "pieces are not simulated; expected a constant load or none."
+        )
+    return settings
+
+
+def _with_law(loop: ClosedLoop, kind: str, law: Spring | Friction) -> ClosedLoop:
+    """Return a loop whose joint has another spring or friction."""
+    joint: Any = replace(loop.joint, **{kind: law})  # type: ignore[arg-type]
+    return replace(loop, joint=joint)
+
+
+def _parameters(joint: Joint, law: Spring | Friction) -> tuple[Parameter, ...]:
+    """Return the parameters of a law, of friction on both sides of a joint or of its one inertia."""
+    if isinstance(law, Spring):
+        return law.parameters
+    sides = (("motor_", "1"), ("load_", "2")) if isinstance(joint, FlexibleJoint) else (("", ""),)
+    return tuple(p for side in sides for p in law.parameters(*side))
+
+
+def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> dict[str, Parameter]:
+    """Return the parameter changes that hold for another law than the declared one.
+
+    Those of another spring do not, nor does an offset that is part of the Coulomb forces of one of two frictions.
+    """
+    meant = {p.name for p in joint.parameters}
+    if declared.friction.offset_identifiable != joint.friction.offset_identifiable:
+        meant -= {"offset"}
+    if isinstance(declared, FlexibleJoint) and isinstance(joint, FlexibleJoint) and declared.spring != joint.spring:
+        meant -= {p.name for p in (*declared.spring.parameters, *joint.spring.parameters)} - {"damping"}
+    return {name: change for name, change in given.items() if name in meant}
+
+
+def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, history: History) -> Solved:
+    """Solve for a rigid joint in the same band, from the lumped parameters of a flexible one.
+
+    A lumped parameter is fixed where those of both sides are.
+    """
+    flexible, problem, values = loop.joint, solved.problem, solved.problem.values(solved.solution.x)
+    assert isinstance(flexible, FlexibleJoint)
+    known, sums = {p.name: p for p in problem.parameters}, dict[str, float]()
+    own = []
+    for p in flexible.rigid.parameters:
+        if p.name in known:
+            own.append(known[p.name])
+            continue
+        sides = [name for side in ("motor", "load") if (name := f"{side}_{p.name}") in known]
+        sums[p.name] = of_whole(p, values)
+        own.append(p if any(known[name].free for name in sides) else p.fix(sums[p.name]))
+    beside = problem.parameters[len(flexible.parameters) :]
+    rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)
+    return history.solve(rigid, least_squares(rigid, tolerance), rigid.vector(values | sums))
+
+
+def _search(
+    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
+) -> Solved:
+    """Solve with another law, from the solution with the simple one."""
+    friction, lines = loop.joint.friction, loop.joint.friction.lines
+    if friction != solved.problem.joint.friction and lines != SymmetricFriction():
+        linear = _with_law(loop, "friction", lines)
+        by_name = {p.name: p for p in own}
+        of_lines = tuple(by_name[p.name] for p in linear.joint.parameters)
+        solved = _search_lines(solved, record, linear, of_lines, tolerance, history)
+        if friction.linear:
+            return solved
+    problem = torque_problem(record, loop, solved.problem.filtering, own)
+    return from_linear_laws(problem, solved, tolerance, history)
+
+
+def _search_lines(
+    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
+) -> Solved:
+    """Solve with one line for each direction, from the symmetric solution.
+
+    An offset that is no parameter of the law is part of its Coulomb forces.
+    """
+    values = solved.problem.values(solved.solution.x)
+    beside = solved.problem.parameters[len(solved.problem.joint.parameters) :]
+    problem = torque_problem(record, loop, solved.problem.filtering, own, beside)
+    start, joint = dict(values), loop.joint
+    for prefix in ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",):
+        for one in joint.friction.coefficients:
+            start[prefix + one.name] = values[f"{prefix}{one.part}"]
+    if not joint.friction.offset_identifiable:
+        side = "motor_" if isinstance(joint, FlexibleJoint) else ""
+        for name, weight in joint.friction.constant(side).items():
+            start[name] += 2 * weight * values["offset"]
+        start["offset"] = 0.0
+    return history.solve(problem, least_squares(problem, tolerance), problem.vector(start))

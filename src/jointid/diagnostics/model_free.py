@@ -6,27 +6,29 @@ acceleration, velocity and direction of the reference, and to a declared injecte
 the right controller and joint: a cause with a clearly larger residual does not explain everything.
 
 `compare_law` compares the logged torque with the torque of the declared controller for the logged motor position. So
-law, delay and the gain of the log are tested before a joint is identified.
+law, delay and the gain of the log are tested before a joint is identified. Where the law makes the logged torque,
+`excludes` excludes other laws and logs, whatever the joint is.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import INJECTED, POSITION, respond, run
+from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.records.resampling import at_period
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
-from jointid.simulation.loop_input import LoopInput, prepare, to_log
+from jointid.simulation.controller_torque import law_outputs
+from jointid.simulation.loop_input import prepare, to_log
+from jointid.uncertainty.covariance import robust
 
 MEMORY = 0.3
 """Seconds that a loop remembers."""
@@ -39,6 +41,12 @@ _PARTS = 4  # of a sample: the steps of the delay
 _BORDER = 20  # samples at each end that are not compared
 _BETTER = 0.8  # of the residual: a delay must reduce it to this
 _LAGS = 8  # samples of reference and position in a free law
+OF_LAW = 0.03
+"""Share of a torque that a controller which holds leaves along the logged position, at most."""
+BEYOND_NOISE = 2.0
+"""Times what any law leaves: the declared one is not what the drive runs."""
+_GAIN = 0.03  # off 1
+_A_QUARTER, _SURELY = 0.25, 3.0  # of a change, with so many deviations: a record that has less of it excludes it
 
 
 def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, memory: float = MEMORY) -> float:
@@ -115,27 +123,25 @@ class LawOnPosition:
     left_in_time: float
     noise: float
 
+    @property
+    def holds(self) -> bool:
+        """Whether the declared law makes the logged torque."""
+        in_time = self.late == 0.0 and abs(self.gain - 1.0) < _GAIN
+        return in_time and self.left < max(OF_LAW, BEYOND_NOISE * self.noise)
+
 
 def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
-    """Compare the logged torque with that of the law for the motor's position; None without a position.
+    """Compare the logged torque with that of the law for the motor's position; None without both.
 
     The initial value of the integral and a constant torque are free. The position between two samples of the log is
     interpolated linearly. Torques are compared up to the frequency that the noise of the position allows: a law
     differentiates that noise, and a controller that is as declared has not seen it.
     """
-    torque = record.torque
-    if record.motor_position is None or record.reference is None or torque is None:
+    if (followed := _follow(record, loop)) is None:
         return None
-    try:
-        made = _simulate_law(record, prepare(loop, record))
-    except JointidError:
-        return None
-    position, count = record.motor_position, min(torque.values.size, len(made))
-    limit = find_noise_limit([position.values], position.sample_time)
-    see = partial(lowpass_below_noise, limit=limit, sample_time=torque.sample_time)
-    if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(torque.values) == 0 or np.ptp(made[:, 0]) == 0:
-        return None
-    logged, made = see(torque.values[:count]), see(made[:count])
+    logged, made, see = followed
+    assert record.torque is not None
+    count = logged.size
     shifts = np.arange(-_LATEST * _PARTS, _LATEST * _PARTS + 1) / _PARTS
     at = np.arange(count)
     inside = slice(_BORDER, count - _BORDER)
@@ -147,24 +153,61 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     left, gain = fits[int(np.argmin(np.abs(shifts)))]
     best = int(np.argmin([one[0] for one in fits]))
     noise = _regress_on_past(record, logged, see)
-    late = _interpolate_minimum(shifts, np.array([one[0] ** 2 for one in fits]), best) * torque.sample_time
+    late = _interpolate_minimum(shifts, np.array([one[0] ** 2 for one in fits]), best) * record.torque.sample_time
     if fits[best][0] > _BETTER * left:
         return LawOnPosition(left, gain, 0.0, left, noise)
     return LawOnPosition(left, fits[best][1], late, fits[best][0], noise)
 
 
-def _simulate_law(record: Record, experiment: LoopInput) -> FloatArray:
-    """Return the logged torque of the law and, where it has one, of a unit integral, (samples, columns)."""
-    law, channel = experiment.law, record.motor_position
-    assert channel is not None
-    inputs = experiment.inputs.copy()
-    inputs[:, POSITION] = at_period(channel, law.period, experiment.periods, "motor_position")
-    start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
-    output = run(law, inputs, start).tapped + experiment.shown
-    integral, columns = law.integral(), [output]
-    if integral is not None:
-        columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])
-    return to_log(experiment, np.column_stack(columns))
+def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: float = 0.0, gain: float = 0.0) -> bool:
+    """Whether a record with a motor position has less than a quarter of a change of law or log.
+
+    The logged torque less that of the law is regressed on the change that another law, or another log, makes of the
+    logged motor position. The coefficient is 0 as declared and 1 with the change. The initial value of the integral and
+    a constant torque are free.
+
+    Args:
+        record: as of `compare_law`.
+        loop: as declared, which holds.
+        controller: the other law.
+        late: delay of the log, s.
+        gain: of the log, less 1.
+    """
+    own, other = _follow(record, loop), _follow(record, replace(loop, controller=controller))
+    if own is None or other is None or record.torque is None:
+        return False
+    at = np.arange(min(len(own[1]), len(other[1])))
+    later = (1.0 + gain) * np.interp(at - late / record.torque.sample_time, at, other[1][: at.size, 0])
+    columns = np.column_stack([later - own[1][: at.size, 0], own[1][: at.size, 1:], np.ones(at.size)])
+    columns, left = columns[_BORDER:-_BORDER], (own[0] - own[1][:, 0])[: at.size][_BORDER:-_BORDER]
+    sizes = column_norms(columns)
+    if np.ptp(columns[:, 0]) == 0.0:
+        return False
+    weights = np.linalg.lstsq(columns / sizes, left, rcond=None)[0]
+    std = robust(columns / sizes, columns / sizes, left - columns / sizes @ weights).std
+    return bool(abs(weights[0]) + _SURELY * std[0] < _A_QUARTER * sizes[0])
+
+
+def _follow(
+    record: Record, loop: ClosedLoop
+) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]] | None:
+    """Return the logged torque, (samples,), that of the law, (samples, columns), and the filter of both.
+
+    None without a motor position, or for a law that cannot follow it.
+    """
+    torque = record.torque
+    if record.motor_position is None or record.reference is None or torque is None or record.computed:
+        return None
+    try:
+        made = law_outputs(record.motor_position, prepare(loop, record))
+    except JointidError:
+        return None
+    position, count = record.motor_position, min(torque.values.size, len(made))
+    limit = find_noise_limit([position.values], position.sample_time)
+    see = partial(lowpass_below_noise, limit=limit, sample_time=torque.sample_time)
+    if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(torque.values) == 0 or np.ptp(made[:, 0]) == 0:
+        return None
+    return see(torque.values[:count]), see(made[:count]), see
 
 
 def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArray], FloatArray]) -> float:

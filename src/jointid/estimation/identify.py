@@ -16,6 +16,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
+from jointid.estimation.outputs import fit_outputs, state_scale
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.record_warnings import ask_about_gains, check_robot_records, robot_record_warnings
@@ -25,7 +26,7 @@ from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.regression import Records, each_log, in_logs
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.unknown_timing import fit_unstated_timing
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
@@ -76,21 +77,37 @@ def fit(
     if isinstance(record, Record) and windows is None:
         if isinstance(model, Sequence):
             raise MethodError("One record has one loop; received a list: give the loop, or a list of records.")
-        asked = ask_about_gains(model.controller, record.reference) if isinstance(model, ClosedLoop) else None
-        if asked is not None:
-            progress(asked)
-
-        def fit_single(records: Sequence[Record]) -> FitResult:
-            return identify_record(
-                records[0], model, method, filtering=filtering, parameters=parameters, progress=progress
-            )
-
-        found = fit_unstated_timing([record], fit_single)
-        return found if asked is None else replace(found, before=(asked, *found.before))
+        return _fit_single(record, model, method, filtering, parameters, progress)
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
     source = InMemory(record) if isinstance(record, Record) else record
     return identify_log(source, model, windows or Windowing(), method, filtering, parameters, progress)
+
+
+def _fit_single(
+    record: Record,
+    model: ClosedLoop | DriveSide | OpenLoop | Joint,
+    method: Method | None,
+    filtering: Filtering | None,
+    parameters: Mapping[str, Parameter] | None,
+    progress: Progress,
+) -> FitResult:
+    """Return the fit of one record."""
+    asked = ask_about_gains(model.controller, record.reference) if isinstance(model, ClosedLoop) else None
+    if asked is not None:
+        progress(asked)
+
+    def fit_single(records: Sequence[Record]) -> FitResult:
+        return identify_record(records[0], model, method, filtering=filtering, parameters=parameters, progress=progress)
+
+    def fit_timed(records: Sequence[Record]) -> FitResult:
+        return state_scale(fit_unstated_timing(records, fit_single), records)
+
+    if isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None):
+        found = fit_outputs([record], [model], () if method is None else method.outputs, fit_timed)
+    else:
+        found = fit_timed([record])
+    return found if asked is None else replace(found, before=(asked, *found.before))
 
 
 def fit_robot(
@@ -128,4 +145,13 @@ def fit_robot(
             "RobotLoop, or DriveSideFit for a RobotDriveSide."
         )
 
-    return fit_unstated_timing([record for log in each_log(records) for record in log], of_logs)
+    every = [record for log in each_log(records) for record in log]
+
+    def fit_timed(read: Sequence[Record]) -> FitResult:
+        return state_scale(fit_unstated_timing(read, of_logs), read)
+
+    if not isinstance(model, RobotLoop) or not isinstance(method, DIDIM | None):
+        return fit_timed(every)
+    axes = zip(robot.links, model.controllers, strict=True)
+    loops = [ClosedLoop(RigidJoint(link.kind), law) for link, law in axes] * (len(every) // len(robot.links))
+    return fit_outputs(every, loops, () if method is None else method.outputs, fit_timed)

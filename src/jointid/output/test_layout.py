@@ -78,7 +78,7 @@ class FileLayout:
             traces = file.drive.traces
             kind = joint.kind if gear is None else gear.kind_of(sides[name])
             if traces is not None:
-                columns[name] = traces.column(name, columns.get(name), file.drive.axis, kind) or Column()
+                columns[name] = traces.column(name, columns.get(name), file.drive.place, kind) or Column()
             said[name] = float(values[1]) / _SMALL, unit_of_column(name, columns, kind)
         injected = file.columns.get("injected")
         (position_factor, position_unit), (torque_factor, torque_unit) = said["reference"], said["torque"]

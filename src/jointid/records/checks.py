@@ -29,6 +29,8 @@ _LONGEST = {"m": 1e3}  # travel that no joint has; a revolute joint may turn for
 _FOLLOWS = 0.95  # correlation from which one signal is taken to follow another, so that their ratio means something
 _RATIO_BAND = (0.5, 2.0)  # of motor position to reference, that a controller can explain; outside, one is mis-scaled
 _RATIO_TOLERANCE = 0.1  # relative distance of a ratio from a unit's factor within which that unit is named
+_SLOWEST_SAMPLE = 0.1  # s: below 10 samples a second
+_SLOW_SAMPLE = 0.02  # s: data sets of 30 Hz, and slower
 _BEYOND = 3.0  # times the range of the model's limits, that a position may travel
 _PLURAL = {"deg": "degrees"}
 _GEAR_TOLERANCE = 0.02  # likewise of a gear's ratio
@@ -69,7 +71,7 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
     """
     faults = [f for name, c in record.items() for f in finite_faults(name, c.values, c.time)]
     if not faults:  # of numbers that are none, nothing more can be said
-        faults += [*scale_faults(record, ratio), *still_faults(record)]
+        faults += [*scale_faults(record, ratio), *still_faults(record), *rate_faults(record)]
         faults += [] if limit is None else limit_faults(record, limit, side)
     if faults:
         raise RecordError(faults)
@@ -97,6 +99,29 @@ def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
         f"The position travels {travel:.3g} {position.unit} within limits of {limits[0]:.3g} to {limits[1]:.3g} "
         f"{position.unit}: {remedy}."
     ]
+
+
+def rate_faults(record: Record) -> list[str]:
+    """Faults of a rate at which nothing of a joint's dynamics is seen."""
+    slowest = max((channel.sample_time for _, channel in record.items()), default=0.0)
+    if slowest <= _SLOWEST_SAMPLE:
+        return []
+    return [
+        f"The record has a sample every {slowest:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing of "
+        "a joint's dynamics; log faster, or check the unit of the time column."
+    ]
+
+
+def _rate_warnings(record: Record) -> Iterator[str]:
+    """Yield what a slow record cannot tell."""
+    slowest = max((channel.sample_time for _, channel in record.items()), default=0.0)
+    if slowest > _SLOW_SAMPLE:
+        rate = 1 / slowest
+        yield (
+            f"the record has {rate:.3g} samples a second: of a slow motion it tells inertia, friction and gravity; a "
+            f"motion above {rate / 2:.3g} Hz, a resonance there, a delay below {1e3 * slowest:.2g} ms and the law of a "
+            "faster drive are not seen"
+        )
 
 
 def still_faults(record: Record) -> list[str]:
@@ -244,7 +269,7 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
     samples late. An encoder lag looks like a spring with viscous friction; if it explains nearly all of the difference
     between the encoders, it hides the stiffness.
     """
-    notes = [*record.remarks]
+    notes = [*record.remarks, *_rate_warnings(record)]
     for name, channel in record.items():
         if name in channels:
             every = update_interval(channel.values) if name == "torque" else 1

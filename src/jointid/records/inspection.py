@@ -20,9 +20,11 @@ from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import number, pluralise, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_tables
+from jointid.records.formats.table import STAMP_NAME
+from jointid.records.recognition import Recognised, recognise
 
 _ROWS = 65536  # that are in memory at once, where the format allows it
-_TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamps?|stamps?|zeit)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+_TIME = re.compile(rf"(?:.*[/._ ])?{STAMP_NAME.pattern}", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
 _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
@@ -73,6 +75,7 @@ class Inspection(Charted, Documented):
         channels: its columns.
         scalars: its single numbers.
         passed: what looks like a column and is not read, and why.
+        recognised: whose log it is; None where no profile of a drive has its names.
     """
 
     file: str
@@ -81,6 +84,7 @@ class Inspection(Charted, Documented):
     channels: tuple[InspectedChannel, ...]
     scalars: Mapping[str, float]
     passed: Mapping[str, str]
+    recognised: Recognised | None = None
 
     def to_document(self, *, details: bool = False) -> Document:
         """Table of channels, scalars, skipped content and clocks.
@@ -99,6 +103,8 @@ class Inspection(Charted, Documented):
         if self.passed:
             blocks.append(Listing(tuple(f"not read: {show(name)} ({show(why)})" for name, why in self.passed.items())))
         title = f"{show(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
+        if self.recognised is not None:
+            blocks.append(Paragraph(show(self.recognised.sentence)))
         return Document(title, (*blocks, Listing(tuple(self.clocks()))))
 
     def chart(self) -> Chart:
@@ -193,7 +199,8 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         channels.append(channel)
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     size = sum(file.stat().st_size for file in files)
-    return Inspection(path.name, format_of(path).name, size, tuple(channels), scalars, passed)
+    recognised = recognise(tuple(outlines))
+    return Inspection(path.name, format_of(path).name, size, tuple(channels), scalars, passed, recognised)
 
 
 class _Clocks:

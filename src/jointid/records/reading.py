@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common import units
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
@@ -40,13 +42,14 @@ from jointid.records.columns import (
     unwrap,
     wrap_faults,
 )
-from jointid.records.drives import Drive
+from jointid.records.drives import Drive, index_columns
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
 from jointid.records.resampling import Resampling, Stamped, align_updates, judge_jitter, resample_together
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 _POSITIONS = ("motor_position", "load_position", "reference")
+_SAME_GAIN = 0.01  # relative: a field of 12 bits has steps of 0.02 % of the largest gain
 _TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
 _NUMBER = re.compile(r"\d+")
 
@@ -114,7 +117,11 @@ def read(
 
 @dataclass(frozen=True, slots=True)
 class RecordReader:
-    """Settings that turn a table into a record; see `read`."""
+    """Settings that turn a table into a record; see `read`.
+
+    Attributes:
+        gains: of the declared controller, by its keys: what columns of gains are held against.
+    """
 
     columns: Mapping[str, str | Column]
     drive: Drive
@@ -127,6 +134,7 @@ class RecordReader:
     clock_tolerance: float = CLOCK_TOLERANCE
     resample: Resampling | None = None
     cut: Cut = field(default_factory=Cut)
+    gains: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         unknown = [channel for channel in self.columns if channel not in CHANNELS]
@@ -151,6 +159,7 @@ class RecordReader:
         clocks = self._clocks(table, found, source.faults)
         if self.resample is None:
             remarks.extend(source.name_rates(found, clocks, rows, rates))
+        source.faults.extend(source.gain_faults(self.gains))
         read_in = {channel: source.build_channel(channel, found, clocks) for channel in found}
         if self.resample is None:
             source.faults.extend(
@@ -235,7 +244,7 @@ class _Columns:
         profile = self.drive.traces
         if profile is not None:
             kinds = {channel: self.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
-            found, faults = profile.find_columns(wanted, self.table.columns, self.drive.axis, kinds, self.table.source)
+            found, faults = profile.find_columns(wanted, self.table.columns, self.drive.place, kinds, self.table.source)
             self.faults.extend(faults)
             self.faults.extend(self.undeclared_current_faults(wanted, found, f'profile "{profile.name}"'))
             return found
@@ -285,6 +294,32 @@ class _Columns:
             why = self.table.explain_missing(column.column for column in missing.values() if not column.optional)
             self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}{why}; it has {listed}.")
         return {n: column for n, column in wanted.items() if n not in missing}
+
+    def gain_faults(self, declared: Mapping[str, float]) -> Iterator[str]:
+        """Yield gains of the log that vary, are in whole numbers of the drive, or differ from the declared ones."""
+        profile = self.drive.traces
+        if profile is None or not declared:
+            return
+        for name, gain in profile.gain_columns(index_columns(self.table.columns), self.drive.place).items():
+            values = self.table.columns[name][np.isfinite(self.table.columns[name])]
+            if gain.key not in declared or not values.size:
+                continue
+            low, high, said = float(values.min()), float(values.max()), f'{gain.name} (column "{name}")'
+            if gain.largest is not None and high > gain.largest:
+                yield (
+                    f"{said} reaches {high:g}, more than the drive's {gain.largest:g} {gain.units[0]}: it is in the "
+                    f"drive's whole numbers; log it in {gain.units[0]}, as {gain.largest:g} times the number over 4095."
+                )
+            elif high - low > _SAME_GAIN * abs(high):
+                yield (
+                    f"{said} varies from {low:g} to {high:g}, and the controller has one {gain.key}, "
+                    f"{declared[gain.key]:g}; read a part in which it is constant, by record.start and record.stop."
+                )
+            elif abs(high - declared[gain.key]) > _SAME_GAIN * max(abs(high), abs(declared[gain.key])):
+                yield (
+                    f"{said} is {high:g} in the record, and controller.{gain.key} is {declared[gain.key]:g}; "
+                    "correct the wrong one."
+                )
 
     def fill_rows(
         self, found: Mapping[str, Column], *, resampled: bool
@@ -362,6 +397,8 @@ class _Columns:
             )
         stated = unit_of_column(name, found, kind)
         unit = self.resolve_unit(what, stated, known_units(name, kind), kind, of_load=name == "load_position")
+        if column.bits is not None:
+            values = self.decode_field(what, name, column, values)
         if unit is None or period is None:
             return None
         held = name in ("torque", "injected")
@@ -376,6 +413,23 @@ class _Columns:
         if gear is None:
             return channel
         return refer_channel(gear, name, channel, self.drive.side(name, column))
+
+    def decode_field(self, what: str, channel: str, column: Column, values: FloatArray) -> FloatArray:
+        """Return the numbers of a field of bits on the drive's range: x = R (2 n / (2^bits - 1) - 1)."""
+        bits = column.bits or 0
+        largest = 2**bits - 1
+        try:
+            reach = self.drive.field_range(channel)
+        except units.UnitError as error:
+            self.faults.append(f"{what} is a field of {bits} bits, {error}.")
+            return values
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        if column.wrap is None and not 0 <= low <= high <= largest:
+            self.faults.append(
+                f"{what} reaches from {low:g} to {high:g}; expected whole numbers from 0 to {largest} of a field of "
+                f"{bits} bits: give the bits of the field, or another profile where the column is decoded already."
+            )
+        return np.asarray(reach * (2 * values / largest - 1))
 
     def find_wraps(self, found: Mapping[str, Column]) -> tuple[dict[str, Column], list[str]]:
         """Set the wrap of positions that jump as at one; return the columns, and what is to be said of them.
@@ -414,6 +468,9 @@ class _Columns:
         unit = replace(self, faults=[]).resolve_unit(name, unit_of_column(name, found, kind), known, kind, of_load=load)
         gear = self.transmission
         side = 1.0 if gear is None or own else gear.position(self.drive.side(name, column))
+        if column.bits is not None and unit is not None:
+            with contextlib.suppress(units.UnitError):  # it is said where the channel is built
+                side *= 2 * self.drive.field_range(name) / (2**column.bits - 1)
         return 0.0 if unit is None else column.sign * column.gain * unit.factor * side
 
     def align_turns(self, logged: Mapping[str, Channel], found: Mapping[str, Column]) -> dict[str, Channel]:

@@ -205,6 +205,7 @@ class Record(Charted, Documented):
         begin: seconds from the first sample of the file to that of this record, which begins at its first refresh.
         resampled: how its samples were brought to a uniform clock, None where they were logged so.
         remarks: on what was put right in the file when it was read, or may be wrong there, a clause each.
+        computed_by: the controller whose output for the motor position the torque is; None where it was logged.
 
     Raises:
         RecordError: channels at one rate have unequal lengths, or durations differ by more than a sample.
@@ -222,6 +223,7 @@ class Record(Charted, Documented):
     begin: float = 0.0
     resampled: Resampled | None = None
     remarks: tuple[str, ...] = ()
+    computed_by: Any = None  # a controller, of which this room knows nothing
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))
@@ -245,6 +247,11 @@ class Record(Charted, Documented):
             value = getattr(self, name)
             if value is not None:
                 yield name, value.channel if isinstance(value, Injection) else value
+
+    @property
+    def computed(self) -> bool:
+        """Whether the torque is no logged one, but computed from the motor position."""
+        return self.computed_by is not None
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -155,7 +155,7 @@ class _Writer:
         if traces is not None:
             for name, column in found.items():
                 tap = record.tap if name == "torque" and not (column and column.tap) else None
-                found[name] = traces.column(name, column, self.drive.axis, self.kind_of(name, column), tap)
+                found[name] = traces.column(name, column, self.drive.place, self.kind_of(name, column), tap)
         return {name: column for name, column in found.items() if column is not None and column.column}
 
     def column_values(self, name: str, channel: Channel, columns: Mapping[str, Column]) -> FloatArray:
@@ -170,6 +170,8 @@ class _Writer:
                 f'{name} is in {channel.unit}, and its column "{column.column}" in {stated.name}; correct one of them.'
             )
         values = channel.values / (column.sign * column.gain * unit.factor)
+        if column.bits is not None:
+            values = (values / self.drive.field_range(name) + 1) * (2**column.bits - 1) / 2
         if column.wrap is not None:  # it begins where it is, so that it comes back unwrapped as it was
             values = values - column.wrap * np.round((values - values[0]) / column.wrap)
         return np.asarray(values)

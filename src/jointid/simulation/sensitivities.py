@@ -131,7 +131,7 @@ def _run_with_tape(
 
 def _differentiate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensitivities:
     """Derivatives of a run, of the positions on demand."""
-    experiment, response = out.experiment, out.response()
+    experiment, response = out.experiment, out.simulation() if positions else out.response()
     flexible = out.loop.joint.model == "flexible"
     if out.outcome is not Outcome.FINISHED:
         return zero_sensitivities(response, len(names), positions, flexible)

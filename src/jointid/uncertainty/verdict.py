@@ -26,6 +26,7 @@ class Subject(StrEnum):
     BOUNDS = "bounds"
     STIFFNESS = "stiffness"
     LOOP = "loop"
+    SCALE = "scale"
 
     @property
     def question(self) -> str:
@@ -42,6 +43,7 @@ _QUESTIONS = {
     Subject.BOUNDS: "Is no parameter at its bound?",
     Subject.STIFFNESS: "Does the record show the stiffness?",
     Subject.LOOP: "Are controller and log as declared?",
+    Subject.SCALE: "Does the record tell the scale of the torque?",
 }
 
 
@@ -91,6 +93,8 @@ class Reason(StrEnum):
     HARDLY_MOVES = "hardly_moves"
     NOT_TESTED = "not_tested"
     MOTION_MEASURED = "motion_measured"
+    SCALE_DECLARED = "scale_declared"
+    SCALE_KNOWN = "scale_known"
 
 
 CAUSES = (Reason.CAUSE_FOUND, Reason.NO_CAUSE_FOUND, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES)
@@ -206,6 +210,25 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
     said = f"{', '.join(touched)} at a bound, where it does not follow the record"
     clause = f"{join(touched)} at {'its bound' if len(touched) == 1 else 'their bounds'}"
     return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
+
+
+def scale_verdict(known: Sequence[str], lost: Sequence[str] = ()) -> Verdict:
+    """Verdict on the scale of a torque that is computed from the controller.
+
+    Args:
+        known: fixed parameters other than 0, which tell it.
+        lost: parameters that the unknown content of an integral leaves without an interval.
+    """
+    said = "the torque is computed from the declared controller and the motor position, "
+    if known:
+        code, said = Reason.SCALE_KNOWN, f"{said}and {join(known)} tells its scale"
+    else:
+        code = Reason.SCALE_DECLARED
+        said += "so a common factor of its gains is invisible: gains 10 % too large make every parameter 10 % too large"
+    if lost:
+        said += f"; {join(lost)} includes what the integral held at the first sample"
+    values = {"parameters": [*known], "undetermined": [*lost]}
+    return _judge(Subject.SCALE, True if known else None, code, said, values, "the scale of its gains is declared")
 
 
 def axes_verdict(errors: Mapping[str, float]) -> Verdict:

@@ -225,3 +225,32 @@ def test_hostile_names_stay_inside_a_comment(language: str, hostile: str) -> Non
     assert tags[0] == tags[1]
     assert text.encode("utf-8").count(b"<!--") == text.count("-->")
     assert mujoco.MjModel.from_xml_string(text).nv == {"mjcf": 2, "urdf": 1}[language]
+
+
+def test_the_law_of_the_controller_is_actuators_within_its_limit() -> None:
+    joint = model(ji.RigidJoint("revolute"), {"inertia": 2.0, "viscous": 0.0, "coulomb": 0.0, "offset": 0.5})
+    law = ji.controller.PD(position_gain=20.0, derivative_gain=4.0, limit=3.0, delay=1e-3)
+    made = ji.export(joint, "mjcf", controllers=[law], control="pd", timestep=1e-3)
+    data = Plant(made.text, 0.0).data
+    data.actuator("position").ctrl, data.actuator("velocity").ctrl = 0.05, 0.1
+    mujoco.mj_forward(Plant(made.text, 0.0).model, data)
+    assert data.qfrc_actuator[0] == pytest.approx(20.0 * 0.05 + 4.0 * 0.1 - 0.5)
+    for sign in (1.0, -1.0):
+        data.actuator("torque").ctrl = 100.0 * sign
+        mujoco.mj_forward(Plant(made.text, 0.0).model, data)
+        assert data.qfrc_actuator[0] == pytest.approx(3.0 * sign - 0.5)
+    assert "the delay of 1 ms from position to torque: commands alone are late" in made.lost
+    with pytest.raises(ji.MethodError, match='The control "pd" takes a law'):
+        ji.export(joint, "mjcf", control="pd")
+
+
+@pytest.mark.skipif(not hasattr(mujoco.MjModel, "actuator_delay"), reason="this MuJoCo has no delays")
+def test_the_torque_s_actuator_has_the_limit_and_the_delay() -> None:
+    joint = model(ji.RigidJoint("revolute"), {"inertia": 2.0, "viscous": 0.0, "coulomb": 0.0, "offset": 0.0})
+    law = ji.controller.PD(position_gain=20.0, derivative_gain=4.0, limit=3.0)
+    plant = Plant(ji.export(replace(joint, delay=2e-3), "mjcf", controllers=[law], timestep=1e-3).text, 0.0)
+    seen = []
+    for _ in range(4):
+        plant(5.0)
+        seen.append(float(plant.data.qfrc_actuator[0]))
+    assert seen == [0.0, 0.0, 3.0, 3.0]

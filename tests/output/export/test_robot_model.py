@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.config.robot_model import read_robot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot
+from jointid.models.springs import Backlash, LinearSpring, Spring
 from jointid.output.export import export
 from tests.estimation.robots.twin import arm
 from tests.models.robots.trees import by_mujoco, random_robot
 
-pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+mujoco = pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 DOWN = np.array([0.0, 0.0, -9.81])
 
 
@@ -61,7 +63,9 @@ def test_a_joint_without_its_spring_has_the_friction_of_both_sides() -> None:
     soft = replace(robot.joints[1], spring=JointSpring(5000.0, 1.0, viscous=2.0, coulomb=3.0))
     for language in ("urdf", "mjcf"):
         made = export(replace(robot, joints=(robot.joints[0], soft, *robot.joints[2:])), language)
-        assert any(one.startswith("the springs of the joints; the friction behind them") for one in made.lost)
+        assert any(one.startswith("the springs of the joints; the friction") for one in made.lost) == (
+            language == "urdf"
+        )
         found = read_robot(made.text).joints[1]
         assert found.viscous == pytest.approx(soft.viscous + 2.0) and found.coulomb == pytest.approx(soft.coulomb + 3.0)
 
@@ -73,7 +77,7 @@ def test_a_time_step_and_a_name_are_written() -> None:
 
 def test_what_is_refused() -> None:
     robot = arm()
-    with pytest.raises(MethodError, match="matlab holds one joint; a robot is written as mjcf or urdf"):
+    with pytest.raises(MethodError, match=r"matlab holds one joint; a robot is written as mjcf, urdf, .* and bam"):
         export(robot, "matlab")
     with pytest.raises(MethodError, match="urdf has no setting timestep; it has none: leave it out"):
         export(robot, "urdf", timestep=1e-3)
@@ -82,3 +86,45 @@ def test_what_is_refused() -> None:
     hollow = replace(robot.links[0], inertial=-robot.links[0].inertial)
     with pytest.raises(MethodError, match="No body can have the inertial parameters of link1"):
         export(replace(robot, links=(hollow, *robot.links[1:])), "mjcf")
+
+
+@pytest.mark.parametrize("law", [LinearSpring(), Backlash()], ids=lambda law: law.name)
+def test_a_robot_with_a_spring_moves_in_mujoco_as_ours_does(law: Spring) -> None:
+    robot = arm(2)
+    gap = {} if law.linear else {"gap": 0.02}
+    soft = replace(robot.joints[1], spring=JointSpring(5000.0, 3.0, law=law), numbers=gap, viscous=0.0, coulomb=0.0)
+    robot = replace(robot, joints=(robot.joints[0], soft))
+    model = mujoco.MjModel.from_xml_string(export(robot, "mjcf").text)
+    data = mujoco.MjData(model)
+    link, motor = (model.joint(name).qposadr[0] for name in ("joint2", "joint2_motor"))
+    data.qpos[link], data.qpos[motor] = 0.5, 0.53
+    mujoco.mj_forward(model, data)
+    dof = model.joint("joint2_motor").dofadr[0]
+    pull = 5000.0 * (0.03 if law.linear else 0.02)  # of the gap half lies on each side
+    assert data.qacc[dof] == pytest.approx(-pull / soft.rotor_inertia, rel=1e-6)
+    back = read_robot(export(robot, "mjcf").text)
+    assert back.names == robot.names
+    assert back.joints[1].rotor_inertia == soft.rotor_inertia
+
+
+@pytest.mark.skipif(not hasattr(mujoco.MjModel, "actuator_delay"), reason="this MuJoCo has no delays")
+def test_a_robot_is_driven_by_the_law_of_its_controllers() -> None:
+    law = ji.controller.PD(position_gain=500.0, derivative_gain=20.0, limit=30.0, reference_delay=6e-3)
+    robot = replace(arm(2), gravity=np.zeros(3))
+    made = export(robot, "mjcf", controllers=[law, law], control="pd", timestep=2e-3)
+    model = mujoco.MjModel.from_xml_string(made.text)
+    data = mujoco.MjData(model)
+    data.actuator("joint2_position").ctrl, data.actuator("joint2_velocity").ctrl = 0.04, 0.1
+    seen = []
+    for _ in range(5):
+        mujoco.mj_step(model, data)
+        seen.append(float(data.qfrc_actuator[1]))
+    assert seen[:3] == [0.0, 0.0, 0.0]
+    assert seen[3] == pytest.approx(500.0 * 0.04 + 20.0 * 0.1)
+    data.actuator("joint2_torque").ctrl = 100.0
+    mujoco.mj_step(model, data)
+    assert data.qfrc_actuator[1] == pytest.approx(30.0)
+    with pytest.raises(MethodError, match='The control "pd" takes a law'):
+        export(robot, "mjcf", control="pd")
+    with pytest.raises(MethodError, match='"torque" or "pd"; received "speed"'):
+        export(robot, "mjcf", control="speed", controllers=[law, law])

@@ -30,7 +30,7 @@ from tests.estimates import amended
 from tests.output.report import reports
 
 SECTIONS = (
-    "Result", "Parameters", "Checks", "Torque", "Appendix", "Checks in full", "Residual", "Spectra",
+    "Result", "Parameters", "Checks", "Torque", "Appendix", "Data sheet", "Checks in full", "Residual", "Spectra",
     "Frequency response", "Correlations", "Profiles", "Convergence", "Validation", "Settings and data",
 )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -23,11 +24,14 @@ def inspect(
     header: Header = None,
     json: Path | None = None,
     figure: Path | None = None,
+    write: Path | None = None,
+    axis: str | None = None,
 ) -> None:
     """List what is in a file, channel by channel.
 
     Each with its rows, unit, sample time, range and a small picture.
-    Any format that records are read from, and the folder of a ROS 2 bag. What is taken for a clock is said.
+    Any format that records are read from, and the folder of a ROS 2 bag or of several files. The answer says what is
+    taken for a clock, and whose log it is, if known.
 
     Args:
         file: the file, or the folder of a bag.
@@ -36,13 +40,21 @@ def inspect(
         header: whether a text file names its columns, likewise.
         json: also write the answer as JSON to this file.
         figure: also save a picture of all channels, PNG, SVG or PDF by its suffix.
+        write: also write a joint file that reads the log, or a robot file where it has several axes.
+        axis: number or name of the axis, for the joint file of one of several.
     """
     from jointid import figures
     from jointid import inspect as look
+    from jointid.config.logged import describe_log
 
-    outputs = Outputs({"--json": json}, {"--figure": figure})
+    outputs = Outputs({"--json": json, "--write": write}, {"--figure": figure})
     outputs.spare("FILE", file)
-    deliver(look(file, **_reader_options(delimiter, decimal, header)), json, (figure, figures.draw))
+    found = look(file, **_reader_options(delimiter, decimal, header))
+    deliver(found, json, (figure, figures.draw))
+    if write is not None:
+        place = os.path.relpath(file.absolute(), write.absolute().parent)
+        write.write_text(describe_log(found, Path(place).as_posix(), axis), encoding="utf-8")
+        show(f"Written: {write}")
 
 
 def convert(

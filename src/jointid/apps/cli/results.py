@@ -259,27 +259,34 @@ def export(
     period: float | None = None,
     delay: float | None = None,
     timestep: float | None = None,
+    control: Literal["torque", "pd"] | None = None,
+    stall_torque: float | None = None,
+    no_load_speed: float | None = None,
 ) -> None:
     """Write an estimate for another tool.
 
     What its language cannot represent is listed.
     The ending of the file says for which: .toml a joint file with the values filled in, .json a linear state space for
-    SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .mo Modelica.
+    SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .mo Modelica, .py an actuator of
+    Isaac Lab, .usda one of USD. --format mjlab and --format bam have no ending of their own.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified
-            from the record that it names; it is written as MJCF or URDF with bodies that fit.
+            from the record that it names; MJCF and URDF have bodies that fit.
         estimate: what identify --json wrote; of a joint file it is needed.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         axis: of a robot file the name of the one joint that the estimate is of.
         out: the file to write.
         format: the language by its name, as joint-file, instead of the one the ending of the file means.
-        side: of a transmission, whose numbers are written; without it the load's for URDF and MJCF, and else the side
-            that was identified.
+        side: of a transmission, whose numbers are written; without it the load's for URDF, MJCF and actuators, and else
+            the side that was identified.
         fixed: of a joint file: the values are kept, instead of being starts.
         period: of a state space, in s, to sample it with; without it the record's sample time.
         delay: of a state space, in s, from a sample of the torque to its effect; without it as identified.
-        timestep: of MJCF, in s.
+        timestep: in s, of MJCF; of the physics of Isaac Lab, mjlab and USD, of which a delay is a number.
+        control: of MJCF: an actuator takes the torque, or the commands of the declared law.
+        stall_torque: of Isaac Lab, mjlab and USD, in N m or N behind the gear: the motor's torque at standstill.
+        no_load_speed: likewise its speed without torque, in rad/s or m/s.
     """
     from jointid.config import JointFile
     from jointid.output import json as answers
@@ -290,12 +297,16 @@ def export(
     outputs.spare("--estimate", estimate)
     choices = {} if estimate is None else answers.read_choices(estimate)
     file = Options(changes=changes, axis=axis).load(joint, outputs, **choices)
-    given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
+    given = {
+        "values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep,
+        "control": control, "stall_torque": stall_torque, "no_load_speed": no_load_speed,
+    }  # fmt: skip
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     language = find_language(format or out.suffix.lower()).name
     if not isinstance(file, JointFile):
         _refuse_options("A robot is written as bodies behind their gears", {"--side": side, "--fixed": fixed})
-        exported = run(_read_or_identify(file, estimate), language, **settings)
+        found = _read_or_identify(file, estimate)
+        exported = run(found, language, controllers=file.controllers, **settings)
         exported.save(out)
         show(exported.note)
         for one in exported.lost:
@@ -305,7 +316,8 @@ def export(
     estimate = _require_estimate(estimate)
     if language == "joint-file":
         settings |= {"file": file, "folder": out.parent}
-    exported = run(read_joint_model(estimate, file.joint, file.name), language, side=side, **settings)
+    model = read_joint_model(estimate, file.joint, file.name)
+    exported = run(model, language, side=side, controllers=file.controllers, **settings)
     exported.save(out)
     show(exported)
     show(f"Written: {out}")

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping
 from jointid.apps.web.fields import SCREW, list_units
 from jointid.common.units import POSITION_UNITS, TORQUE_UNITS, normalise_unit, unit, units_of
 from jointid.records.columns import known_units
-from jointid.records.drives import load_profile, profile_names
+from jointid.records.drives import load_profile, place_of, profile_names
 from jointid.records.record import CHANNELS
 
 _PROFILE_FIRST = "generic"
@@ -119,7 +119,9 @@ def guess_roles(columns: Iterable[str]) -> dict[str, str]:
 def _find_by_profile(channel: str, names: list[str]) -> str | None:
     rest = [name for name in profile_names() if name != _PROFILE_FIRST]
     for profile in map(load_profile, (_PROFILE_FIRST, *rest)):
-        called = [name for name in names if profile.signals(channel, name, None) or profile.signals(channel, name, 1)]
+        called = [
+            name for name in names if profile.signals(channel, name, {}) or profile.signals(channel, name, place_of(1))
+        ]
         if len(called) == 1:
             return called[0]
     return None

@@ -60,6 +60,7 @@ class Fault:
         along: yields the signatures along the motion of one axis, raw, of this fault and of others that share it.
         try_mechanics: yields the joints that have it, of a flexible joint without it.
         search: returns its signatures, whose shape is searched for beside the other tests.
+        softens: whether a joint with it, identified without it, may be far softer than it is.
         applies: whether a joint can have a fault that is only searched for: the best of many shapes is large by chance.
         declared: value without the fault; None for a number of the controller, whose value is declared.
         one_sided: whether its size can only be positive.
@@ -93,6 +94,7 @@ class Fault:
     along: Callable[[AxisMotion], Iterable[FaultSignature]] | None = None
     try_mechanics: Callable[[FlexibleJoint, Simulation, Mapping[str, float]], Iterable[Trial]] | None = None
     search: Callable[[ClosedLoopProblem, FloatArray, Hint], Sequence[FaultSignature]] | None = None
+    softens: bool = False
     applies: Callable[[Joint], bool] | None = None
     declared: float | None = 0.0
     one_sided: bool = False
@@ -238,6 +240,7 @@ class Hint:
         whiten: filter of both.
         test: of the fault in the shapes so far; None without one.
         level: largest p-value of a finding.
+        first: the likeliest fault so far; None where no test is significant.
     """
 
     residual: FloatArray
@@ -245,6 +248,7 @@ class Hint:
     whiten: Callable[[FloatArray], FloatArray]
     test: FaultTest | None
     level: float
+    first: Fault | None = None
 
 
 def name_number(name: str) -> str:

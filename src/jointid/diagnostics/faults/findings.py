@@ -96,7 +96,11 @@ class AxisFaults:
         law: the controller's declared numbers.
         shown: how the drive shows those that the joint file declares, by the law's names.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
+        compared: those that were compared on the record, the best first.
+        assumed: what the record does not show of the model, and what it may change; None where that is little.
         of_loop: whether faults of the loop were tested, which needs its simulation.
+        excluded: where no fault was found, significant tests of faults that the motor position excludes.
+        lacking: largest shift of each parameter, by name, by what looks like them and is in the joint.
     """
 
     findings: tuple[Finding, ...]
@@ -109,7 +113,11 @@ class AxisFaults:
     law: Mapping[str, float] = field(default_factory=dict)
     shown: Shown = field(default_factory=dict)
     laws: tuple[str, ...] = ()
+    compared: tuple[str, ...] = ()
+    assumed: Message | None = None
     of_loop: bool = True
+    excluded: tuple[FaultTest, ...] = ()
+    lacking: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def as_declared(self) -> bool:
@@ -130,7 +138,13 @@ class AxisFaults:
         least = min((s.p_value for s in self.tests), default=1.0)
         names = ", ".join(s.title for s in self.tests)
         said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
-        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
+        if self.excluded:
+            alike = self.call(*(one.fault for one in self.excluded))
+            said += f"; a part of the residual looks like {alike} and is not: the motor position excludes that"
+        assumed = self.assumed
+        also = {} if assumed is None else assumed.values
+        said += "" if assumed is None else f"; {assumed}"
+        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least, **also}),)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -197,13 +211,19 @@ class AxisFaults:
         values |= {"changes": {name: change.by for name, change in finding.changes.items()}}
         return Message(s.fault.reason, said, values, clause)
 
+    def list_laws_with(self, finding: Finding) -> tuple[str, ...]:
+        """Return the laws of the joint with the fault that was found or a rival of it, the best of them first."""
+        fault = finding.test.fault
+        named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
+        laws = dict.fromkeys(law for one in named if one.table == fault.table for law in one.laws if law in self.laws)
+        return (*(law for law in self.compared if law in laws), *(law for law in laws if law not in self.compared))
+
     def _name_laws(self, finding: Finding) -> str:
         """Return the end of a sentence on the laws with the fault that was found; "" without any."""
         fault, table = finding.test.fault, finding.test.fault.table
         if fault.remedy is not None:
             return fault.remedy(finding.test)
-        named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
-        laws = dict.fromkeys(law for one in named if one.table == table for law in one.laws if law in self.laws)
+        laws = self.list_laws_with(finding)
         if not laws:
             return ""
         # IDIM takes what is linear in its parameters on the measured motion.

@@ -11,9 +11,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, Measure, words
+from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, Hint, Measure, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
-from jointid.diagnostics.faults.trials import Trial
+from jointid.diagnostics.faults.trials import Trial, search_stiffer
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import (
     PARTS,
@@ -133,12 +133,27 @@ def _try_winding(joint: FlexibleJoint, run: Simulation, values: Mapping[str, flo
             yield Trial(WINDING_FRICTION, other, still | distances, 1.0, share * travel, without)
 
 
+def _search_winding(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> list[FaultSignature]:
+    """Return the signature of friction that winds up beside a far stiffer spring, if the loop has any other fault.
+
+    Where friction winds up further than the spring, the joint without it is as soft as that friction. No friction
+    beside that soft spring leaves this minimum.
+    """
+    if hint.first in (None, WINDING_FRICTION):
+        return []
+    end = search_stiffer(problem, x, WINDING_FRICTION)
+    if end is None:
+        return []
+    distance = max(end.values[f"{side}presliding_distance"] for side in _SIDES)
+    return [FaultSignature(WINDING_FRICTION, problem.filter(end.change), distance, end.change, len(_DISTANCES))]
+
+
 WINDING_FRICTION = Fault(
     "winding_friction", "friction that winds up behind each reversal",
     describe=lambda finding, check, _: "friction winds up behind each reversal, over some "
     f"{number(finding.test.shape, 2)} {check.on_side('position')}",
-    try_mechanics=_try_winding, mechanical=True, one_sided=True, kin="low-speed friction",
-    reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(PreslidingFriction.name,),
+    try_mechanics=_try_winding, search=_search_winding, softens=True, mechanical=True, one_sided=True,
+    kin="low-speed friction", reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(PreslidingFriction.name,),
 )  # fmt: skip
 
 

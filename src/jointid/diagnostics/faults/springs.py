@@ -14,7 +14,7 @@ from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.trials import Trial, list_trials, search
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import FlexibleJoint, springs_beside
-from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
+from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring, TwoPieceSpring
 from jointid.records.signals.position_noise import lowpass_below_noise
 from jointid.simulation.closed_loop import Simulation, in_threads
 from jointid.uncertainty.verdict import Reason
@@ -53,7 +53,7 @@ def _describe_cubic(finding: Finding, _: AxisFaults, spread: bool) -> str:
 CUBIC_SPRING = Fault(
     "cubic_spring", "spring that is not linear", describe=_describe_cubic, try_mechanics=_try_cubic, mechanical=True,
     kin="spring law", measure=Measure.SHARE, reason=Reason.SPRING_NOT_LINEAR, table="spring",
-    laws=(ThreePieceSpring.name, CubicSpring.name),
+    laws=(ThreePieceSpring.name, CubicSpring.name, TwoPieceSpring.name),
 )  # fmt: skip
 
 
@@ -69,7 +69,7 @@ BACKLASH = Fault(
     "backlash", "backlash", try_mechanics=_try_backlash, mechanical=True, one_sided=True,
     describe=lambda finding, check, _: "the transmission has a backlash of some "
     f"{number(2 * finding.test.size * (finding.test.shape or 0.0), 2)} {check.on_side('position')} or more",
-    kin="spring law", reason=Reason.SPRING_NOT_LINEAR, table="spring", laws=(Backlash.name,),
+    softens=True, kin="spring law", reason=Reason.SPRING_NOT_LINEAR, table="spring", laws=(Backlash.name,),
 )  # fmt: skip
 
 

@@ -67,6 +67,7 @@ from jointid.estimation.methods.registry import (
 )
 from jointid.estimation.methods.regressor_steps import REPRODUCED, RegressorSteps, describe_unstable
 from jointid.estimation.methods.stiffness_search import StiffnessSearch, search_by_simplex
+from jointid.estimation.outputs import check_outputs
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.assemble import FitResult
@@ -174,6 +175,12 @@ class DIDIM(Method):
         systems=_FLEXIBLE,
     )
     free: tuple[str, ...] = setting((), SURROUNDINGS, systems=MODELS)
+    outputs: tuple[str, ...] = setting(
+        (),
+        'what the simulation reproduces: ["torque"], ["motor_position"] seen through the controller, or both, weighted '
+        "by the noise of each; without it the torque where it is logged, else the motor position",
+        accept=check_outputs,
+    )
     offsets: bool = setting(True, OFFSETS, systems=ROBOT)
     evaluations: int = setting(60, EVALUATIONS, at_least=1, systems=ROBOT)
     frequencies: Mapping[str, float] = field(

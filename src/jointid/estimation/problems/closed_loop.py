@@ -31,6 +31,7 @@ from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
+from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
 from jointid.uncertainty.position_dependent_error import Cells, cells
@@ -60,10 +61,13 @@ class ClosedLoopProblem(RecordProblem):
 
     Attributes:
         loop, experiment: what is simulated.
+        seen: what takes a motor position to a torque where that is not logged, but computed; None where it is. Measured
+            and simulated positions go through it alike, so it does not follow the law of a candidate.
     """
 
     loop: ClosedLoop
     experiment: LoopInput
+    seen: SeenPosition | None = None
 
     @property
     def joint(self) -> Joint:
@@ -98,7 +102,7 @@ class ClosedLoopProblem(RecordProblem):
         """Return the loop's run with these parameters, its torque as the log should show it."""
         c = self._candidate(x)
         run = simulate(c.loop, c.experiment, c.values, c.initial)
-        return replace(run, torque=self._show_log(run.torque, c))
+        return replace(run, torque=self._show_log(self._output(run), c))
 
     def loop_at(self, x: FloatArray) -> ClosedLoop:
         """Return the loop with the controller's numbers that these parameters say."""
@@ -124,8 +128,15 @@ class ClosedLoopProblem(RecordProblem):
     def _response(self, x: FloatArray, driven: Callable[[LoopInput], LoopInput] | None = None) -> Response:
         c = self._candidate(x)
         experiment = c.experiment if driven is None else driven(c.experiment)
-        response = simulate_torque(c.loop, experiment, c.values, c.initial)
-        return replace(response, torque=self._show_log(response.torque, c))
+        if self.seen is None:
+            response = simulate_torque(c.loop, experiment, c.values, c.initial)
+            return replace(response, torque=self._show_log(response.torque, c))
+        run = simulate(c.loop, experiment, c.values, c.initial)
+        return replace(run, torque=self._show_log(self._output(run), c))
+
+    def _output(self, run: Simulation) -> FloatArray:
+        """Return the torque of a run, or what is computed from its motor position, (samples,)."""
+        return run.torque if self.seen is None else self.seen.torque(run.motor_position)
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
@@ -143,7 +154,9 @@ class ClosedLoopProblem(RecordProblem):
         names = [p.name for p in self.free if p.name not in DRIVE_AND_LOG]
         scaled = any(p.name == "drive_gain" for p in self.free)
         wanted = [*names, *(name for name in own if scaled and name not in names)]
-        run = simulate_sensitivities(c.loop, c.experiment, c.values, wanted, c.initial)
+        run = simulate_sensitivities(c.loop, c.experiment, c.values, wanted, c.initial, positions=self.seen is not None)
+        if self.seen is not None:
+            run = self.seen.show(run)
         if len(names) == len(self.free) == len(wanted) and (c.drive_gain, c.log_gain, c.log_delay) == (1.0, 1.0, 0.0):
             return run.response, run.torque
         columns = dict(zip(wanted, run.torque.T, strict=True))
@@ -315,13 +328,16 @@ def torque_problem(
     assert record.torque is not None
     require_free(parameters)
     experiment = prepare(loop, record)
-    measured = record.torque.values[: experiment.samples]
+    measured, seen = record.torque.values[: experiment.samples], seen_position(record, loop)
+    if seen is not None and record.motor_position is not None:
+        measured = seen.torque(record.motor_position.values)[: measured.size]
     return ClosedLoopProblem(
         (*parameters, *with_torque(surroundings, experiment, measured)),
         measured,
         filtering.resolve(experiment.sample_time, loop.joint.model),
         loop,
         experiment,
+        seen,
     )
 
 

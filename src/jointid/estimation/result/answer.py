@@ -33,6 +33,8 @@ from jointid.uncertainty.verdict import (
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
 _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
+_IF_CONTROLLER = "You can rely on it if the controller is as declared, which was not checked"
+_IF_SCALE = "You can rely on it if the scale of the controller's gains is right, which positions do not show"
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 
 
@@ -194,13 +196,12 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     values: dict[str, Any] = {"reasons": [], "parameters": []}
     if not asked.free:
         return Message(Trust.NOT_CHECKED, "It was declared, not identified", values)
-    if not estimate.checks.verdicts:
+    if all(verdict.subject is Subject.SCALE for verdict in estimate.checks.verdicts):
         return _fit_only(estimate)
     loop = loop_verdict(estimate)
-    if estimate.settings.loop is not None and (loop is None or loop.status is Status.UNKNOWN):
-        return Message(
-            Trust.NOT_CHECKED, "You can rely on it if the controller is as declared, which was not checked", values
-        )
+    unchecked = estimate.settings.loop is not None and (loop is None or loop.status is Status.UNKNOWN)
+    if unchecked or _scale_is_declared(estimate):
+        return Message(Trust.NOT_CHECKED, _IF_CONTROLLER if unchecked else _IF_SCALE, values)
     words = "You can rely on it"
     if loop is not None and loop.status is Status.FAILED:
         words += ": what is wrong with loop or log moves it by less than its interval"
@@ -256,7 +257,14 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
         which = f"controller of {join(untested)} is" if untested else "controllers are"
         words = f"You can rely on it if the {which} as declared, which was not checked"
         return Message(Trust.NOT_CHECKED, words, values)
+    if _scale_is_declared(estimate):
+        return Message(Trust.NOT_CHECKED, _IF_SCALE, values)
     return Message(Trust.RELIABLE, "You can rely on it", values)
+
+
+def _scale_is_declared(estimate: EstimateParts) -> bool:
+    """Test whether the declared gains alone tell the scale of the torque."""
+    return any(v.subject is Subject.SCALE and v.status is Status.UNKNOWN for v in estimate.checks.verdicts)
 
 
 class Against(StrEnum):

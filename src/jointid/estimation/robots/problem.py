@@ -16,11 +16,13 @@ from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.regression import join_rows, require_one_log, require_torques
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import columns_of, differentiate_torques
@@ -286,10 +288,13 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
     Attributes:
         experiment: what the loops are driven with.
         stride: rad of the fastest motion in one step of the integrator.
+        seen: of each joint, what takes a motor position to a torque that was computed; None where it was logged. The
+            derivatives are those of the controller's output, the same but for what a faster controller sees between.
     """
 
     experiment: RobotInput
     stride: float = FINE
+    seen: tuple[SeenPosition | None, ...] = ()
 
     @property
     def tree(self) -> Tree:
@@ -308,15 +313,21 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
 
     def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotRun:
         """Simulate a robot."""
-        return run_robot(self.experiment, numbers, keep=keep, stride=self.stride)
+        return run_robot(self.experiment, numbers, keep=keep or any(self.seen), stride=self.stride)
 
     def roughly(self) -> Self:
         """Return the problem simulated in steps twice as long."""
         return replace(self, stride=COARSE)
 
     def predict(self, run: RobotRun) -> FloatArray:
-        """Return the torque of a run, (samples, n)."""
-        return run.torque
+        """Return the torque of a run as the log shows it, or as it is computed from its positions, (samples, n)."""
+        torque = run.torque
+        if any(self.seen) and run.outcome is RobotOutcome.FINISHED:
+            position = motion_at(run, run.experiment.clock.log_index).position[:, run.numbers.rotors]
+            for j, seen in enumerate(self.seen):
+                if seen is not None:
+                    torque[:, j] = seen.torque(position[:, j])[: len(torque)]
+        return torque
 
     def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
@@ -428,7 +439,12 @@ def robot_problem(
     experiment = prepare_robot(loop, records)
     samples = experiment.clock.samples
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
+    axes = zip(records, loop.robot.links, loop.controllers, strict=True)
+    seen = tuple(seen_position(record, ClosedLoop(RigidJoint(link.kind), law)) for record, link, law in axes)
+    for j, (one, record) in enumerate(zip(seen, records, strict=True)):
+        if one is not None and record.motor_position is not None:
+            measured[:, j] = one.torque(record.motor_position.values)[:samples]
     require_torques(loop.robot, measured.T)
     model = "flexible" if any(loop.robot.flexible) else "rigid"
     resolved = (filtering or Filtering()).resolve(experiment.clock.sample_time, model)
-    return RobotLoopProblem(measured, resolved, parameters, np.std(measured, axis=0) + 1e-300, experiment)
+    return RobotLoopProblem(measured, resolved, parameters, np.std(measured, axis=0) + 1e-300, experiment, seen=seen)

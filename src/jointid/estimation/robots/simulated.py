@@ -170,7 +170,8 @@ def identify_simulated_robot(
                 known=known,
                 progress=progress,
             )
-        method = "didim", "DIDIM of a robot, from torques and references alone"
+        computed = any(record.computed for log in each_log(records) for record in log)
+        method = "didim", f"DIDIM of a robot, from {'motor positions' if computed else 'torques'} and references alone"
     robot, parameters = model.robot, fit.parameters
     logs, free = each_log(records), robot_parameters(robot)
     problem = add_problems([problem_of(model, log, free, filtering) for log in logs])

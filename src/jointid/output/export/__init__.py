@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
+from jointid.common.text import join
 from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
+from jointid.output.export.actuators import bam, isaac_lab, mjlab, usd
 from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.export.modelica import modelica
+from jointid.output.export.pd_law import controllers_of, pd_law
 from jointid.output.export.robot_model import read_robot_model, robot_mjcf, robot_urdf
 from jointid.output.export.robots import mjcf, urdf
 from jointid.output.export.state_space_model import StateSpace, linear_part, matlab, state_space_json
@@ -33,7 +37,8 @@ class Language:
         write: returns the text of a `JointModel`, and a sentence for each part of the joint that the text does not
             have; its keyword arguments are the settings.
         side: of a transmission, whose numbers it has unless another is asked for; None: those that were identified.
-        write_robot: the same as `write` of a `Robot`; None where the language holds one joint.
+        write_robot: the same as `write` of a `Robot` and the laws of its joints, as far as they are known; None where
+            the language holds one joint.
     """
 
     name: str
@@ -50,6 +55,10 @@ LANGUAGES = (
     Language("mjcf", (".xml", ".mjcf"), mjcf, "load", robot_mjcf),
     Language("urdf", (".urdf",), urdf, "load", robot_urdf),
     Language("modelica", (".mo",), modelica),
+    Language("usd", (".usda",), usd, "load", usd),
+    Language("isaac-lab", (".py",), isaac_lab, "load", isaac_lab),
+    Language("mjlab", (), mjlab, "load", mjlab),
+    Language("bam", (), bam, "load", bam),
 )
 """Every language there is."""
 
@@ -91,6 +100,7 @@ def export(
     *,
     side: Side | None = None,
     name: str | None = None,
+    controllers: Sequence[Controller | None] = (),
     **settings: Any,
 ) -> Export:
     """Return an estimate in another tool's language.
@@ -100,18 +110,23 @@ def export(
     - "state-space": linear, continuous and sampled, as JSON for SciPy and python-control. Settings: `period` and
       `delay` in s, to sample with; without them the record's and the joint's.
     - "matlab": the same as a script for MATLAB and Octave, with the same settings.
-    - "mjcf": motor and load with the spring between, friction of each, for MuJoCo. Setting: `timestep` in s. Of a
-      robot its bodies, without springs.
+    - "mjcf": motor and load with the spring between, friction of each, for MuJoCo; of a robot its bodies. Settings:
+      `timestep` in s; `control`, "torque", or "pd" for the law of the controller.
     - "urdf": one joint with damping and friction, without the spring, for ROS. Of a robot its bodies.
     - "modelica": all equations, true sticking, no library needed.
+    - "isaac-lab", "mjlab", "usd": actuators with gains, inertia, friction, delay and limit, for a simulator that has
+      the links as bodies of its own. Settings: `timestep` of its physics in s; of a joint `stall_torque` and
+      `no_load_speed` of its motor, in N m and rad/s (N and m/s).
+    - "bam": the friction parameters of Better Actuator Models.
 
     Args:
         estimate: from `identify` or `read_joint_model`. Of a robot, bodies near the nominal ones that fit it are
             written; a `Robot` is written as it is.
         language: its name, or the ending of its files.
-        side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF and MJCF,
-            whose joints are those of a robot's links, and else the side that was identified.
+        side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF, MJCF
+            and actuators, whose joints are those of a robot's links, and else the side that was identified.
         name: what the joint or the robot is called; without it "joint", or the name it was read with.
+        controllers: of each joint, whose gains simulators take; without them those that it was identified under.
         settings: of the language.
 
     Raises:
@@ -132,20 +147,35 @@ def export(
     robot = estimate if isinstance(estimate, Robot | Estimate) and not of_joint else None
     write = chosen.write if robot is None else chosen.write_robot
     if write is None:
-        raise MethodError(f"{chosen.name} holds one joint; a robot is written as mjcf or urdf.")
-    known = list(inspect.signature(write).parameters)[1:]
+        others = join([one.name for one in LANGUAGES if one.write_robot is not None])
+        raise MethodError(f"{chosen.name} holds one joint; a robot is written as {others}.")
+    known = [key for key, one in inspect.signature(write).parameters.items() if one.kind is one.KEYWORD_ONLY]
     unknown = [key for key in settings if key not in known]
     if unknown:
         has = f"it has: {', '.join(known)}" if known else "it has none: leave it out"
         raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; {has}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
+    given = controllers or controllers_of(estimate)
     if robot is not None:
         if side is not None:
             raise MethodError("All numbers of a robot are behind its gears; leave the side out.")
         bodies, note = read_robot_model(robot)
-        return Export(chosen.name, *write(replace(bodies, name=name or bodies.name), **settings), note)
+        laws = [pd_law(one) for one in given]
+        return Export(chosen.name, *write(replace(bodies, name=name or bodies.name), laws, **settings), note)
     model = _model(estimate, name)
+    if given:  # its numbers are of the side that was identified
+        identified = None if model.joint.transmission is None else model.joint.transmission.side
+        law = (
+            None
+            if given[0] is None
+            else pd_law(
+                with_numbers(
+                    given[0], {name: model.beside[name] for name in numbers_of(given[0]) if name in model.beside}
+                )
+            )
+        )
+        model = replace(model.on(identified), law=law)
     model = model.on(side or (None if model.side is None else chosen.side))
     return Export(chosen.name, *write(model, **settings))
 
@@ -186,7 +216,7 @@ def find_language(name: str) -> Language:
     for language in LANGUAGES:
         if name.lower() in (language.name, *language.suffixes):
             return language
-    known = "; ".join(f"{language.name} ({', '.join(language.suffixes)})" for language in LANGUAGES)
+    known = "; ".join(" ".join([one.name, *(f"({suffix})" for suffix in one.suffixes)]) for one in LANGUAGES)
     raise MethodError(f'"{name}" is no language that a joint is exported to; expected one of {known}.')
 
 

@@ -12,7 +12,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from jointid import __version__
@@ -26,6 +26,7 @@ from jointid.models.friction import Directions
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
 from jointid.models.springs import LinearSpring, Piece, Spring
+from jointid.output.export.pd_law import PDLaw
 from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, Json
 from jointid.output.json.reading import optional_number
@@ -112,6 +113,8 @@ class JointModel:
         sample_time: of the record in seconds, None where there were several.
         delay: seconds from the logged torque to the torque that acts.
         origin: where the numbers come from.
+        law: of position and velocity, on this side; None where none is known.
+        beside: values that were identified beside the joint's, such as gains of the controller.
     """
 
     name: str
@@ -124,6 +127,8 @@ class JointModel:
     sample_time: float | None
     delay: float
     origin: Origin
+    law: PDLaw | None = None
+    beside: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def torque_unit(self) -> str:
@@ -269,6 +274,7 @@ class JointModel:
             parameters=on_other_side(self.parameters, there),
             gravity=turned,
             wave=wave,
+            law=None if self.law is None else self.law.scale(there.ratio),
         )
 
     def _mass(self, prefix: str) -> Mass:
@@ -334,6 +340,7 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
             tuple(str(record.get("torque_sha256") or "") for record in records),
             tuple(str(effect["kind"]) for effect in answer.get("effects", []) if effect["kind"] != "encoder_offset"),
         ),
+        beside={name: value for name, one in found.items() if (value := optional_number(one["value"])) is not None},
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from xml.etree import ElementTree as ET
 
@@ -15,12 +16,16 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import MISFIT, consistent_robot
 from jointid.models.robots.inertial import is_physical, mass_properties
 from jointid.models.robots.robot import Robot, RobotJoint
+from jointid.models.springs import Piece
 from jointid.output.export.joint_model import number
-from jointid.output.export.robots import format_xml, require_timestep
+from jointid.output.export.pd_law import PDLaw
+from jointid.output.export.robots import Control, add_servo, add_spring, format_xml, require_timestep
 
 _DOWN = np.array([0.0, 0.0, -9.81])  # gravity of URDF, which has no word for it
 _FAR, _STRONG = "1000.0", "1000000000.0"  # limits that URDF asks for and nothing here knows
 _MOST_NAMES = 4
+_MUJOCO_STEP = 2e-3  # s, where none is written
+_NOTHING = {"pos": "0 0 0", "mass": "1e-9", "diaginertia": "1e-11 1e-11 1e-11"}  # MuJoCo moves no body without mass
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _UPPER = np.triu_indices(3)
 
@@ -60,9 +65,10 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
     return model, note
 
 
-def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """Return a robot as URDF, and its losses."""
-    lost, robot = _lost(robot), _simplify(robot)
+def robot_urdf(robot: Robot, laws: Sequence[PDLaw | None] = ()) -> tuple[str, tuple[str, ...]]:
+    """Return a robot as URDF, which has no laws, and its losses."""
+    del laws
+    lost, robot = losses_of_drives(robot), replace(robot, joints=simplify_joints(robot))
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
@@ -89,35 +95,64 @@ def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     return format_xml(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
 
 
-def robot_mjcf(robot: Robot, *, timestep: float | None = None) -> tuple[str, tuple[str, ...]]:
-    """Return a robot as MJCF, and its losses; without a time step, in s, it is MuJoCo's own."""
+def robot_mjcf(
+    robot: Robot,
+    laws: Sequence[PDLaw | None] = (),
+    *,
+    timestep: float | None = None,
+    control: Control = "torque",
+) -> tuple[str, tuple[str, ...]]:
+    """Return a robot as MJCF, and its losses; without a time step, in s, it is MuJoCo's own.
+
+    The motor of a joint with a spring is a body beside the link, on the same parent, and the spring a tendon between
+    their joints, as of a joint alone (`robots.mjcf`).
+    """
     require_timestep(timestep)
-    lost, robot = _lost(robot), _simplify(robot)
+    lost = losses_of_drives(robot, springs=True)
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian")
     steps = {} if timestep is None else {"timestep": number(timestep)}
+    steps |= {"integrator": "implicitfast"} if any(robot.flexible) else {}
     ET.SubElement(root, "option", steps | {"gravity": _numbers(robot.gravity)})
     bodies = {-1: ET.SubElement(root, "worldbody")}
+    tendons, drive = ET.Element("tendon"), ET.Element("actuator")
+    taken = {one for link, joint in zip(robot.links, robot.joints, strict=True) for one in (link.name, joint.name)}
     for i, (link, joint) in enumerate(zip(robot.links, robot.joints, strict=True)):
         place = {"pos": _numbers(link.origin), "xyaxes": _numbers(link.rotation[:, :2].T)}
         body = bodies[i] = ET.SubElement(bodies[link.parent], "body", {"name": link.name, **place})
         if link.inertial[0] > 0:
             solid = mass_properties(link.inertial)
             moments = {"fullinertia": _numbers(solid.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}
-            place = {"pos": _numbers(solid.centre), "mass": number(solid.mass)}
-            ET.SubElement(body, "inertial", place | moments)
-        drive = {
-            "armature": number(joint.rotor_inertia),
-            "damping": number(joint.viscous),
-            "frictionloss": number(joint.coulomb),
-        }
-        kind = "hinge" if link.kind == "revolute" else "slide"
-        ET.SubElement(body, "joint", {"name": joint.name, "type": kind, "axis": _numbers(link.axis), **drive})
+            at = {"pos": _numbers(solid.centre), "mass": number(solid.mass)}
+            ET.SubElement(body, "inertial", at | moments)
+        kind = {"type": "hinge" if link.kind == "revolute" else "slide", "axis": _numbers(link.axis)}
+        armature = {"armature": number(joint.rotor_inertia)}
+        motor, *behind = ({"damping": number(fv), "frictionloss": number(fc)} for fv, fc in _lines(joint))
+        moved = ET.SubElement(
+            body, "joint", {"name": joint.name, **kind, **(behind[0] if behind else armature | motor)}
+        )
+        if joint.spring is not None:
+            name, spring = f"{joint.name}_motor", joint.spring
+            while name in taken:
+                name += "_"
+            taken.add(name)
+            rotor = ET.SubElement(bodies[link.parent], "body", {"name": name, **place})
+            ET.SubElement(rotor, "inertial", _NOTHING)
+            moved = ET.SubElement(rotor, "joint", {"name": name, **kind, **armature, **motor})
+            whole = spring.law.linear or spring.law.stepped
+            pieces = [Piece(0.0, 0.0, spring.stiffness, 0.0)] if whole else spring.law.pieces(joint.values)
+            unit = "N m/rad" if link.kind == "revolute" else "N/m"
+            add_spring(tendons, f"{joint.name}_spring", name, joint.name, pieces, spring.damping, unit)
+        if laws or control != "torque":
+            step, law = timestep or _MUJOCO_STEP, laws[i] if laws else None
+            lost += add_servo(drive, moved, f"{joint.name}_", law, control, step)
+    root.extend(element for element in (tendons, drive) if len(element))
+    lost = [*dict.fromkeys(lost)]
     return format_xml(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
 
 
-def _lost(robot: Robot) -> list[str]:
-    """Return the losses common to both languages."""
+def losses_of_drives(robot: Robot, *, springs: bool = False) -> list[str]:
+    """Return the losses of the drives in a language that has springs in series, or not."""
     lost = []
     if any(joint.offset for joint in robot.joints):
         lost.append("the constant parts of the motors' torques")
@@ -131,24 +166,32 @@ def _lost(robot: Robot) -> list[str]:
     lost += [f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in smooth]
     if not np.array_equal(robot.coupling, np.eye(len(robot))):
         lost.append("the coupling of the motors; rotors and friction are those of the motors, at the joints")
-    if any(robot.flexible):
+    sprung = [(joint.name, joint.spring.law) for joint in robot.joints if joint.spring is not None]
+    if springs:
+        lost += [f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in sprung if law.stepped]
+    elif sprung:
         lost.append("the springs of the joints; the friction behind them stands with that of the motors")
     return lost
 
 
-def _simplify(robot: Robot) -> Robot:
-    """Return a robot whose joints are rigid, with the friction of both sides, the same in both directions."""
+def simplify_joints(robot: Robot) -> tuple[RobotJoint, ...]:
+    """Return the joints of a robot as rigid ones, with the friction of both sides, the same in both directions."""
 
     def simple(joint: RobotJoint) -> RobotJoint:
-        sides = [""] if joint.spring is None else ["motor_", "load_"]
-        each = np.array([joint.law.directions(joint.values, side) for side in sides])
-        viscous, coulomb = 0.5 * np.sum(each.reshape(-1, 2, 2), axis=(0, 2))
+        viscous, coulomb = np.sum(_lines(joint), axis=0)
         return RobotJoint(
             joint.name, joint.rotor_inertia, float(viscous), float(coulomb), joint.constant_torque,
             coupling=joint.coupling,
         )  # fmt: skip
 
-    return replace(robot, joints=tuple(map(simple, robot.joints)))
+    return tuple(map(simple, robot.joints))
+
+
+def _lines(joint: RobotJoint) -> FloatArray:
+    """Return viscous and Coulomb friction of each side, (sides, 2), the mean of both directions."""
+    sides = [""] if joint.spring is None else ["motor_", "load_"]
+    each = np.array([joint.law.directions(joint.values, side) for side in sides])
+    return np.asarray(0.5 * np.sum(each.reshape(-1, 2, 2), axis=2))
 
 
 def _comments(lost: list[str]) -> list[str]:

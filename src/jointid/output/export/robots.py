@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 from xml.etree import ElementTree as ET
 
 from jointid.common.errors import MethodError
@@ -33,6 +35,9 @@ from jointid.output.export.joint_model import (
     ripple_left_out,
     spring_left_out,
 )
+from jointid.output.export.pd_law import PDLaw
+
+Control = Literal["torque", "pd"]
 
 _AXES = {"revolute": "0 -1 0", "prismatic": "1 0 0"}
 _GRAVITY = 9.81  # m/s2, along -z; what a link weighs does not depend on it, see `_body_of`
@@ -61,22 +66,8 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
     Raises:
         MethodError: URDF cannot have these numbers.
     """
-    _require_mechanical(model, "URDF")
-    motor, load, weight, lost = model.motor, model.load, model.weight, []
-    mass, constant = motor, model.friction_shift
-    if load is not None:
-        forwards, backwards, coulomb, coulomb_back = (
-            one + other for one, other in zip(motor.directions, load.directions, strict=True)
-        )
-        mass = Mass(motor.inertia + load.inertia, (forwards, backwards, coulomb, coulomb_back))
-        constant += load.shift
-        assert model.spring is not None
-        spring = model.spring.describe({p.name: f"{shown(p.value)} {p.unit}" for p in model.parameters})
-        lost.append(
-            f"the spring of {spring} and its damping; inertia and friction are the sums of both sides, "
-            f"which hold below about a fifth of {shown(model.mode)} Hz"
-        )
-    constant += 0.0 if weight is None else weight.constant
+    require_mechanical(model, "URDF")
+    (mass, constant, lost), weight = rigid_sums(model), model.weight
     if constant:
         lost.append(f"a constant force of {shown(constant)} {model.torque_unit}")
     if weight is not None and weight.rate:
@@ -108,7 +99,9 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
     return format_xml(root, [*remarks(model, lost), how]), tuple(lost)
 
 
-def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tuple[str, ...]]:
+def mjcf(
+    model: JointModel, *, timestep: float | None = None, control: Control = "torque"
+) -> tuple[str, tuple[str, ...]]:
     """Return a joint as MJCF, MuJoCo's XML, and its losses.
 
     Motor and load are two bodies beside each other, with the spring as a tendon between their joints. The `stiffness`
@@ -120,12 +113,15 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
         model: the joint.
         timestep: of the simulation in s; without it a whole part of the record's sample time, at most 0.25 ms and a
             200th of the free-free mode's period.
+        control: "torque": an actuator takes the motor's torque; "pd": actuators take position, velocity and torque of
+            the law ``kp (q_des - q) + kd (dq_des - dq) + tau_ff``, which needs a controller that is such a law.
 
     Raises:
-        MethodError: the time step is not positive, or MuJoCo cannot have these numbers.
+        MethodError: the time step is not positive, there is no such law, or MuJoCo cannot have these numbers.
     """
     require_timestep(timestep)
-    _require_mechanical(model, "MJCF")
+    step = timestep or _step(model)
+    require_mechanical(model, "MJCF")
     lost = [
         *friction_left_out(model), *spring_left_out(model), *ripple_left_out(model), *_lost_weight(model.weight),
         *effects_left_out(model),
@@ -136,8 +132,8 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
 
     root = ET.Element("mujoco", model=identifier(model.name))
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
-    step, gravity = number(timestep or _step(model)), f"0 0 {number(-_GRAVITY)}"
-    ET.SubElement(root, "option", timestep=step, integrator="implicitfast", gravity=gravity)
+    gravity = f"0 0 {number(-_GRAVITY)}"
+    ET.SubElement(root, "option", timestep=number(step), integrator="implicitfast", gravity=gravity)
     world = ET.SubElement(root, "worldbody")
     motor, load, weight = model.motor, model.load, _borne(model.weight)
     if load is None:
@@ -147,15 +143,23 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
         rotor = (1 - _SMALL) * motor.inertia
         world.append(_body("motor", model.kind, motor, _body_of(small, model.kind), rotor))
         world.append(_body("load", model.kind, load, _body_of(load, model.kind, weight)))
-        root.append(_tendons(model))
+        pieces = model.pieces or (Piece(0.0, 0.0, model.stiffness, model.damping),)
+        unit = f"{model.torque_unit}/{model.position_unit}"
+        add_spring(ET.SubElement(root, "tendon"), "spring", "motor", "load", pieces, model.damping, unit)
         if any(p.damping != model.damping and after.deflection > p.deflection for p, after in pairwise(model.pieces)):
             lost.append("a gap in which nothing damps: the damper of a MuJoCo tendon acts there, too")
-    root.append(_actuators(model))
+    drive = ET.SubElement(root, "actuator")
+    moved = next(one for one in world.iter("joint") if one.get("name") == "motor")
+    constant = model.friction_shift + (weight.constant if weight is not None and load is None else 0.0)
+    lost += add_servo(
+        drive, moved, "", model.law, control, step, gear=model.gear, delay=model.delay, constant=constant
+    )  # fmt: skip
+    _add_constants(drive, model)
     sensors = ET.SubElement(root, "sensor")
     for name in model.masses:
         ET.SubElement(sensors, "jointpos", name=f"{name}_position", joint=name)
         ET.SubElement(sensors, "jointvel", name=f"{name}_velocity", joint=name)
-    return format_xml(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
+    return format_xml(root, [*remarks(model, lost), *_how_to_drive(model, control)]), tuple(lost)
 
 
 def require_timestep(timestep: float | None) -> None:
@@ -164,31 +168,92 @@ def require_timestep(timestep: float | None) -> None:
         raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
 
 
-def _tendons(model: JointModel) -> ET.Element:
-    """Return the spring between motor and load as tendons beside each other.
+def add_spring(
+    tendons: ET.Element, name: str, motor: str, load: str, pieces: Sequence[Piece], damping: float, unit: str
+) -> None:
+    """Add the spring between two joints as tendons beside each other.
 
     A tendon does not pull within its `springlength`: one that begins with each piece of a spring, as stiff as the piece
     is more than the one before, makes all of them.
     """
-    element, before = ET.Element("tendon"), 0.0
-    for i, piece in enumerate(model.pieces or (Piece(0.0, 0.0, model.stiffness, model.damping),), 1):
+    before = 0.0
+    for i, piece in enumerate(pieces, 1):
         more, slack = piece.stiffness - before, piece.deflection
         if more < 0:
             raise MethodError(
                 f"MJCF has no spring that becomes softer, and the stiffness falls from {shown(before)} to "
-                f"{shown(piece.stiffness)} {model.torque_unit}/{model.position_unit}; export to Modelica."
+                f"{shown(piece.stiffness)} {unit}; export to Modelica."
             )
         before = piece.stiffness
         length = _numbers(-slack, slack) if slack else "0"
-        damping = number(model.damping if i == 1 else 0.0)
         if not more and i > 1:
             continue
-        name = "spring" if i == 1 else f"spring_{i}"
-        springs = {"name": name, "stiffness": number(more), "damping": damping, "springlength": length}
-        tendon = ET.SubElement(element, "fixed", springs)
-        ET.SubElement(tendon, "joint", joint="load", coef="1")
-        ET.SubElement(tendon, "joint", joint="motor", coef="-1")
-    return element
+        springs = {"name": name if i == 1 else f"{name}_{i}", "stiffness": number(more)}
+        springs |= {"damping": number(damping if i == 1 else 0.0), "springlength": length}
+        tendon = ET.SubElement(tendons, "fixed", springs)
+        ET.SubElement(tendon, "joint", joint=load, coef="1")
+        ET.SubElement(tendon, "joint", joint=motor, coef="-1")
+
+
+def add_servo(
+    drive: ET.Element,
+    moved: ET.Element,
+    prefix: str,
+    law: PDLaw | None,
+    control: str,
+    step: float,
+    *,
+    gear: float = 1.0,
+    delay: float = 0.0,
+    constant: float = 0.0,
+) -> list[str]:
+    """Add the actuators of a joint of MuJoCo, and return a sentence for each loss.
+
+    Args:
+        drive: the element of all actuators.
+        moved: the joint of the motor.
+        prefix: of the actuators' names.
+        law: of the controller; None where none is known.
+        control: "torque" or "pd".
+        step: of the simulation, s, of which a delay is a number.
+        gear: from the motor's own torque to the joint.
+        delay: s, from a torque to its effect.
+        constant: force of other actuators on the joint, which the limit does not count.
+
+    Raises:
+        MethodError: there is no such control, or no law for it.
+    """
+    if control not in ("torque", "pd"):
+        raise MethodError(f'The control of MJCF is "torque" or "pd"; received "{control}".')
+    if control == "pd" and law is None:
+        raise MethodError(
+            'The control "pd" takes a law of position and velocity, and none is declared; add a controller with the '
+            'law "pd", "pid" or "cascade", or use the control "torque".'
+        )
+    joint = {"joint": str(moved.get("name"))}
+    late = 0.0 if law is None else law.command_delay
+    seconds = delay if control == "torque" else late
+    steps, lost = round(seconds / step), list[str]()
+    if abs(steps * step - seconds) > 1e-9:
+        lost.append(f"a part of the delay of {1e3 * seconds:.4g} ms: {steps} steps of {1e3 * step:.4g} ms are written")
+    # A sample that is due exactly now may be missed by rounding.
+    held = {"delay": number((steps - 1e-3) * step), "nsample": str(steps + 1)} if steps else {}
+    limit = math.inf if law is None else law.limit
+    if control == "torque" or law is None:
+        bounds = {} if limit == math.inf else {"forcerange": _numbers(-limit / abs(gear), limit / abs(gear))}
+        ET.SubElement(drive, "motor", {"name": f"{prefix}torque", **joint, "gear": number(gear), **bounds, **held})
+        return lost
+    kp, kd = law.stiffness, law.damping
+    affine = {**joint, "gaintype": "fixed", "biastype": "affine", **held}
+    for name, gain, bias in (("position", kp, (0.0, -kp, 0.0)), ("velocity", kd * law.share, (0.0, 0.0, -kd))):
+        gains = {"gainprm": number(gain), "biasprm": _numbers(*bias)}
+        ET.SubElement(drive, "general", {"name": f"{prefix}{name}", **affine, **gains})
+    ET.SubElement(drive, "motor", {"name": f"{prefix}torque", **joint})
+    if limit < math.inf:
+        moved.set("actuatorfrcrange", _numbers(-limit - constant, limit - constant))
+    if law.delay:
+        lost.append(f"the delay of {1e3 * law.delay:.4g} ms from position to torque: commands alone are late")
+    return [*lost, *law.lost]
 
 
 def _step(model: JointModel) -> float:
@@ -212,10 +277,9 @@ def _body(name: str, kind: str, mass: Mass, body: _Body, armature: float = 0.0) 
     return element
 
 
-def _actuators(model: JointModel) -> ET.Element:
-    """Return the motor, controlled by its torque, and the constant forces."""
-    element, weight, load = ET.Element("actuator"), model.weight, model.load
-    ET.SubElement(element, "motor", name="torque", joint="motor", gear=number(model.gear))
+def _add_constants(element: ET.Element, model: JointModel) -> None:
+    """Add the constant forces."""
+    weight, load = model.weight, model.load
     forces = {"motor": (model.friction_shift, 0.0)} | ({} if load is None else {"load": (load.shift, 0.0)})
     if weight is not None:
         carried = "motor" if load is None else "load"
@@ -225,14 +289,19 @@ def _actuators(model: JointModel) -> ET.Element:
             bias = {"biastype": "affine", "biasprm": _numbers(-constant, -rate) + " 0"}
             affine = {"gaintype": "fixed", "gainprm": "0", **bias}
             ET.SubElement(element, "general", {"name": f"constant_{joint}", "joint": joint, **affine})
-    return element
 
 
-def _how_to_drive(model: JointModel) -> list[str]:
+def _how_to_drive(model: JointModel, control: Control) -> list[str]:
     """Return the remarks on how to drive a model of MuJoCo and to build it in."""
     transmission = model.joint.transmission
     unit = model.torque_unit if transmission is None else TORQUE_UNIT[transmission.motor]
     lines = [f"The control of the actuator torque is the motor's own torque in {unit}; the others want no control."]
+    if control == "pd":
+        of_law = (model.position_unit, f"{model.position_unit}/s", model.torque_unit)
+        lines = [
+            f"Controls: position in {of_law[0]}, velocity in {of_law[1]}, both of the commands, and torque in "
+            f"{of_law[2]} beside the law; all are of this side."
+        ]
     if model.flexible:
         lines.append(
             "In a robot, motor and load are both children of the link before; the load is the link, and the motor is "
@@ -270,7 +339,26 @@ def _body_of(mass: Mass, kind: str, weight: Weight | None = None) -> _Body:
     return _Body(total, (x / total, 0.0, z / total), mass.inertia - moment / total)
 
 
-def _require_mechanical(model: JointModel, language: str) -> None:
+def rigid_sums(model: JointModel) -> tuple[Mass, float, list[str]]:
+    """Return a joint as one mass without a spring, the constant force on it, and a sentence on the spring it lost."""
+    motor, load, weight = model.motor, model.load, model.weight
+    constant = model.friction_shift + (0.0 if weight is None else weight.constant)
+    if load is None:
+        return motor, constant, []
+    forwards, backwards, coulomb, coulomb_back = (
+        one + other for one, other in zip(motor.directions, load.directions, strict=True)
+    )
+    assert model.spring is not None
+    spring = model.spring.describe({p.name: f"{shown(p.value)} {p.unit}" for p in model.parameters})
+    lost = (
+        f"the spring of {spring} and its damping; inertia and friction are the sums of both sides, "
+        f"which hold below about a fifth of {shown(model.mode)} Hz"
+    )
+    mass = Mass(motor.inertia + load.inertia, (forwards, backwards, coulomb, coulomb_back))
+    return mass, constant + load.shift, [lost]
+
+
+def require_mechanical(model: JointModel, language: str) -> None:
     """Raise a `MethodError` if a language of bodies and joints cannot hold these numbers."""
     if model.torque_unit not in TORQUE_UNIT.values():
         raise MethodError(

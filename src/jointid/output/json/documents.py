@@ -249,7 +249,11 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "DriveGains": document_shape("jointid.drive_gains/1", "gains=rows warnings"),
     # Files and reports
-    "Inspection": document_shape("jointid.inspection/1", "file format bytes=size channels scalars not_read=passed"),
+    "Inspection": document_shape(
+        "jointid.inspection/1", "file format bytes=size channels scalars not_read=passed recognised"
+    ),
+    "Recognised": keys("profile=profile.name sentence axes"),
+    "LoggedAxis": keys("name channels gains"),
     "InspectedChannel": keys(
         "name outline.rows unit outline.minimum outline.maximum outline.missing time sample_time jitter"
     ),

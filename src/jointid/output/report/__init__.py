@@ -111,7 +111,7 @@ class Report:
                 )
             found = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
             (validation,) = checks or (None,)
-            return cls(RobotReportData(estimate, found, validation), name, again)
+            return cls(RobotReportData(estimate, found, validation, controllers), name, again)
         estimate.require_joint()
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -33,8 +33,10 @@ from jointid.estimation.result.summary import (
     parameters_table,
     settings_facts,
 )
+from jointid.models.controllers import Controller
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
 from jointid.output.json.documents import ROBOT_REPORT_SCHEMA
+from jointid.output.report.data_sheet import data_sheets
 from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import next_test, next_test_in_full, summary_blocks, verdicts_in_full
 from jointid.planning.designed import Design
@@ -70,6 +72,8 @@ def report_blocks(
         *summary_blocks(given, tuned, design, picture),
         Heading("Appendix"),
         Paragraph("What stands behind the summary: every check, picture and setting, and how to repeat it."),
+        Heading("Data sheet"),
+        *data_sheets(estimate),
         *found,
         *_section("Residual", picture("residual"), bands_table(given.estimate, "The residual by frequency")),
         *_section("Spectra", picture("spectra"), _modes_table(given)),
@@ -245,12 +249,14 @@ class RobotReportData:
         estimate: by any method.
         diagnosis: of its record, joint by joint.
         validation: on another record; None without one.
+        controllers: of each joint, as far as they are known.
         absent: reasons for missing parts, by name.
     """
 
     estimate: Estimate
     diagnosis: Diagnosis
     validation: Validation | None = None
+    controllers: Sequence[Controller | None] = ()
     absent: dict[str, str] = field(default_factory=dict)
 
 
@@ -280,6 +286,9 @@ def robot_blocks(
     yield from found.to_document().blocks[2:]  # the result has the record and the answer
     yield Heading("Parameters")
     yield from _parameters(given.estimate, found)
+    yield Heading("Data sheets")
+    yield Paragraph("What a simulator asks of each actuator; export writes it. All numbers are behind the gears.")
+    yield from data_sheets(given.estimate, given.controllers)
     yield Heading("Torque")
     yield from picture("torque")
     if given.validation is not None:

@@ -10,14 +10,15 @@ A drive logs positions in counts, and torque as a share of a rated one (CiA 402:
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, TypeAlias
 
 from jointid.common import units
 from jointid.common.errors import RecordError
@@ -25,15 +26,24 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.transmission import Side, usual_side
 from jointid.records.columns import Column, known_units
-from jointid.records.record import CHANNELS, Tap, Timing
+from jointid.records.record import CHANNELS, InjectionPoint, Tap, Timing
+
+Spoken: TypeAlias = Mapping[tuple[str, ...], Sequence[str]]
+"""Columns of a trace by the words that name them."""
+
+Place: TypeAlias = Mapping[str, int | str]
+"""Where in a trace an axis stands: what the placeholders of names mean."""
 
 _FOLDER = files("jointid.records.drives")  # of the profiles
 _AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
+_FIELD_OF = {"torque": "torque", "injected": "torque", "reference_velocity": "velocity"}
+_RANGES = ("position_range", "velocity_range", "torque_range")
 _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 _HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _WORD = re.compile(r"[a-z0-9]+")
 _LISTED = 10  # columns that a message shows
-_BRACKETS = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
+_PREFIX = re.compile(r"\.|/(?=.*/)")  # what ends one
+_BRACKETS = re.compile(r"\s*[\[(](?!\d+[\])])[^\[\]()]*[\])]\s*$")  # of a unit; "q[0]" is an element
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +51,12 @@ class TraceSignal:
     """A drive signal that can serve as a channel.
 
     Attributes:
-        names: of its column; {axis} stands for the number of the axis, {index} for one less.
+        names: of its column; {axis} stands for the number of the axis, {index} for one less, {joint} for its name.
         unit: of its values; None where the column's name says it, or SI.
         side: of a transmission on which it is measured; None where it is the usual one.
-        timing, tap: see `Column`.
+        timing, tap, at, bits: see `Column`.
         axes: that have it; None where all have.
+        fallback: whether it counts only where the trace has no other signal of its channel.
     """
 
     names: tuple[str, ...]
@@ -53,24 +64,30 @@ class TraceSignal:
     side: Side | None = None
     timing: Timing | None = None
     tap: Tap | None = None
+    at: InjectionPoint | None = None
+    bits: int | None = None
     axes: tuple[int, ...] | None = None
+    fallback: bool = False
 
-    def names_on(self, axis: int | None) -> Iterator[str]:
-        """Yield possible names on an axis."""
-        if self.axes is not None and axis not in self.axes:
+    def names_on(self, place: Place) -> Iterator[str]:
+        """Yield possible names at a place."""
+        if self.axes is not None and place.get("axis") not in self.axes:
             return
-        for name in self.names:
-            if axis is not None:
-                yield name.format(axis=axis, index=axis - 1)
-            elif "{" not in name:
-                yield name
+        yield from _fill_names(self.names, place)
 
     def fill(self, column: Column, known: tuple[str, ...]) -> Column:
         """Complete a column's missing settings."""
         unit = column.unit
         if unit is None and column.gain == 1.0 and column.stated_unit(known) is None:  # a gain leads to another unit
             unit = self.unit
-        return replace(column, unit=unit, timing=column.timing or self.timing, tap=column.tap or self.tap)
+        return replace(
+            column,
+            unit=unit,
+            timing=column.timing or self.timing,
+            tap=column.tap or self.tap,
+            at=self.at if self.at is not None and column.at is InjectionPoint.AFTER_LIMIT else column.at,
+            bits=column.bits or self.bits,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +98,15 @@ class DriveGain:
         name: of the parameter, as the drive calls it.
         key: what it is in the joint file's [controller].
         units: in which it is shown; several where a setting of the drive decides.
+        columns: names of columns of a trace that hold it, sample by sample.
+        largest: that the drive takes; None where that is not known. Fields of whole numbers are scaled by it.
     """
 
     name: str
     key: str
     units: tuple[str, ...]
+    columns: tuple[str, ...] = ()
+    largest: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +121,8 @@ class Profile:
         time: names of the time column beside "t" and "time".
         gains: parameters of its controller, where public documents have them with their units.
         channels: the signals that each channel can be.
+        motors: by model, the ranges of position, velocity and torque that the fields of `TraceSignal.bits` have.
+        law: of its controller, where one is known, by the word of the joint file.
     """
 
     name: str
@@ -111,37 +134,58 @@ class Profile:
     channels: Mapping[str, tuple[TraceSignal, ...]]
     time: tuple[str, ...] = ()
     gains: tuple[DriveGain, ...] = ()
+    motors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    law: str = ""
 
-    def signals(self, channel: str, column: str, axis: int | None) -> list[TraceSignal]:
+    def signals(self, channel: str, column: str, place: Place) -> list[TraceSignal]:
         """Signals of a channel that a column name matches."""
         spoken = _name_words(column)
         return [
-            s for s in self.channels.get(channel, ()) if any(_split_words(name) in spoken for name in s.names_on(axis))
+            s for s in self.channels.get(channel, ()) if any(_split_words(name) in spoken for name in s.names_on(place))
         ]
 
-    def side(self, channel: str, column: str, axis: int | None) -> Side | None:
+    def candidates(self, channel: str, columns: Spoken, place: Place) -> list[str]:
+        """Columns that can be a channel; fallbacks only where nothing else is."""
+        found: dict[str, TraceSignal] = {}
+        for signal in self.channels.get(channel, ()):
+            for name in signal.names_on(place):
+                for column in columns.get(_split_words(name), ()):
+                    found.setdefault(column, signal)
+        return [name for name, signal in found.items() if not signal.fallback] or list(found)
+
+    def gain_columns(self, columns: Spoken, place: Place) -> dict[str, DriveGain]:
+        """Columns that hold a gain of the controller, where exactly one does."""
+        made = {}
+        for gain in self.gains:
+            names = _fill_names(gain.columns, place)
+            found = {column for name in names for column in columns.get(_split_words(name), ())}
+            if len(found) == 1:
+                made[found.pop()] = gain
+        return made
+
+    def side(self, channel: str, column: str, place: Place) -> Side | None:
         """Transmission side of a channel, by column or by default."""
-        signals = self.signals(channel, column, axis) if column else list(self.channels.get(channel, ()))
+        signals = self.signals(channel, column, place) if column else list(self.channels.get(channel, ()))
         return signals[0].side if signals else None
 
     def column(
-        self, channel: str, declared: Column | None, axis: int | None, kind: str, tap: Tap | None = None
+        self, channel: str, declared: Column | None, place: Place, kind: str, tap: Tap | None = None
     ) -> Column | None:
         """Find a channel's column: the declared one, or the first known name.
 
         Args:
             channel: of the record.
             declared: settings, possibly without a name.
-            axis: of the trace.
+            place: in the trace.
             kind: of motion on the measured side.
             tap: of a torque, if it distinguishes signals.
         """
         signals = self.channels.get(channel, ())
         if declared is not None and declared.column:
-            signals = tuple(self.signals(channel, declared.column, axis))
+            signals = tuple(self.signals(channel, declared.column, place))
         elif tap is not None:
             signals = tuple(s for s in signals if (s.tap or Tap.COMMAND) is tap) or signals
-        named = [(signal, name) for signal in signals for name in signal.names_on(axis)]
+        named = [(signal, name) for signal in signals for name in signal.names_on(place)]
         if not named:
             return declared if declared is not None and declared.column else None
         signal, name = named[0]
@@ -158,16 +202,17 @@ class Profile:
         self,
         declared: Mapping[str, Column],
         columns: Iterable[str],
-        axis: int | None,
+        place: Place,
         kinds: Mapping[str, str],
         source: str,
     ) -> tuple[dict[str, Column], list[str]]:
         """Assign columns to channels, with a fault for each missing or ambiguous one."""
         columns, made, faults = tuple(columns), {}, list[str]()
+        spoken = index_columns(columns)
         for channel in CHANNELS:
             column, known = declared.get(channel), known_units(channel, kinds[channel])
             if column is None or not column.column:
-                names = [name for name in columns if self.signals(channel, name, axis)]
+                names = sorted(self.candidates(channel, spoken, place), key=columns.index)
                 if len(names) > 1:
                     quoted = " and ".join(f'"{name}"' for name in names)
                     faults.append(
@@ -175,34 +220,54 @@ class Profile:
                         f"is meant as the {channel}'s column."
                     )
                 elif column is not None and not column.optional and not names:
-                    faults.append(self._missing_fault(source, channel, axis))
+                    faults.append(self._missing_fault(source, channel, place))
                 if len(names) != 1:
                     continue
                 column = replace(column or Column(optional=True), column=names[0])
-            signals = self.signals(channel, column.column, axis)
+            signals = self.signals(channel, column.column, place)
             made[channel] = signals[0].fill(column, known) if signals else column
-        return made, faults if made or faults else [self._no_column_fault(source, columns, axis)]
+        return made, faults if made or faults else [self._no_column_fault(source, columns, place)]
 
-    def _no_column_fault(self, source: str, columns: tuple[str, ...], axis: int | None) -> str:
+    def _no_column_fault(self, source: str, columns: tuple[str, ...], place: Place) -> str:
         listed = ", ".join(f'"{name}"' for name in columns[:_LISTED]) + (", ..." if len(columns) > _LISTED else "")
-        numbered = any("{" in name for signals in self.channels.values() for s in signals for name in s.names)
         without, remedy = "", "another profile"
-        if axis is None and numbered:
-            without, remedy = " without the number of the axis", "the axis of the drive"
+        if lacking := _find_lacking(self.channels.values(), place):
+            without, remedy = f" without {lacking[0]}", f"the {lacking[1]} of the drive"
         return (
             f'{source} has no column that profile "{self.name}" knows{without} (it has {listed}); give {remedy}, or '
             "name the columns."
         )
 
-    def _missing_fault(self, source: str, channel: str, axis: int | None) -> str:
+    def _missing_fault(self, source: str, channel: str, place: Place) -> str:
         signals = self.channels.get(channel, ())
-        if axis is None and any("{" in name for signal in signals for name in signal.names):
+        if lacking := _find_lacking([signals], place):
             return (
-                f'{source} has no {channel} that profile "{self.name}" knows without the number of the axis; give the '
-                f"drive's axis, or the {channel}'s column."
+                f'{source} has no {channel} that profile "{self.name}" knows without {lacking[0]}; give the '
+                f"drive's {lacking[1]}, or the {channel}'s column."
             )
-        names = ", ".join(f'"{next(signal.names_on(axis), signal.names[0])}"' for signal in signals) or "none"
+        names = ", ".join(f'"{next(signal.names_on(place), signal.names[0])}"' for signal in signals) or "none"
         return f'{source} has no column that profile "{self.name}" knows as {channel} ({names}); give its column.'
+
+
+def place_of(axis: int | None = None, joint: str | None = None) -> Place:
+    """Return a place in a trace, for the placeholders of names."""
+    numbers: dict[str, int | str] = {} if axis is None else {"axis": axis, "index": axis - 1}
+    return numbers if joint is None else {**numbers, "joint": joint}
+
+
+def _fill_names(names: Iterable[str], place: Place) -> Iterator[str]:
+    """Yield names whose placeholders a place has."""
+    for name in names:
+        with contextlib.suppress(KeyError):
+            yield name.format(**place)
+
+
+def _find_lacking(every: Iterable[Iterable[TraceSignal]], place: Place) -> tuple[str, str] | None:
+    """What a place lacks that names of signals have, in words and as the drive's setting."""
+    names = " ".join(name for signals in every for signal in signals for name in signal.names)
+    if "axis" not in place and ("{axis}" in names or "{index}" in names):
+        return "the number of the axis", "axis"
+    return ("the name of the joint", "joint") if "joint" not in place and "{joint}" in names else None
 
 
 @cache
@@ -221,24 +286,43 @@ def load_profile(name: str) -> Profile:
     if name not in profile_names():
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
     raw = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
-    types: dict[str, Callable[[Any], Any]] = {"names": tuple, "timing": Timing, "tap": Tap, "axes": tuple}
+    types: dict[str, Callable[[Any], Any]] = {
+        "names": tuple, "timing": Timing, "tap": Tap, "at": InjectionPoint, "axes": tuple, "bits": int, "fallback": bool
+    }  # fmt: skip
     channels = {
         channel: tuple(TraceSignal(**{key: types.get(key, str)(one[key]) for key in one}) for one in signals)
         for channel, signals in raw.pop("channels").items()
     }
     lists: dict[str, Any] = {key: tuple(raw.pop(key)) for key in ("sources", "assumed", "time") if key in raw}
-    gains = tuple(DriveGain(one["name"], one["key"], tuple(one["units"])) for one in raw.pop("gains", ()))
+    lists["motors"] = {model: tuple(ranges) for model, ranges in raw.pop("motors", {}).items()}
+    gains = tuple(
+        DriveGain(one["name"], one["key"], tuple(one["units"]), tuple(one.get("columns", ())), one.get("largest"))
+        for one in raw.pop("gains", ())
+    )
     return Profile(name=name, channels=channels, gains=gains, **lists, **raw)
 
 
+def index_columns(columns: Iterable[str]) -> Spoken:
+    """Return the columns by the words that name them."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for column in columns:
+        for words in _name_words(column):
+            found.setdefault(words, []).append(column)
+    return found
+
+
+@cache
 def _split_words(name: str) -> tuple[str, ...]:
     return tuple(_WORD.findall(_HUMP.sub(" ", name).casefold()))
 
 
 def _name_words(column: str) -> set[tuple[str, ...]]:
-    """Words of a column name, with and without prefix and bracketed unit."""
+    """Words of a column name, with and without prefix and bracketed unit.
+
+    A path keeps its last two parts: what stands below a joint is not its name.
+    """
     whole = {column, _BRACKETS.sub("", column)}
-    return {_split_words(name[at:]) for name in whole for at in (0, *(m.end() for m in re.finditer(r"\.", name)))}
+    return {_split_words(name[at:]) for name in whole for at in (0, *(m.end() for m in _PREFIX.finditer(name)))}
 
 
 @add_settings_to_docstring
@@ -260,6 +344,16 @@ class Drive:
     axis: int | None = setting(
         None, "which axis, where a trace has several and the profile's names number them", at_least=1
     )
+    joint: str | None = setting(None, "name of the axis, where a trace has several and the profile's names name them")
+    motor: str | None = setting(
+        None, "model of the motor, where the profile has the ranges of the fields of several; see position_range"
+    )
+    position_range: float | None = setting(
+        None, "position that the largest number of a field of 12 or 16 bits stands for, 0 for its negative",
+        unit="rad", above=0,
+    )  # fmt: skip
+    velocity_range: float | None = setting(None, "the same of a velocity", unit="rad/s", above=0)
+    torque_range: float | None = setting(None, "the same of a torque", unit="N m", above=0)
     rated_torque: float | None = setting(
         None, "what per mille and per cent of a torque are a share of", unit="N or N m", above=0
     )
@@ -292,6 +386,33 @@ class Drive:
                     "one, or leave rated_current out."
                 )
 
+        motors = {} if self.traces is None else self.traces.motors
+        if self.motor is not None and self.motor not in motors:
+            raise RecordError(
+                f"The drive's motor is {self.motor!r}; expected {', '.join(motors) or 'none'}: give "
+                "position_range, velocity_range and torque_range instead."
+            )
+
+    @property
+    def place(self) -> Place:
+        """Where in a trace the axis stands."""
+        return place_of(self.axis, self.joint)
+
+    def field_range(self, channel: str) -> float:
+        """Return what the largest number of a channel's field of bits stands for, in SI.
+
+        Raises:
+            UnitError: it is not known; the message is the end of a sentence.
+        """
+        name = f"{_FIELD_OF.get(channel, 'position')}_range"
+        motors = {} if self.traces is None else self.traces.motors
+        listed = motors.get(self.motor or "", (None, None, None))[_RANGES.index(name)]
+        found: float | None = getattr(self, name) or listed
+        if found is None:
+            known = f", or its motor ({', '.join(motors)})" if motors else ""
+            raise units.UnitError(f"which needs the drive's {name}{known}: give it below [drive]")
+        return found
+
     @property
     def traces(self) -> Profile | None:
         """The profile, if any."""
@@ -302,7 +423,7 @@ class Drive:
         if column is not None and column.side is not None:
             return column.side
         traces = self.traces
-        found = None if traces is None else traces.side(channel, column.column if column else "", self.axis)
+        found = None if traces is None else traces.side(channel, column.column if column else "", self.place)
         return found or usual_side(channel)
 
     @property

@@ -12,6 +12,7 @@ from pathlib import Path
 from jointid.common.errors import RecordError
 from jointid.common.files import beside
 from jointid.records.formats.csv import Csv
+from jointid.records.formats.folder import Folder
 from jointid.records.formats.hdf5 import Hdf5
 from jointid.records.formats.json import Json
 from jointid.records.formats.matlab import Matlab
@@ -25,20 +26,21 @@ from jointid.records.formats.tdms import Tdms
 from jointid.records.formats.text import is_gzip
 
 __all__ = [
-    "FORMATS", "Block", "Csv", "Format", "Hdf5", "Holds", "Json", "Matlab", "Npy", "Npz", "Parquet", "RosBag",
+    "FORMATS", "Block", "Csv", "Folder", "Format", "Hdf5", "Holds", "Json", "Matlab", "Npy", "Npz", "Parquet", "RosBag",
     "Streamed", "Table", "Tdms", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
 ]  # fmt: skip
 
-FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Npz(), Json(), Hdf5(), Parquet(), Tdms(), RosBag())
+FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Npz(), Json(), Hdf5(), Parquet(), Tdms(), Folder(), RosBag())
 """Every format there is."""
 
+_PICKLES = {".pt": "torch", ".pth": "torch", ".pkl": "pickle", ".pickle": "pickle"}
 _TEXTS = (Csv, Json)  # that are read packed, too
 _LONG = 2**26  # bytes of a text that is read in chunks
 _SHORT = 2**21  # bytes of a text that takes less time than a process would to start
 
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
-    """Return the format for a suffix, with reader options; a folder is a ROS 2 bag.
+    """Return the format for a suffix, with reader options; a folder is a ROS 2 bag, or holds several files.
 
     Raises:
         RecordError: unknown suffix or option.
@@ -47,13 +49,17 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     path = Path(path)
     packed = is_gzip(path) and not is_folder
     suffix = path.suffixes[-2] if packed and len(path.suffixes) > 1 else path.suffix
+    if suffix.lower() in _PICKLES and not is_folder:
+        raise RecordError(_refuse_pickle(path))
     for entry in FORMATS:
+        if isinstance(entry, Folder) and is_folder and entry.fits(path):
+            break
         if suffix.lower() in entry.suffixes and not is_folder and (not packed or isinstance(entry, _TEXTS)):
             break
         if isinstance(entry, RosBag) and (is_folder or not path.suffix):
             break
     else:
-        known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS)
+        known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
         fact = f'has the suffix "{path.suffix}", which names no known format ({known})'
         if packed and suffix != path.suffix:
             fact = f'is packed by gzip, which is unpacked for texts alone; unpack it to "{path.stem}"'
@@ -63,6 +69,17 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     if unknown:
         raise RecordError(f"Reading {entry.name} has no option {', '.join(sorted(unknown))}; it has: {known}.")
     return replace(entry, **options)
+
+
+def _refuse_pickle(path: Path) -> list[str]:
+    """Return the sentence on a pickle, and the lines that convert it where it was written."""
+    package = _PICKLES[path.suffix.lower()]
+    load = f'("{path.name}", weights_only=True)' if package == "torch" else f'(open("{path.name}", "rb"))'
+    return [
+        f"{path.name} is a pickle, which runs code when it is loaded, and is not read; convert it where it comes from:",
+        f"import numpy, {package}",
+        f'numpy.savez("{path.stem}.npz", **{package}.load{load})',
+    ]
 
 
 def read_table(path: str | os.PathLike[str], **options: object) -> Table:

@@ -46,6 +46,7 @@ from jointid.records.formats.text import (
     is_number,
     is_remark,
     kinds_of,
+    open_lists,
     point_rows,
     read_lines,
     sniff,
@@ -247,7 +248,7 @@ class Csv:
 
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield blocks of `rows` rows; the first lines determine the dialect."""
-        lines = stream_lines(path)
+        lines = open_lists(stream_lines(path))
         text = build_text(path.name, list(islice(lines, _BEGINNING)))
         if find_scope(text) is not None:
             raise NotStreamedError(

@@ -150,7 +150,7 @@ class _Columns:
                 cells = [None if value is None else value.get(name) for value in values]
                 self._take_list(f"{path}.{name}" if path else name, cells, depth + 1)
         elif all(isinstance(value, list) for value in filled):
-            self._take_lists(path, values, filled)
+            self._take_lists(path, values, filled, depth)
         elif all(isinstance(value, str) and is_stamp(value) for value in filled):
             self._take_stamps(path or "value", [value or "" for value in values])
         else:
@@ -160,8 +160,13 @@ class _Columns:
             else:
                 self._add(path or "1", np.array(numbers, dtype=np.float64))
 
-    def _take_lists(self, path: str, values: list[Any], filled: list[Any]) -> None:
+    def _take_lists(self, path: str, values: list[Any], filled: list[Any], depth: int) -> None:
         sizes = {len(value) for value in filled}
+        if len(sizes) == 1 and all(isinstance(cell, dict) for value in filled for cell in value):
+            for place in range(min(sizes)):  # of records in each record, as of the motors of a robot
+                cells = [None if value is None else value[place] for value in values]
+                self._take_list(f"{path}[{place}]", cells, depth + 1)
+            return
         try:
             missing = [math.nan] * min(sizes)
             array = np.array([missing if v is None else v for v in values], dtype=object) if len(sizes) == 1 else None

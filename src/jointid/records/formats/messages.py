@@ -26,6 +26,7 @@ _NAMING = ("name", "names", "joint_names", "interface_names")
 _OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
 _BUDGET = 20_000  # values and parts of one message
 _DEEPEST = 16
+_MOTORS = 64  # messages of an array without names; more are no motors of a robot
 _WIDEST = 256  # columns of an array without names; a longer one is a picture, or a scan
 
 Value: TypeAlias = Any
@@ -136,7 +137,8 @@ def flatten_numbers(
     """Yield the numbers of a message by path.
 
     Arrays as long as the list of joint names beside or above them use these, "path/joint/field"; others use indices,
-    "path/field[0]". Bytes, long arrays and text are skipped. `names` are joint names of the parent message.
+    "path/field[0]", as do arrays of messages, "path/field[0]/inner". Bytes, long arrays and text are skipped.
+    `names` are joint names of the parent message.
     """
     lists = [value for key in _NAMING if isinstance(value := message.get(key), list) and value]
     own = [value for value in lists if all(isinstance(text, str) for text in value)]
@@ -160,6 +162,9 @@ def flatten_numbers(
         elif names and isinstance(value, list) and len(value) == len(names) and isinstance(value[0], dict):
             for name, part in zip(names, value, strict=True):
                 yield from flatten_numbers(part, f"{path}/{name}")
+        elif isinstance(value, list) and 0 < len(value) <= _MOTORS and isinstance(value[0], dict):
+            for index, part in enumerate(value):
+                yield from flatten_numbers(part, f"{path}{inner}[{index}]")
 
 
 _SQLITE = b"SQLite format 3\0"

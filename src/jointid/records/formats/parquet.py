@@ -144,11 +144,15 @@ class _Decoder:
         begins: the first instant of each column of instants, as its whole number.
         origin: the first instant of the column of instants that comes first, in ns; None before there is one.
         passed: what is not read, and why.
+        sizes: length of the lists of each column of lists, as its first batch has them.
+        read: those of them that are read.
     """
 
     begins: dict[str, int] = field(default_factory=dict)
     origin: int | None = None
     passed: dict[str, str] = field(default_factory=dict)
+    sizes: dict[str, int] = field(default_factory=dict)
+    read: set[str] = field(default_factory=set)
 
     def columns(self, name: str, array: Arrow) -> Iterator[tuple[str, FloatArray]]:
         """Yield the columns of an Arrow array."""
@@ -160,18 +164,24 @@ class _Decoder:
             flat = array.flatten()
             for index in range(kind.num_fields):
                 yield from self.columns(f"{name}.{kind.field(index).name}", flat[index])
-        elif types.is_fixed_size_list(kind) and types.is_floating(kind.value_type) | types.is_integer(kind.value_type):
-            if array.null_count or kind.list_size > _WIDEST:
-                self.passed[name] = "its lists are missing in some rows, or too long"
-                return
-            matrix = _to_floats(array.flatten()).reshape(-1, kind.list_size)
+        elif _is_list(kind) and types.is_floating(kind.value_type) | types.is_integer(kind.value_type):
+            sizes = {array.type.list_size} if types.is_fixed_size_list(kind) else set(array.value_lengths().to_pylist())
+            size = self.sizes.setdefault(name, next(iter(sizes), 0))
+            if array.null_count or sizes != {size} or size > _WIDEST:
+                if types.is_fixed_size_list(kind) or name not in self.read:
+                    fixed = "its lists are missing in some rows, or too long"
+                    self.passed[name] = fixed if types.is_fixed_size_list(kind) else _ANY_LENGTH
+                    return
+                raise RecordError(f"{name} has lists of {size} numbers, and later others; log lists of one length.")
+            self.read.add(name)
+            matrix = _to_floats(array.flatten()).reshape(-1, size)
             yield from ((f"{name}[{index}]", column) for index, column in enumerate(matrix.T))
         elif types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
             yield name, self._instants(name, array)
         elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
             yield name, _to_floats(array)
         else:
-            self.passed[name] = _ANY_LENGTH if types.is_list(kind) or types.is_large_list(kind) else _skip_reason(kind)
+            self.passed[name] = _skip_reason(kind)
 
     def _instants(self, name: str, array: Arrow) -> FloatArray:
         """Convert instants to seconds since the first, or durations to seconds."""
@@ -199,18 +209,17 @@ def _to_floats(array: Arrow) -> FloatArray:
 
 
 def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
-    types = extra("pyarrow.types", "logs", "Reading Parquet")
     schema = file.schema_arrow
-    lists = [entry.name for entry in schema if types.is_list(entry.type) or types.is_large_list(entry.type)]
+    ragged = _find_ragged(file)
     passed = {entry.name: _skip_reason(entry.type) for entry in schema if not _may_be_numbers(entry.type)}
-    decoding = _Decoder(passed=passed | dict.fromkeys(lists, _ANY_LENGTH))
+    decoding = _Decoder(passed=passed | dict.fromkeys(ragged, _ANY_LENGTH))
     require_unique_names(path, list(schema.names))
     stated = {entry.name: (entry.metadata or {}) for entry in schema}
     texts = {name: (each.get(_UNITS[0]) or each.get(_UNITS[1]) or b"") for name, each in stated.items()}
     units = {name: unit for name, text in texts.items() if (unit := text.decode("utf-8", "replace").strip())}
     kept = json.loads((schema.metadata or {}).get(_SCALARS, "{}"))
     scalars = {str(name): float(text) for name, text in kept.items()}
-    wanted = [entry.name for entry in schema if _may_be_numbers(entry.type)]
+    wanted = [entry.name for entry in schema if _may_be_numbers(entry.type) and entry.name not in ragged]
     units |= {entry.name: "s" for entry in schema if str(entry.type).startswith(("timestamp", "duration", "time"))}
     for batch in file.iter_batches(batch_size=_BATCH, columns=wanted, use_threads=False):
         pairs = [pair for name in batch.schema.names for pair in decoding.columns(name, batch.column(name))]
@@ -219,6 +228,22 @@ def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
             raise RecordError(f"{path.name} holds no column of numbers; log the signals as numbers.")
         if batch.num_rows:
             yield Table(dict(pairs), scalars, path.name, units, decoding.passed)
+
+
+def _is_list(kind: Arrow) -> bool:
+    types = extra("pyarrow.types", "logs", "Reading Parquet")
+    return bool(types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind))
+
+
+def _find_ragged(file: Arrow) -> set[str]:
+    """Names of columns of lists that are too long or not of one length, by the file's own count, undecoded."""
+    about, sizes = file.metadata, dict[str, set[float]]()
+    for group in (about.row_group(index) for index in range(about.num_row_groups)):
+        for column in (group.column(index) for index in range(about.num_columns)):
+            name, inner, _ = str(column.path_in_schema).partition(".list.")
+            if inner and group.num_rows:
+                sizes.setdefault(name, set()).add(column.num_values / group.num_rows)
+    return {name for name, found in sizes.items() if len(found) > 1 or max(found) > _WIDEST or max(found) % 1}
 
 
 def _skip_reason(kind: Arrow) -> str:
@@ -230,6 +255,6 @@ def _may_be_numbers(kind: Arrow) -> bool:
     types = extra("pyarrow.types", "logs", "Reading Parquet")
     if types.is_struct(kind):
         return any(_may_be_numbers(kind.field(index).type) for index in range(kind.num_fields))
-    if types.is_dictionary(kind) or types.is_fixed_size_list(kind):
+    if types.is_dictionary(kind) or _is_list(kind):
         return _may_be_numbers(kind.value_type)
     return bool(types.is_primitive(kind) or types.is_decimal(kind))

@@ -152,7 +152,7 @@ class _Series:
                 raise SkippedTopicError(f"a message of it has two numbers called {path!r}")
             column.append(value)
         if len(self.columns) > _WIDEST:
-            raise RecordError(f"The topic {self.topic.name!r} has more than {_WIDEST} numbers; record without it.")
+            raise SkippedTopicError(f"it has more than {_WIDEST} numbers")
         return len(self.columns) + 1
 
     def table(self) -> tuple[Stamps, dict[str, FloatArray]]:

@@ -35,6 +35,9 @@ PIECES = 2**40
 TIME_NAME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 """Name by which a column is taken for the time without being named as such."""
 
+STAMP_NAME = re.compile(r"(?:t|time|timestamps?|stamps?|zeit)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+"""Name by which a column of a log is recognised as its time, in a file of several or where a file is looked over."""
+
 _NUMBER = 8  # bytes of a number in memory
 _FEW = 3  # things passed over that a sentence names
 _STEPS = ("KiB", "MiB", "GiB", "TiB", "PiB")

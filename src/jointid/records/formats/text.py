@@ -9,7 +9,7 @@ import io
 import re
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -35,6 +35,8 @@ COMMA_BLANK = ", "
 _DELIMITERS = (";", "\t", "|", ",", BLANKS)  # of dialects that read a file alike, the first is taken
 _SAMPLE = 200  # lines that decide, from the end of the file, where the data is
 _COMMA_AND_BLANK = re.compile(r",[ \t]+")
+_LIST = re.compile(r'(?:^|(?<=[,;\t|]))("?)\[([-+\d.eEnaifNAIF,;\s]+)\]\1(?=$|[,;\t|])')  # a cell
+_COMMA_OR_BLANKS = re.compile(r"[\s,;]+")
 _SPLIT_NUMBER = re.compile(r"[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)  # a cell cut at the wrong mark
 _EXPONENT_OR_WORD = r"(?:e[+-]?\d+)?|nan|inf|infinity)"
 _NUMBERS = {
@@ -107,7 +109,7 @@ def read_lines(path: Path) -> TextFile:
     # str.splitlines would also split at form feeds and other marks that occur inside names.
     every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     filled = ((number, line) for number, line in enumerate(every, start=1) if line and not line.isspace())
-    return build_text(path.name, [_line(path, number, line) for number, line in filled])
+    return build_text(path.name, list(open_lists(_line(path, number, line) for number, line in filled)))
 
 
 def decode(path: Path, raw: bytes) -> str:
@@ -120,6 +122,36 @@ def decode(path: Path, raw: bytes) -> str:
     if "\0" in text:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
     return text
+
+
+def open_lists(lines: Iterable[Line]) -> Iterator[Line]:
+    """Yield lines with lists of numbers in cells opened: "[1, 2]" below "q" becomes two cells below q[0] and q[1].
+
+    Loggers write so where a row holds the values of all joints. The line above the first such row names the columns.
+    """
+    above, opened = None, False
+    for line in lines:
+        found = list(_LIST.finditer(line.text)) if "[" in line.text else []
+        if found:
+            first = found[0]
+            mark = line.text[first.start() - 1] if first.start() else line.text[first.end() : first.end() + 1] or ","
+            lists = [_COMMA_OR_BLANKS.split(match[2].strip()) for match in found]
+            if above is not None and not opened:
+                bare = _LIST.sub("", line.text)
+                places = [_LIST.sub("", line.text[: match.start()]).count(mark) for match in found]
+                names = above.text.split(mark)
+                if len(names) == bare.count(mark) + 1:
+                    for place, cells in zip(places, lists, strict=True):
+                        names[place] = mark.join(f"{names[place].strip()}[{k}]" for k in range(len(cells)))
+                    above = Line(above.number, mark.join(names))
+            opened = True
+            each = iter(lists)
+            line = Line(line.number, _LIST.sub(lambda _, mark=mark: mark.join(next(each)), line.text))  # type: ignore[misc]  # noqa: B023, PLW2901
+        if above is not None:
+            yield above
+        above = line
+    if above is not None:
+        yield above
 
 
 @contextmanager

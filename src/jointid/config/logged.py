@@ -1,0 +1,86 @@
+"""A joint file or a robot file that reads a log whose columns a drive's profile knows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import tomli_w
+
+from jointid.common.errors import RecordError
+from jointid.common.text import show
+from jointid.records.inspection import InspectedChannel, Inspection
+from jointid.records.recognition import LoggedAxis, Recognised
+
+_MODEL = "robot.urdf"
+
+
+def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
+    """Return the text of a file that reads a log: of a joint, or of a robot where the log has several axes.
+
+    Gains that the log holds and that are constant become the controller's; what no log states is a remark.
+
+    Args:
+        found: what `inspect` gave.
+        file: path of the log, from the folder of the file.
+        axis: number or name of the axis to read alone.
+
+    Raises:
+        RecordError: no profile of a drive knows the columns, or there is no such axis.
+    """
+    log = found.recognised
+    if log is None:
+        raise RecordError(
+            f"{found.file} has no columns that a profile of a drive knows as a position and a torque or a reference; "
+            "name the columns in [record.channels] of a joint file."
+        )
+    axes = {axis.name: axis for axis in log.axes}
+    axes |= {str(one.place["axis"]): one for one in log.axes if "axis" in one.place}
+    if axis is not None and axis not in axes:
+        raise RecordError(f"{found.file} has no axis {axis!r}; expected {', '.join(map(show, axes))}.")
+    chosen = axes[axis] if axis is not None else log.axes[0] if len(log.axes) == 1 else None
+    columns = {channel.name: channel for channel in found.channels}
+    moving = [any(_moves(columns[name]) for name in one.channels.values()) for one in log.axes]
+    last = max((k for k, moves in enumerate(moving) if moves), default=len(moving) - 1)
+    every = log.axes[: last + 1]  # messages have more slots than a robot has motors
+    used = every if chosen is None else (chosen,)
+    alone = all("torque" not in one.channels for one in used)
+    record = {"file": file, **({"torque": "from_controller"} if alone else {}), **_clock(columns, used)}
+    said = [
+        f"# {log.sentence}",
+        *(f"# {text}" for text in log.profile.assumed),
+    ]
+    drive: dict[str, Any] = {"profile": log.profile.name}
+    if chosen is not None:
+        drive |= {key: value for key, value in chosen.place.items() if key != "index"}
+        tables = {"joint": {"kind": "revolute"}, "record": record, "drive": drive, **_controller(log, chosen, columns)}
+    else:
+        said.append(f"# {_MODEL} is the robot's model; its joints are named here in the log's order: correct both.")
+        joints = [{"name": one.name, **_controller(log, one, columns)} for one in every]
+        tables = {"robot": {"model": _MODEL}, "record": record, "drive": drive, "joints": joints}
+    return "\n".join(said) + "\n\n" + tomli_w.dumps(tables)
+
+
+def _moves(channel: InspectedChannel) -> bool:
+    return channel.outline.minimum != channel.outline.maximum
+
+
+def _clock(columns: Mapping[str, InspectedChannel], axes: tuple[LoggedAxis, ...]) -> dict[str, Any]:
+    """Return the keys of [record] that several clocks need, and a clock that begins anew."""
+    every = [columns[name] for axis in axes for name in axis.channels.values()]
+    times = {channel.time: channel.sample_time for channel in every if channel.time and channel.sample_time}
+    if len(times) > 1:
+        return {"resample": {"sample_time": float(f"{min(times.values()):.3g}"), "method": "linear"}}
+    return {"part": 0} if any(columns[name].outline.stalls for name in times) else {}
+
+
+def _controller(log: Recognised, axis: LoggedAxis, columns: Mapping[str, InspectedChannel]) -> dict[str, Any]:
+    """Return [controller] where the law is known, and the log holds its gains, which do not change."""
+    gains = {gain.key: (columns[name].outline, gain.units[0]) for name, gain in axis.gains.items()}
+    if not log.profile.law or len(gains) < 2 or any(_moves(columns[name]) for name in axis.gains):
+        return {}
+    said: dict[str, Any] = {key: f"{outline.maximum:.9g} {unit}" for key, (outline, unit) in gains.items()}
+    if velocity := axis.channels.get("reference_velocity"):
+        outline = columns[velocity].outline
+        said["reference_velocity"] = "none" if outline.minimum == outline.maximum == 0 else "channel"
+    return {"controller": {"law": log.profile.law, **said}}

@@ -1,0 +1,116 @@
+"""A log as a folder of several files: texts that share a clock, or a LeRobot data set."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.records.formats.csv import Csv
+from jointid.records.formats.parquet import Parquet
+from jointid.records.formats.table import STAMP_NAME, Holds, Table, join_tables, require_size
+
+_INFO, _DATA, _JOINTS = "meta/info.json", "data/*/*.parquet", "joint_list.txt"
+_LARGEST = 2**20  # bytes of a list of names
+_BAGS = (".mcap", ".db3", ".zstd")
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """A folder of one record: the columns of each text are "file/column", with the clock of their file.
+
+    Files without a clock, and those with nothing beside it, are passed over. Where joint_list.txt names the joints,
+    "positions[0]" is "positions/joint". A folder with meta/info.json is a LeRobot data set: its Parquet files one
+    behind the other, "observation.state[0]" called "observation.state.joint".
+    """
+
+    name: ClassVar[str] = "folder of files"
+    suffixes: ClassVar[tuple[str, ...]] = ()
+    holds: ClassVar[Holds] = Holds.NOTHING
+
+    def fits(self, path: Path) -> bool:
+        """Whether a folder holds such a record, and no bag."""
+        if (path / _INFO).is_file():
+            return True
+        found = {file.suffix.lower() for file in path.iterdir()} if path.is_dir() else set()
+        return ".csv" in found and not found.intersection(_BAGS)
+
+    def read(self, path: Path) -> Table:
+        """Read every column; see `Format.read`."""
+        return _read_data_set(path) if (path / _INFO).is_file() else _read_texts(path)
+
+    def write(self, path: Path, table: Table) -> None:
+        """Refuse: a record is written to one file."""
+        raise RecordError(f"{path.name} would be a folder of several files; name one file, such as {path.name}.csv.")
+
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return the name; see `Format.legal_name`."""
+        return name
+
+
+def _read_texts(path: Path) -> Table:
+    columns, clocks = dict[str, FloatArray](), dict[str, str]()
+    units, passed = dict[str, str](), dict[str, str]()
+    joints = _read_joints(path / _JOINTS)
+    for file in sorted(path.glob("*.csv")):
+        table = Csv().read(file)
+        found = [*set(table.clocks.values()), *filter(STAMP_NAME.fullmatch, table.columns)]
+        named = {name: f"{file.stem}/{_name(name, joints)}" for name in table.columns}
+        passed |= {f"{file.stem}/{name}": why for name, why in table.passed.items()}
+        if not found or len(table.columns) == 1:
+            passed |= dict.fromkeys(named.values(), "its file has no channel" if found else "its file has no clock")
+            continue
+        columns |= {named[name]: values for name, values in table.columns.items()}
+        units |= {named[name]: unit for name, unit in table.units.items()}
+        clocks |= {named[name]: named[found[0]] for name in table.columns if name != found[0]}
+        require_size(path, sum(values.size for values in columns.values()))
+    if not columns:
+        raise RecordError(f"{path.name} holds no text with a column of time and one of numbers; name the file itself.")
+    return Table(columns, {}, path.name, units, passed, clocks)
+
+
+def _read_joints(file: Path) -> list[str]:
+    if not file.is_file() or file.stat().st_size > _LARGEST:
+        return []
+    return [line.strip() for line in file.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+
+
+def _name(column: str, joints: list[str]) -> str:
+    """Return the name of a column, an element of a list by its joint."""
+    head, bracket, place = column.removesuffix("]").rpartition("[")
+    return f"{head}/{joints[int(place)]}" if bracket and place.isdecimal() and int(place) < len(joints) else column
+
+
+def _read_data_set(path: Path) -> Table:
+    files = sorted(path.glob(_DATA))
+    if not files:
+        raise RecordError(f"{path.name} is a LeRobot data set without a file {_DATA}; copy its folder data too.")
+    tables = []
+    for file in files:
+        tables.append(Parquet().read(file))
+        require_size(path, sum(values.size for table in tables for values in table.columns.values()))
+    whole = join_tables(tables)
+    names = dict(_feature_names(path / _INFO))
+    columns = {names.get(name, name): values for name, values in whole.columns.items()}
+    return replace(whole, columns=columns, source=path.name)
+
+
+def _feature_names(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield the elements of a data set's features with the names that its description gives them."""
+    if file.stat().st_size > _LARGEST:
+        return
+    try:
+        said: Any = json.loads(file.read_text(encoding="utf-8"))
+        features = dict(said["features"]).items()
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise RecordError(f"{file.name} describes no features; copy the data set again.") from None
+    for feature, about in features:
+        names = about.get("names") if isinstance(about, dict) else None
+        if isinstance(names, dict) and len(names) == 1:  # such as {"motors": [...]}
+            (names,) = names.values()
+        if isinstance(names, list) and all(isinstance(name, str) for name in names) and len(set(names)) == len(names):
+            yield from ((f"{feature}[{k}]", f"{feature}.{name}") for k, name in enumerate(names))

@@ -1,0 +1,100 @@
+"""Recognise whose log a file is: the profile whose names most of its columns have, and its axes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from jointid.common.text import join, pluralise
+from jointid.records.drives import DriveGain, Place, Profile, index_columns, load_profile, place_of, profile_names
+from jointid.records.record import CHANNELS
+
+_LAST = "generic"  # whose names others have too
+_MOST = 64  # axes of a log
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedAxis:
+    """An axis of a log.
+
+    Attributes:
+        place: its number or its name, as the profile's names have it; empty of a log of one axis.
+        channels: column of each channel.
+        gains: columns of the gains of its controller.
+    """
+
+    place: Place
+    channels: Mapping[str, str]
+    gains: Mapping[str, DriveGain]
+
+    @property
+    def name(self) -> str:
+        """Name of the joint, or one made of its number."""
+        return str(self.place.get("joint", f"joint{self.place.get('axis', 1)}"))
+
+
+@dataclass(frozen=True, slots=True)
+class Recognised:
+    """Whose log a file is.
+
+    Attributes:
+        profile: of the drive.
+        axes: in the order of their numbers, or of the file.
+    """
+
+    profile: Profile
+    axes: tuple[LoggedAxis, ...]
+
+    @property
+    def sentence(self) -> str:
+        """What was recognised, in a sentence."""
+        gains = sorted({gain.name for axis in self.axes for gain in axis.gains.values()})
+        more = f"; gains {join(gains)}" if gains else ""
+        channels = join([name for name in CHANNELS if any(name in axis.channels for axis in self.axes)])
+        return (
+            f'The columns are those of profile "{self.profile.name}" ({self.profile.title}): '
+            f"{pluralise(len(self.axes), 'axis', 'axes')} with {channels}{more}."
+        )
+
+
+def recognise(columns: tuple[str, ...]) -> Recognised | None:
+    """Recognise whose log has these columns; None where no profile knows a position, and another channel or axis.
+
+    Of several profiles the one counts that knows most columns; the plain names come last.
+    """
+    best: Recognised | None = None
+    known = 0
+    for name in sorted(profile_names(), key=lambda one: (one == _LAST, one)):
+        if best is not None and name == _LAST:
+            break
+        profile = load_profile(name)
+        axes = tuple(_find_axes(profile, columns))
+        count = sum(len(axis.channels) + len(axis.gains) for axis in axes)
+        if count > max(known, 1):
+            best, known = Recognised(profile, axes), count
+    return best
+
+
+def _find_axes(profile: Profile, columns: tuple[str, ...]) -> Iterator[LoggedAxis]:
+    """Yield axes with a position of their own, each column at its first place."""
+    spoken, taken = index_columns(columns), set[str]()
+    for place in (place_of(), *map(place_of, range(1, _MOST + 1)), *_joints(profile, columns)):
+        found = {channel: set(profile.candidates(channel, spoken, place)) - taken for channel in profile.channels}
+        channels = {channel: names.pop() for channel, names in found.items() if len(names) == 1}
+        if "motor_position" in channels or "reference" in channels:
+            gains = profile.gain_columns(spoken, place)
+            taken.update(channels.values())
+            yield LoggedAxis(place, channels, gains)
+
+
+def _joints(profile: Profile, columns: tuple[str, ...]) -> Iterator[Place]:
+    """Yield the joints whose names stand in columns, in their order."""
+    templates = [name for signals in profile.channels.values() for one in signals for name in one.names]
+    patterns = [
+        re.compile("(?:.*[./])?" + re.escape(name).replace(r"\{joint\}", r"([^/]+)"), re.IGNORECASE)
+        for name in templates
+        if "{joint}" in name
+    ]
+    found = (next(filter(None, (one.fullmatch(name) for one in patterns)), None) for name in columns)
+    yield from (place_of(joint=name) for name in dict.fromkeys(match[1] for match in found if match))

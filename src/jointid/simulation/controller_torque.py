@@ -1,0 +1,123 @@
+"""Torque that a declared controller outputs for the logged motor position.
+
+Where the law is known, the position says as much as the torque: ``tau = C (reference, q)``. A fit of this torque is
+the closed-loop output error of the motor position, seen through the controller. What multiplies the law and the joint
+alike is invisible in it: the position of a loop whose gains, inertias, frictions and stiffnesses are all 10 % larger is
+the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.models.controllers import POSITION, respond, run
+from jointid.models.joints import ClosedLoop
+from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.resampling import at_period
+from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.loop_input import LoopInput, prepare, to_log
+from jointid.simulation.sensitivities import Sensitivities
+
+SOURCE = "computed from the controller and the motor position"
+
+
+def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
+    """Return the record with the torque that the controller outputs for its motor position.
+
+    The position between two samples of the log is interpolated linearly. A logged torque is replaced; the computed one
+    is then shown as the logged one was, at the same tap and with the same timing. The value of an integral at the first
+    sample is unknown, and taken as 0: an offset of the joint then includes it.
+
+    Args:
+        record: with motor position, reference, and what else the controller reads.
+        loop: joint and controller; no parameter of the joint is read.
+
+    Raises:
+        RecordError: a channel is missing, its unit is not the joint's, or the law gives no finite torque.
+
+    Example:
+        >>> import jointid as ji
+        >>> law = ji.controller.PD(position_gain=400.0, derivative_gain=40.0)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
+        >>> reference = ji.excitation.trapezoids((1.0, 2.0), acceleration=20.0, travel=1.0, sample_time=1e-3)
+        >>> truth = {"inertia": 0.5, "viscous": 0.2, "coulomb": 1.0, "offset": 0.0}
+        >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+        >>> computed = ji.compute_controller_torque(record.without("torque"), loop)
+        >>> bool(abs(computed.torque.values - record.torque.values).max() < 1e-9)
+        True
+    """
+    record.require(("motor_position", *loop.controller.channels), "A torque computed from the controller")
+    assert record.motor_position is not None
+    seen = record if record.torque is not None else replace(record, tap=Tap.COMMAND)
+    output = law_outputs(record.motor_position, prepare(loop, seen))[:, 0]
+    if not np.all(np.isfinite(output)):
+        raise RecordError(
+            "The declared controller gives no finite torque for the logged motor position; expected a stable law: "
+            "check its gains and units."
+        )
+    logged = record.torque
+    timing = Timing.HELD if logged is None else logged.timing
+    sample_time = record.motor_position.sample_time if logged is None else logged.sample_time
+    return replace(
+        seen, torque=Channel(output, loop.joint.force_unit, sample_time, timing, SOURCE), computed_by=loop.controller
+    )
+
+
+def law_outputs(position: Channel, experiment: LoopInput) -> FloatArray:
+    """Return the torque of the law as the log shows it and, where it has one, of a unit integral, (samples, columns).
+
+    Args:
+        position: of the motor.
+        experiment: what `prepare` made of its record.
+    """
+    law, inputs = experiment.law, experiment.inputs.copy()
+    inputs[:, POSITION] = at_period(position, law.period, experiment.periods, "motor_position")
+    start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
+    output = run(law, inputs, start).tapped + experiment.shown
+    integral, columns = law.integral(), [output]
+    if integral is not None:
+        columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])
+    return to_log(experiment, np.column_stack(columns))
+
+
+def seen_position(record: Record, loop: ClosedLoop) -> SeenPosition | None:
+    """Return what takes motor positions to the torque of a record where that is computed; None where it was logged."""
+    if record.computed_by is None or record.motor_position is None:
+        return None
+    return SeenPosition(prepare(replace(loop, controller=record.computed_by), record))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenPosition:
+    """What takes a motor position to a torque: the declared law without its limits, linear in the position.
+
+    Attributes:
+        experiment: what `prepare` made of the record under the declared law.
+    """
+
+    experiment: LoopInput
+
+    def torque(self, position: FloatArray) -> FloatArray:
+        """Return the torque of a position at the log's instants, (samples,), in the same form."""
+        return self._respond(position, self.experiment.inputs) + to_log(self.experiment, self.experiment.shown)
+
+    def show(self, run: Sensitivities) -> Sensitivities:
+        """Return a run with the torque and its derivatives as they are computed from its motor positions."""
+        made = run.response
+        assert isinstance(made, Simulation)
+        none = np.zeros_like(self.experiment.inputs)
+        columns = [self._respond(one, none) for one in run.motor_position.T]
+        torque = np.column_stack(columns) if columns else run.torque
+        return replace(run, response=replace(made, torque=self.torque(made.motor_position)), torque=torque)
+
+    def _respond(self, position: FloatArray, inputs: FloatArray) -> FloatArray:
+        law, experiment = self.experiment.law, self.experiment
+        channel = Channel(position, "", experiment.sample_time)
+        inputs = inputs.copy()
+        inputs[:, POSITION] = at_period(channel, law.period, experiment.periods, "motor_position")
+        start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
+        return to_log(experiment, respond(law, inputs, start)[:, law.output])

@@ -1,0 +1,108 @@
+"""What the motor position proves of a controller and its log, and what is then not named as a cause."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.diagnostics.check_loop import has_unstated_delay
+from jointid.diagnostics.diagnose import diagnose_joint
+from jointid.diagnostics.identify import widen_for_faults
+from jointid.diagnostics.model_free import compare_law, excludes
+from jointid.estimation.identify import fit
+from jointid.models.controllers import Cascade
+from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.records.record import Record
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.synthesis import simulated_record
+from jointid.uncertainty.verdict import Status, Subject
+
+LAW = Cascade(position_gain=100.0, velocity_gain=4000.0, velocity_filter=(0.5, 0.5))
+WOUND = {"inertia": 30.0, "viscous": 80.0, "coulomb": 20.0, "presliding_distance": 1e-2, "offset": -1.0}
+PLAIN = {"inertia": 30.0, "viscous": 80.0, "coulomb": 20.0, "offset": -1.0}
+
+
+def logged(
+    joint: RigidJoint, values: dict[str, float], law: Cascade = LAW, gain: float = 1.0, seconds: float = 4.0
+) -> Record:
+    """Return a log of torque, noise of 0.3 N on it, reference and motor position."""
+    reference = trapezoids((0.05, 0.1, 0.2), 2.0, 0.1, 1e-3, duration=seconds)
+    record = simulated_record(ClosedLoop(joint, law), reference, values, sample_time=1e-3)
+    assert record.torque is not None
+    noise = 0.3 * np.random.default_rng(1).standard_normal(reference.size)
+    return record.with_channels({"torque": replace(record.torque, values=gain * record.torque.values + noise)})
+
+
+def found_in(record: Record, loop: ClosedLoop) -> tuple[set[str], ji.Diagnosis]:
+    said = ji.diagnose(ji.identify(record, loop, checks=False), record)
+    return {name for one in said.axes[0].faults.findings for name in one.test.label.split(" or ")}, said
+
+
+def test_a_law_that_the_motor_position_proves_is_not_blamed_for_the_mechanics() -> None:
+    record = logged(RigidJoint("prismatic", PreslidingFriction()), WOUND, seconds=8.0)
+    loop = ClosedLoop(RigidJoint("prismatic", StribeckFriction()), LAW)  # a wrong law of friction
+    assert {"velocity_gain", "log_gain", "delay"} & found_in(record.without("motor_position"), loop)[0]
+    names, said = found_in(record, loop)
+    assert not names
+    assert {one.name for one in said.axes[0].faults.excluded} & {"velocity_gain", "log_gain", "period", "position_gain"}
+    assert "the motor position excludes that" in said.axes[0].faults.sentences[0]
+    (wider,) = widen_for_faults(said.axes[0].faults)  # what is in the joint, and looks like a gain, moves the inertia
+    assert wider.by["inertia"] > 0.1
+
+
+@pytest.mark.parametrize(
+    ("law", "gain"), [(replace(LAW, velocity_gain=4080.0), 1.0), (replace(LAW, position_gain=100.2), 1.0), (LAW, 1.02)]
+)
+def test_a_fault_that_the_motor_position_shows_is_not_excluded(law: Cascade, gain: float) -> None:
+    loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
+    record = logged(loop.joint, PLAIN, law, gain)
+    followed = compare_law(record, loop)
+    assert followed is not None
+    assert followed.holds  # within the 3 % that it may be off
+    assert not excludes(record, loop, law, gain=gain - 1.0)
+    right = logged(loop.joint, PLAIN)
+    assert excludes(right, loop, law, gain=gain - 1.0)
+
+
+def test_a_log_that_is_late_is_excluded_as_the_motor_position_shows() -> None:
+    loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
+    record = logged(loop.joint, PLAIN)
+    assert record.torque is not None
+    assert excludes(record, loop, LAW, late=5e-4)
+    late = np.interp(record.torque.time - 2e-4, record.torque.time, record.torque.values)
+    assert not excludes(record.with_channels({"torque": replace(record.torque, values=late)}), loop, LAW, late=2e-4)
+    assert not excludes(record.without("motor_position"), loop, LAW, late=5e-4)
+
+
+def test_a_delay_within_a_sample_that_nobody_stated_is_identified() -> None:
+    joint = RigidJoint("prismatic", SymmetricFriction())
+    record = logged(joint, PLAIN, replace(LAW, delay=4e-4))
+    estimate = ji.identify(record, ClosedLoop(joint, LAW))
+    assert estimate["delay"].stderr is not None
+    assert estimate["delay"].value == pytest.approx(4e-4, abs=2 * estimate["delay"].stderr)
+    rows = {row.name: row for row in estimate.params.rows}
+    assert all(abs(rows[name].value - value) < 3 * rows[name].deviation for name, value in PLAIN.items())
+    assert any("no delay is declared: it is identified with the joint" in one for one in estimate.checks.warnings)
+    loop = next(v for v in estimate.checks.verdicts if v.subject is Subject.LOOP)
+    assert loop.status is Status.PASSED
+
+
+def test_a_delay_is_unstated_only_where_none_is_declared_nor_denied() -> None:
+    joint = RigidJoint("prismatic", SymmetricFriction())
+    record = logged(joint, PLAIN, replace(LAW, delay=4e-4))
+
+    def unstated(law: Cascade) -> bool:
+        found = fit(record, ClosedLoop(joint, law))
+        assert found.problem is not None
+        assert found.x is not None
+        (axis,) = diagnose_joint(found, record, (found.problem, found.x))[0].axes
+        assert axis.faults.findings[0].test.name == "delay"
+        return has_unstated_delay(axis.faults, axis.law, found.problem)
+
+    assert unstated(LAW)
+    assert not unstated(replace(LAW, undeclared="none"))
+    assert not unstated(replace(LAW, delay=2e-4))

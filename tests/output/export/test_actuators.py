@@ -1,0 +1,202 @@
+"""Actuators of simulators: what each text says of a joint and of a robot, read by stand-ins of their classes."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+import types
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+import jointid as ji
+from jointid.models.friction import StribeckFriction
+from jointid.models.robots.robot import JointSpring
+from jointid.output.export.joint_model import joint_model
+from tests.estimation.robots.twin import arm
+from tests.output.export.models import answer, model
+
+GEAR = ji.Transmission(load="revolute", ratio=10.0, side="motor")
+RIGID = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.02, "offset": 0.001}
+FLEXIBLE = {
+    "motor_inertia": 0.4, "motor_viscous": 8.0, "motor_coulomb": 5.0, "stiffness": 9e3, "damping": 3.0,
+    "load_inertia": 0.2, "load_viscous": 1.0, "load_coulomb": 0.8, "offset": 0.0,
+}  # fmt: skip
+LAW = ji.controller.PD(
+    position_gain=0.6, derivative_gain=0.02, limit=3.0, reference_velocity="channel", reference_delay=0.0102,
+    delay=5e-4, period=1e-3,
+)  # fmt: skip
+BETWEEN = {
+    "isaac-lab": ("isaaclab.actuators", ("ImplicitActuatorCfg", "DelayedPDActuatorCfg", "DCMotorCfg")),
+    "mjlab": ("mjlab.actuator", ("IdealPdActuatorCfg", "BuiltinPositionActuatorCfg", "DcMotorActuatorCfg")),
+}
+
+
+@pytest.fixture
+def simulators(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Modules whose classes keep what they are called with."""
+    for module, names in BETWEEN.values():
+        for at in range(module.count(".") + 1):
+            name = ".".join(module.split(".")[: at + 1])
+            monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+        for name in names:
+            setattr(sys.modules[module], name, lambda _name=name, **keys: (_name, keys))
+    yield
+
+
+def built(text: str) -> Any:
+    names: dict[str, Any] = {}
+    exec(compile(text, "actuators", "exec"), names)
+    return names["ACTUATORS"]
+
+
+def geared(law: ji.controller.PD = LAW) -> ji.Export:
+    return ji.export(model(ji.RigidJoint("revolute", transmission=GEAR), RIGID, "knee"), "isaac-lab", controllers=[law])
+
+
+@pytest.mark.usefixtures("simulators")
+def test_isaac_lab_has_gains_and_inertia_of_the_load_side() -> None:
+    made = geared()
+    kind, keys = built(made.text)["knee"]
+    assert kind == "DelayedPDActuatorCfg"
+    assert keys == {
+        "joint_names_expr": ["knee"], "stiffness": pytest.approx(60.0), "damping": pytest.approx(2.0),
+        "armature": pytest.approx(0.02), "friction": pytest.approx(0.2), "dynamic_friction": pytest.approx(0.2),
+        "viscous_friction": pytest.approx(0.1), "effort_limit": pytest.approx(30.0), "min_delay": 2, "max_delay": 2,
+    }  # fmt: skip
+    assert "a part of the command delay of 10.2 ms: 2 steps of 5 ms are written" in made.lost
+    assert any("delay of 0.5 ms from position to torque" in one for one in made.lost)
+    assert "a constant force of 0.010000 N m" in made.lost
+    kind, keys = built(geared(replace(LAW, reference_delay=0.0)).text)["knee"]
+    assert kind == "ImplicitActuatorCfg"
+    assert keys["effort_limit_sim"] == pytest.approx(30.0)
+
+
+@pytest.mark.usefixtures("simulators")
+def test_mjlab_takes_the_class_that_has_the_law() -> None:
+    joint = model(ji.FlexibleJoint("revolute"), FLEXIBLE, "left.knee")
+    ((kind, keys),) = built(ji.export(joint, "mjlab", controllers=[LAW], timestep=2e-3).text)
+    assert kind == "IdealPdActuatorCfg"
+    assert keys["target_names_expr"] == (r"left\.knee",)
+    assert (keys["armature"], keys["viscous_damping"], keys["frictionloss"]) == pytest.approx((0.4, 9.0, 5.8))
+    assert keys["delay_min_lag"] == keys["delay_max_lag"] == 5
+    braking = replace(LAW, reference_velocity="none")
+    assert built(ji.export(joint, "mjlab", controllers=[braking]).text)[0][0] == "BuiltinPositionActuatorCfg"
+    assert any(one.startswith("the spring of 9000") for one in ji.export(joint, "mjlab").lost)
+
+
+@pytest.mark.usefixtures("simulators")
+@pytest.mark.parametrize("language", ["isaac-lab", "mjlab"])
+def test_a_torque_speed_curve_needs_both_of_its_numbers(language: str) -> None:
+    joint = model(ji.RigidJoint("revolute"), RIGID, "knee")
+    found = built(ji.export(joint, language, stall_torque=5.0, no_load_speed=40.0).text)
+    kind, keys = found["knee"] if language == "isaac-lab" else found[0]
+    assert kind.lower() in ("dcmotorcfg", "dcmotoractuatorcfg")
+    assert (keys["saturation_effort"], keys["velocity_limit"], keys["effort_limit"]) == (5.0, 40.0, 5.0)
+    for wrong in ({"stall_torque": 5.0}, {"stall_torque": 5.0, "no_load_speed": -1.0}):
+        with pytest.raises(ji.MethodError, match="two positive numbers of one joint's motor"):
+            ji.export(joint, language, **wrong)
+    with pytest.raises(ji.MethodError, match="for a robot"):
+        ji.export(arm(2), language, stall_torque=5.0, no_load_speed=40.0)
+
+
+def numbers(text: str, prim: str) -> dict[str, float]:
+    body = re.search(rf'"{prim}" \(.*?\{{(.*?)\}}', text, re.DOTALL)
+    assert body is not None
+    return {name: float(value) for name, value in re.findall(r"(?:float|int) (\S+) = (\S+)", body[1])}
+
+
+def test_a_drive_of_usd_is_per_degree_and_an_actuator_of_newton_per_radian() -> None:
+    joint = model(ji.RigidJoint("revolute"), RIGID, "knee")
+    text = ji.export(joint, "usd", controllers=[replace(LAW, reference_delay=0.0)]).text
+    said = numbers(text, "knee")
+    assert said["drive:angular:physics:stiffness"] == pytest.approx(0.6 * math.pi / 180)
+    assert said["drive:angular:physics:damping"] == pytest.approx(0.02 * math.pi / 180)
+    assert said["drive:angular:physics:maxForce"] == 3.0
+    assert said["newton:damping"] == pytest.approx(1e-3 * math.pi / 180)
+    assert (said["newton:armature"], said["newton:friction"]) == (2e-4, 0.02)
+    late = ji.export(joint, "usd", controllers=[LAW]).text
+    assert "PhysicsDriveAPI" not in late
+    said = numbers(late, "knee_actuator")
+    assert said == {"newton:kp": 0.6, "newton:kd": 0.02, "newton:maxEffort": 3.0, "newton:delaySteps": 2}
+    curve = ji.export(joint, "usd", controllers=[LAW], stall_torque=5.0, no_load_speed=40.0).text
+    assert numbers(curve, "knee_actuator")["newton:saturationEffort"] == 5.0
+    slide = numbers(ji.export(model(ji.RigidJoint("prismatic"), RIGID, "x"), "usd", controllers=[LAW]).text, "x")
+    assert slide["newton:damping"] == 1e-3
+
+
+def test_bam_has_friction_and_its_rise_towards_standstill() -> None:
+    joint = ji.RigidJoint("revolute", friction=StribeckFriction())
+    values = RIGID | {"stribeck_force": 0.01, "stribeck_speed": 0.2}
+    said = json.loads(ji.export(model(joint, values, "knee"), "bam", controllers=[LAW]).text)
+    assert said["model"] == "m2"
+    assert (said["armature"], said["friction_base"], said["friction_viscous"]) == (2e-4, 0.02, 1e-3)
+    assert (said["friction_stribeck"], said["dtheta_stribeck"], said["alpha"]) == (0.01, 0.2, 2.0)
+    assert said["command_delay"] == 0.0102
+    assert json.loads(ji.export(model(ji.RigidJoint("revolute"), RIGID), "bam").text)["model"] == "m1"
+
+
+@pytest.mark.usefixtures("simulators")
+def test_a_robot_has_an_entry_for_each_joint() -> None:
+    robot = arm(3)
+    soft = replace(robot.joints[1], spring=JointSpring(5000.0, 1.0, viscous=2.0, coulomb=3.0))
+    robot = replace(robot, joints=(robot.joints[0], soft, robot.joints[2]))
+    made = ji.export(robot, "isaac-lab", controllers=[LAW] * 3)
+    found = built(made.text)
+    assert list(found) == list(robot.names)
+    assert found["joint2"][1]["friction"] == pytest.approx(soft.coulomb + 3.0)
+    assert found["joint2"][1]["armature"] == soft.rotor_inertia
+    assert found["joint3"][1]["stiffness"] == LAW.position_gain
+    assert any(one.startswith("the springs of the joints") for one in made.lost)
+    assert numbers(ji.export(robot, "usd").text, "joint2")["newton:friction"] == pytest.approx(soft.coulomb + 3.0)
+    assert set(json.loads(ji.export(robot, "bam").text)) == {*robot.names, "_jointid"}
+    assert len(built(ji.export(robot, "mjlab").text)) == 3
+
+
+def test_a_cascade_is_such_a_law_and_what_it_has_more_is_said() -> None:
+    law = ji.controller.Cascade(
+        position_gain=30.0, velocity_gain=0.02, integral_gain=5.0, velocity_filter=[0.5, 0.5], gain=2.0,
+        velocity_limit=3.0, acceleration_feedforward=1.0,
+    )  # fmt: skip
+    made = ji.export(model(ji.RigidJoint("revolute"), RIGID, "knee"), "usd", controllers=[law])
+    said = numbers(made.text, "knee")
+    assert said["drive:angular:physics:stiffness"] == pytest.approx(1.2 * math.pi / 180)
+    assert said["drive:angular:physics:damping"] == pytest.approx(0.04 * math.pi / 180)
+    for part in ("integral of the controller", "limit of the velocity", "filter of the velocity", "acceleration"):
+        assert any(part in one for one in made.lost), part
+    alone = ji.export(model(ji.RigidJoint("revolute"), RIGID, "knee"), "usd")
+    assert any("no law of position and velocity is declared" in one for one in alone.lost)
+
+
+HOSTILE = "x\"]\n)\nimport os; os.abort() # ' \\ \x00 \u2028 \ud800 }"
+
+
+@pytest.mark.usefixtures("simulators")
+@pytest.mark.parametrize("language", ["isaac-lab", "mjlab", "usd", "bam"])
+def test_hostile_names_stay_names(language: str) -> None:
+    text = ji.export(model(ji.RigidJoint("revolute"), RIGID, HOSTILE, HOSTILE), language).text
+    text.encode("utf-8")
+    if language in BETWEEN:
+        found = built(text)  # runs nothing else
+        assert len(found) == 1
+    elif language == "bam":
+        assert json.loads(text)["friction_base"] == 0.02
+    else:
+        stage = "\n".join(line for line in text.splitlines() if not line.startswith("#"))
+        assert re.findall(r'def (\w+) "(\w+)"', stage) == [
+            ("Scope", "Actuators"), ("PhysicsRevoluteJoint", "x_import_os_os_abort")
+        ]  # fmt: skip
+        assert stage.count("{") == stage.count("}") == 2
+
+
+@pytest.mark.usefixtures("simulators")
+def test_a_gain_that_was_identified_takes_the_place_of_the_declared_one() -> None:
+    joint = ji.RigidJoint("revolute", transmission=GEAR)
+    told = answer(joint, RIGID)
+    told["parameters"]["position_gain"] = told["parameters"]["offset"] | {"value": 0.8}
+    made = ji.export(joint_model(told, joint, "knee"), "isaac-lab", controllers=[LAW])
+    assert built(made.text)["knee"][1]["stiffness"] == pytest.approx(80.0)

@@ -1,0 +1,461 @@
+"""Logs as robots write them: several files in a folder, lists in cells, motors in messages, pickles."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import jointid as ji
+from jointid.common.errors import RecordError
+from jointid.config import loads
+from jointid.config.logged import describe_log
+from jointid.records.checks import find_record_warnings
+from jointid.records.formats import read_table
+from jointid.records.record import Record
+
+T = 0.005
+TIME = np.arange(240) * T
+MOTION = np.column_stack([0.4 * np.sin(5 * TIME), 0.3 * np.cos(4 * TIME) - 0.3])  # rad, of two joints
+COMMAND = MOTION + 0.01 * np.column_stack([np.cos(5 * TIME), np.sin(4 * TIME)])
+TORQUE = np.column_stack([2.0 * np.cos(5 * TIME), -1.5 * np.sin(4 * TIME)])  # N m
+JOINTS = ("hip", "knee")
+
+
+def sage(folder: Path, *, named: bool = True) -> Path:
+    """Write a motion as SAGE does: a list of all joints in each cell, the commands in a file of their own."""
+    folder.mkdir()
+    rows = {
+        "control": (
+            ["type", "timestamp", "positions"],
+            (["CONTROL", t, q.tolist()] for t, q in zip(TIME, COMMAND, strict=True)),
+        ),
+        "state_motor": (
+            ["type", "timestamp", "positions", "velocities", "torques"],
+            (
+                ["STATE_MOTOR", t, q.tolist(), [0.0, 0.0], tau.tolist()]
+                for t, q, tau in zip(TIME[::2], MOTION[::2], TORQUE[::2], strict=True)
+            ),
+        ),
+        "event": (["type", "timestamp", "event"], [["EVENT", 0.0, "MOTION_START"], ["EVENT", TIME[-1], "MOTION_END"]]),
+    }
+    for name, (head, lines) in rows.items():
+        with (folder / f"{name}.csv").open("w", newline="") as file:
+            csv.writer(file).writerows([head, *lines])
+    if named:
+        (folder / "joint_list.txt").write_text("\n".join(JOINTS) + "\n")
+    return folder
+
+
+def lerobot(folder: Path, *, fps: int = 30, episodes: int = 2) -> Path:
+    """Write a data set as LeRobot does: episodes in one Parquet file, the names of the joints in meta/info.json."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    (folder / "meta").mkdir(parents=True)
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    rows = TIME.size
+    lists = pa.list_(pa.float32())
+    made = {
+        "observation.state": pa.array(np.tile(MOTION, (episodes, 1)).tolist(), lists),
+        "action": pa.array(np.tile(COMMAND, (episodes, 1)).tolist(), lists),
+        "timestamp": pa.array(np.tile(np.arange(rows) / fps, episodes).astype(np.float32)),
+        "episode_index": np.repeat(np.arange(episodes), rows),
+    }
+    pq.write_table(pa.table(made), folder / "data" / "chunk-000" / "file-000.parquet")
+    names = [f"{joint}.pos" for joint in JOINTS]
+    features = {
+        "observation.state": {"names": {"motors": names}},
+        "action": {"names": names},
+        "timestamp": {"names": None},
+    }
+    (folder / "meta" / "info.json").write_text(json.dumps({"fps": fps, "features": features}))
+    return folder
+
+
+def test_a_folder_of_texts_is_one_record(tmp_path: Path) -> None:
+    table = read_table(sage(tmp_path / "run"))
+    np.testing.assert_allclose(table.columns["control/positions/knee"], COMMAND[:, 1])
+    np.testing.assert_allclose(table.columns["state_motor/torques/hip"], TORQUE[::2, 0])
+    assert table.clocks["control/positions/hip"] == "control/timestamp"
+    assert table.clocks["state_motor/positions/hip"] == "state_motor/timestamp"
+    assert table.passed["event/timestamp"] == "its file has no channel"
+    unnamed = read_table(sage(tmp_path / "other", named=False))
+    np.testing.assert_array_equal(
+        unnamed.columns["state_motor/positions[1]"], table.columns["state_motor/positions/knee"]
+    )
+
+
+def test_a_folder_without_a_clock_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "positions.csv").write_text("a,b\n1,2\n3,4\n")
+    with pytest.raises(RecordError, match="holds no text with a column of time and one of numbers; name the file"):
+        read_table(tmp_path / "run")
+
+
+@pytest.mark.parametrize("row", ['0.5;"[1.0, -2e-3]";7', "0.5;[1.0 -2e-3];7", "0.5;[1.0,-2e-3];7"])
+def test_a_list_in_a_cell_is_a_column_for_each_number(tmp_path: Path, row: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t;q;n\n" + f"{row}\n" * 3)
+    columns = read_table(path).columns
+    assert {name: values[0] for name, values in columns.items()} == {"t": 0.5, "q[0]": 1.0, "q[1]": -2e-3, "n": 7.0}
+
+
+def test_lists_of_two_lengths_are_refused_with_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text('t,q\n0.1,"[1, 2]"\n0.2,"[1, 2]"\n0.3,"[1]"\n')
+    with pytest.raises(RecordError, match="line 4, the last, has 2 cells for 3 columns"):
+        read_table(path)
+
+
+def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
+    table = read_table(lerobot(tmp_path / "set"))
+    np.testing.assert_allclose(table.columns["action.knee.pos"][: TIME.size], COMMAND[:, 1], atol=1e-6)
+    assert table.columns["observation.state.hip.pos"].size == 2 * TIME.size
+    alone = read_table(tmp_path / "set" / "data" / "chunk-000" / "file-000.parquet")
+    np.testing.assert_array_equal(alone.columns["action[1]"], table.columns["action.knee.pos"])
+    (tmp_path / "set" / "meta" / "info.json").write_text("[]")
+    with pytest.raises(RecordError, match=r"info\.json describes no features"):
+        read_table(tmp_path / "set")
+
+
+def test_the_motors_in_a_record_of_json_are_columns(tmp_path: Path) -> None:
+    path = tmp_path / "run.jsonl"
+    rows = [
+        {"t": t, "motor_state": [{"q": q, "tau_est": 1.0} for q in both]}
+        for t, both in zip(TIME, MOTION.tolist(), strict=True)
+    ]
+    path.write_text("\n".join(map(json.dumps, rows)))
+    table = read_table(path)
+    np.testing.assert_array_equal(table.columns["motor_state[1].q"], MOTION[:, 1])
+
+
+@pytest.mark.parametrize(("name", "package"), [("chirp.pt", "torch"), ("run.pkl", "pickle")])
+def test_a_pickle_is_refused_with_the_lines_that_convert_it(tmp_path: Path, name: str, package: str) -> None:
+    (tmp_path / name).write_bytes(b"cos\nsystem\n(S'touch ran'\ntR.")
+    with pytest.raises(RecordError) as error:
+        read_table(tmp_path / name)
+    said, loads, saves = error.value.faults
+    assert said.startswith(f"{name} is a pickle, which runs code when it is loaded, and is not read")
+    assert loads == f"import numpy, {package}"
+    assert saves.startswith(f'numpy.savez("{Path(name).stem}.npz", **{package}.load(')
+    assert not Path("ran").exists()
+
+
+# Whose log it is, and the file that reads it
+# -------------------------------------------
+
+KP, KD = 40.0, 1.5
+LOW_STATE = "uint8[2] head\nMotorState[4] motor_state\nuint32 tick\n"
+MOTOR_STATE = "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 ddq\nfloat32 tau_est\nint8 temperature\nuint32[2] reserve\n"
+LOW_CMD = "MotorCmd[4] motor_cmd\nuint32 crc\n"
+MOTOR_CMD = "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 tau\nfloat32 kp\nfloat32 kd\nuint32 reserve\n"
+CONTROLLER_STATE = (
+    "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint reference\n"
+    "trajectory_msgs/JointTrajectoryPoint feedback\ntrajectory_msgs/JointTrajectoryPoint desired\n"
+)
+
+
+def bag(path: Path, definitions: dict[str, str], topics: dict[str, str], rows: Any) -> Path:
+    """Write a bag; `rows` yields topic, instant in ns and a function of the types that makes the message."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in definitions.items():
+        store.register(get_types_from_msg(text, name))
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        links = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
+        for topic, stamp, make in rows:
+            writer.write(links[topic], stamp, store.serialize_cdr(make(store.types), topics[topic]))
+    return path
+
+
+def unitree(path: Path) -> Path:
+    """Write LowState and LowCmd, of four slots for motors of which two are there, 1 ms apart."""
+    definitions = {
+        "unitree_go/msg/MotorState": MOTOR_STATE, "unitree_go/msg/LowState": LOW_STATE,
+        "unitree_go/msg/MotorCmd": MOTOR_CMD, "unitree_go/msg/LowCmd": LOW_CMD,
+    }  # fmt: skip
+
+    def state(row: int) -> Any:
+        def make(types: Any) -> Any:
+            motor = types["unitree_go/msg/MotorState"]
+            values = [*zip(MOTION[row], TORQUE[row], strict=True), (0.0, 0.0), (0.0, 0.0)]
+            motors = [motor(1, q, 0.0, 0.0, tau, 30, np.zeros(2, np.uint32)) for q, tau in values]
+            return types["unitree_go/msg/LowState"](np.zeros(2, np.uint8), motors, row)
+
+        return make
+
+    def command(row: int) -> Any:
+        def make(types: Any) -> Any:
+            motors = [types["unitree_go/msg/MotorCmd"](1, q, 0.0, 0.0, KP, KD, 0) for q in (*COMMAND[row], 0.0, 0.0)]
+            return types["unitree_go/msg/LowCmd"](motors, 0)
+
+        return make
+
+    start = 1_700_000_000_000_000_000
+    rows = (
+        (topic, start + round((t + late) * 1e9), make(row))
+        for row, t in enumerate(TIME)
+        for topic, late, make in (("/lowstate", 0.0, state), ("/lowcmd", 1e-3, command))
+    )
+    topics = {"/lowstate": "unitree_go/msg/LowState", "/lowcmd": "unitree_go/msg/LowCmd"}
+    return bag(path, definitions, topics, rows)
+
+
+def ros2(path: Path) -> Path:
+    """Write joint states, and the state of a joint trajectory controller with its older fields beside the newer."""
+
+    def stamped(types: Any, t: float) -> Any:
+        nanoseconds = 1_700_000_000 * 10**9 + round(t * 1e9)
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+        return types["std_msgs/msg/Header"](stamp, "base")
+
+    def joints(row: int) -> Any:
+        return lambda types: types["sensor_msgs/msg/JointState"](
+            stamped(types, TIME[row]), list(JOINTS), MOTION[row].copy(), np.zeros(2), TORQUE[row].copy()
+        )
+
+    def state(row: int) -> Any:
+        def make(types: Any) -> Any:
+            def point(positions: Any) -> Any:
+                none, zero = np.empty(0), types["builtin_interfaces/msg/Duration"](0, 0)
+                return types["trajectory_msgs/msg/JointTrajectoryPoint"](positions.copy(), none, none, none, zero)
+
+            points = [point(one[row]) for one in (COMMAND, MOTION, COMMAND)]
+            return types["control_msgs/msg/JointTrajectoryControllerState"](
+                stamped(types, TIME[row]), list(JOINTS), *points
+            )
+
+        return make
+
+    stamps = 1_700_000_000 * 10**9 + np.round(TIME * 1e9).astype(np.int64)
+    topics = {
+        "/joint_states": "sensor_msgs/msg/JointState",
+        "/leg/controller_state": "control_msgs/msg/JointTrajectoryControllerState",
+    }
+    rows = (
+        (topic, int(stamps[row]), make(row))
+        for row in range(TIME.size)
+        for topic, make in (("/joint_states", joints), ("/leg/controller_state", state))
+    )
+    return bag(path, {"control_msgs/msg/JointTrajectoryControllerState": CONTROLLER_STATE}, topics, rows)
+
+
+def table(path: Path, columns: dict[str, Any]) -> Path:
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, "%.12g", ",", header=",".join(columns), comments="")
+    return path
+
+
+def mit(path: Path) -> Path:
+    columns: dict[str, Any] = {"timestamp": TIME}
+    for k in range(2):
+        columns |= {
+            f"q_{k}": MOTION[:, k],
+            f"dq_{k}": 0 * TIME,
+            f"tauEst_{k}": TORQUE[:, k],
+            f"q_des_{k}": COMMAND[:, k],
+        }
+        columns |= {f"kp_{k}": 0 * TIME + KP, f"kd_{k}": 0 * TIME + KD}
+    return table(path.with_suffix(".csv"), columns)
+
+
+def unitree_json(path: Path) -> Path:
+    rows = [
+        {
+            "t": t,
+            "motor_state": [{"q": q, "tau_est": tau} for q, tau in zip(qs, taus, strict=True)],
+            "motor_cmd": [{"q": q, "kp": KP, "kd": KD} for q in commands],
+        }
+        for t, qs, taus, commands in zip(TIME, MOTION.tolist(), TORQUE.tolist(), COMMAND.tolist(), strict=True)
+    ]
+    path.with_suffix(".jsonl").write_text("\n".join(map(json.dumps, rows)))
+    return path.with_suffix(".jsonl")
+
+
+def pace(path: Path) -> Path:
+    np.savez(path.with_suffix(".npz"), time=TIME, dof_pos=MOTION, des_dof_pos=COMMAND)
+    return path.with_suffix(".npz")
+
+
+def fields(path: Path, reach: tuple[float, float], bits: tuple[int, int], end: str) -> Path:
+    """Write the whole numbers of two CAN motors; positions have the first range and bits, torques the others."""
+
+    def whole(values: Any, kind: int) -> Any:
+        return np.round((values / reach[kind] + 1) / 2 * (2 ** bits[kind] - 1))
+
+    columns: dict[str, Any] = {"timestamp": TIME}
+    for k in range(2):
+        named = {"p": (MOTION, 0), "p_des": (COMMAND, 0), "t": (TORQUE, 1)}
+        columns |= {f"{name}_{end}_{k}": whole(values[:, k], kind) for name, (values, kind) in named.items()}
+    return table(path.with_suffix(".csv"), columns)
+
+
+def damiao(path: Path) -> Path:
+    return fields(path, (12.5, 28.0), (16, 12), "int")
+
+
+def robstride(path: Path) -> Path:
+    return fields(path, (4 * np.pi, 17.0), (16, 16), "int16")
+
+
+LOGS: dict[str, Any] = {
+    "unitree": unitree, "unitree_json": unitree_json, "mit": mit, "pace": pace, "sage": sage, "damiao": damiao,
+    "robstride": robstride, "ros2": ros2,
+}  # fmt: skip
+MOTORS = {"damiao": 'motor = "DM4340"', "robstride": 'motor = "RS02"'}
+STEPS = {"damiao": (12.5 / 65535, 28 / 4095), "robstride": (4 * np.pi / 65535, 17 / 65535)}
+BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+URDF = f"""<robot name="leg"><link name="base"/><link name="thigh">{BODY}</link><link name="shank">{BODY}</link>
+<joint name="hip" type="continuous"><parent link="base"/><child link="thigh"/></joint>
+<joint name="knee" type="continuous"><parent link="thigh"/><child link="shank"/></joint></robot>"""
+
+
+def compared(record: Record, joint: int, name: str) -> None:
+    """Compare the channels of a joint at the record's own instants, which a log with several clocks begins later."""
+    steps = STEPS.get(name, (3e-4, 1e-3))  # of straight lines between samples of 5 and 10 ms, or of a field
+    made = {"motor_position": MOTION, "reference": COMMAND} | ({} if name == "pace" else {"torque": TORQUE})
+    for channel, found in record.items():
+        if channel not in made:
+            continue
+        late = 1e-3 if (name, channel) == ("unitree", "reference") else 0.0  # LowCmd is stamped later
+        exact = CubicSpline(TIME, made[channel][:, joint])(record.begin + found.time - late)
+        np.testing.assert_allclose(found.values, exact, atol=steps[channel == "torque"], err_msg=channel)
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp_path: Path) -> None:
+    """By a joint file and by a robot file, whose joints the log names or numbers."""
+    path = LOGS[name](tmp_path / "run")
+    found = ji.inspect(path)
+    assert found.recognised is not None
+    assert found.recognised.profile.name == name.removesuffix("_json")
+    profile = f'profile = "{found.recognised.profile.name}"'
+    axis = "knee" if name in ("sage", "ros2") else "2"
+    idim = '\n[method]\nname = "idim"\n'
+    if name == "pace":  # which logs no torque: the law, which no file states, stands for it
+        text = describe_log(found, path.name, "2")
+        assert 'torque = "from_controller"' in text
+        compared(loads(text + LAW, tmp_path).record(), 1, name)
+        return
+    alone = describe_log(found, path.name, axis).replace(profile, f"{profile}\n{MOTORS.get(name, '')}") + idim
+    file = loads(alone, tmp_path)
+    compared(file.record(), 1, name)
+    (tmp_path / "robot.urdf").write_text(URDF)
+    whole = describe_log(found, path.name).replace(profile, f"{profile}\n{MOTORS.get(name, '')}") + idim
+    for number, joint in enumerate(JOINTS, start=1):
+        whole = whole.replace(f'"joint{number}"', f'"{joint}"')
+    robot = loads(whole, tmp_path)
+    for number, record in enumerate(robot.record()):
+        compared(record, number, name)
+    assert {type(one).__name__ for one in robot.controllers} == (
+        {"PD"} if name in ("mit", "unitree", "unitree_json") else {"NoneType"}
+    )
+
+
+# What is wrong in such a log
+# ---------------------------
+
+JOINT = '[joint]\nkind = "revolute"\n[record]\nfile = "run.csv"\n'
+LAW = '[controller]\nlaw = "pd"\nposition_gain = "40 N m/rad"\nderivative_gain = "1.5 N m s/rad"\n'
+
+
+def one_motor(path: Path, **changed: Any) -> Path:
+    """Write the log of one motor, with its gains."""
+    columns = {"t": TIME, "q": MOTION[:, 0], "tauEst": TORQUE[:, 0], "q_des": COMMAND[:, 0], "kp": 0 * TIME + KP}
+    return table(path / "run.csv", columns | {"kd": 0 * TIME + KD, "tau_ff": 0.2 * np.sin(TIME)} | changed)
+
+
+def refusal(path: Path, text: str) -> str:
+    with pytest.raises(RecordError) as error:
+        loads(text, path).record()
+    (said,) = error.value.faults
+    assert said.endswith(".")
+    return said
+
+
+def test_gains_of_the_log_are_held_against_the_declared_ones(tmp_path: Path) -> None:
+    text = JOINT + '[drive]\nprofile = "mit"\n' + LAW
+    one_motor(tmp_path)
+    record = loads(text, tmp_path).record()
+    assert record.injected is not None
+    assert (record.injected.at, record.tap) == ("before_limit", "measured")
+    assert 'kp (column "kp") is 40 in the record, and controller.position_gain is 60; correct' in refusal(
+        tmp_path, text.replace("40 N m", "60 N m")
+    )
+    # A bare key of the drive is the law's, too.
+    named = text.replace('position_gain = "40 N m/rad"', "kp = 40").replace(
+        'derivative_gain = "1.5 N m s/rad"', "kd = 1.5"
+    )
+    assert loads(named, tmp_path).controller == loads(text, tmp_path).controller
+
+
+def test_gains_that_vary_are_refused_in_a_sentence_and_a_part_is_read(tmp_path: Path) -> None:
+    text = JOINT + 'stop = 0.5\n[drive]\nprofile = "mit"\n' + LAW
+    one_motor(tmp_path, kp=np.where(TIME < 0.6, KP, 2 * KP))
+    assert loads(text, tmp_path).record().torque is not None
+    said = refusal(tmp_path, text.replace("stop = 0.5\n", ""))
+    assert 'kp (column "kp") varies from 40 to 80, and the controller has one position_gain, 40; read a part' in said
+    found = ji.inspect(tmp_path / "run.csv")
+    assert "\n[controller]" not in describe_log(found, "run.csv")
+
+
+def test_gains_in_the_drives_whole_numbers_are_refused(tmp_path: Path) -> None:
+    one_motor(tmp_path, kp=0 * TIME + 1638)
+    said = refusal(tmp_path, JOINT + '[drive]\nprofile = "mit"\n' + LAW)
+    assert (
+        "kp (column \"kp\") reaches 1638, more than the drive's 500 N m/rad: it is in the drive's whole numbers" in said
+    )
+
+
+def test_a_field_needs_the_motors_range_and_its_own_bits(tmp_path: Path) -> None:
+    damiao(tmp_path / "run")
+    text = JOINT + '[drive]\nprofile = "damiao"\naxis = 1\nmotor = "DM4340"\n[method]\nname = "idim"\n'
+    with pytest.raises(
+        RecordError, match=r"field of 12 bits, which needs the drive's torque_range, or its motor \(DM3507"
+    ):
+        loads(text.replace('motor = "DM4340"', "position_range = 12.5"), tmp_path).record()
+    with pytest.raises(Exception, match="motor is 'DM1'; expected DM3507"):
+        loads(text.replace("DM4340", "DM1"), tmp_path)
+    robstride(tmp_path / "run")
+    channels = (
+        '[record.channels]\ntorque = { column = "t_int16_0" }\nmotor_position = { column = "p_int16_0", bits = 16 }\n'
+    )
+    other = text.replace("[drive]", 'time = "timestamp"\n[drive]').replace(
+        'profile = "damiao"\naxis = 1\nmotor = "DM4340"', "position_range = 12.5\ntorque_range = 17.0"
+    )
+    said = refusal(tmp_path, other + channels.replace('t_int16_0"', 't_int16_0", bits = 12'))
+    assert re.search(r"reaches from \d+ to \d+; expected whole numbers from 0 to 4095 of a field of 12 bits", said)
+
+
+def test_a_data_set_needs_its_unit_and_says_what_its_rate_tells(tmp_path: Path) -> None:
+    lerobot(tmp_path / "set")
+    drive = ji.Drive("lerobot", joint="knee")
+    with pytest.raises(RecordError) as error:
+        ji.read(tmp_path / "set", drive=drive, part=2)
+    assert len(error.value.faults) == 2
+    assert 'is in "units of the calibration"; expected one of rad, mrad, deg' in error.value.faults[0]
+    columns = {name: ji.Column(unit="deg") for name in ("reference", "motor_position")}
+    record = ji.read(tmp_path / "set", columns, drive=drive, part=2)
+    assert record.motor_position is not None
+    np.testing.assert_allclose(np.degrees(record.motor_position.values), MOTION[:, 1], atol=1e-6)
+    (said,) = [text for text in find_record_warnings(record, record.channels) if "samples a second" in text]
+    assert said.startswith(
+        "the record has 30 samples a second: of a slow motion it tells inertia, friction and gravity"
+    )
+
+
+def test_a_clock_in_another_unit_is_a_rate_that_tells_nothing(tmp_path: Path) -> None:
+    one_motor(tmp_path, t=TIME * 1e6)
+    said = refusal(tmp_path, JOINT + '[drive]\nprofile = "mit"\n' + LAW)
+    assert said.startswith(
+        "The record has a sample every 5e+03 s (at most 0.1 s expected): it tells nothing of a joint's"
+    )
