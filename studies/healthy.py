@@ -229,11 +229,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--longest", type=float, default=60.0)
+    parser.add_argument("--noise", choices=NOISES, default="", help="of all drives; each has one of its own without it")
     parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
     given = parser.parse_args(arguments)
     seeds = range(given.first, given.first + given.count)
     runs = []
-    for found in judge_seeds("studies.healthy:judge", seeds, {"longest": given.longest}, out=given.out):
+    for found in judge_seeds(
+        "studies.healthy:judge", seeds, {"longest": given.longest, "noise": given.noise}, out=given.out
+    ):
         runs.append(Said(**found))
         sys.stdout.write(json.dumps(found) + "\n")
     sys.stderr.write(summarise(runs) + "\n")

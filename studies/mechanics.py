@@ -32,12 +32,17 @@ from jointid.models.friction import FRICTIONS, find_friction
 from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import SPRINGS, ElasticLoad, LinearSpring, find_spring
 from jointid.simulation.loop_input import LoopInput, prepare
-from studies.healthy import Drive, drive
+from studies.healthy import NOISES, Drive, drive
 from studies.seeds import judge_seeds
 
 FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
-    "second mode", "spring in pieces", "stribeck", "motor load friction",
+    "second mode", "spring in pieces", "stribeck", "motor load friction", "saturation", "lost samples", "gravity",
+    "uneven friction",
+)  # fmt: skip
+PAIRS = (
+    "cubic spring, cogging", "cubic spring, load-dependent friction", "saturation, cogging",
+    "saturation, changing friction", "load-dependent friction, cogging",
 )  # fmt: skip
 RIGHT = {  # what the check should call them
     "cubic spring": ("cubic_spring",), "spring in pieces": ("cubic_spring",), "backlash": ("backlash",),
@@ -45,8 +50,17 @@ RIGHT = {  # what the check should call them
     "motor load friction": ("motor_load_friction", "load_dependent_friction"),
     "changing friction": ("changing_friction",), "presliding": ("winding_friction", "presliding"),
     "cogging": ("cogging",), "second mode": ("second_mode",), "stribeck": ("stribeck", "presliding"),
+    "saturation": ("torque_saturation",), "lost samples": ("lost_samples",), "gravity": ("gravity",),
+    "uneven friction": ("uneven_friction",),
 }  # fmt: skip
 _STEP = 1e-5  # s
+_SETTLED = 1.0  # s until a load hangs still
+_MOST_LOST = 8  # samples at one instant
+_BY_ONE_NUMBER = {  # and what that is a share of
+    "load-dependent friction": ("loss", ""), "presliding": ("presliding", "travel"),
+    "changing friction": ("warming", ""), "motor load friction": ("motor_loss", ""),
+}  # fmt: skip
+_NEWER = ("saturation", "gravity", "uneven friction")
 
 # What the simulation reads, by its place in a row: the drive, then what is wrong with it.
 _ORDER = (
@@ -61,8 +75,18 @@ _ORDER = (
     "warming",  # the viscous friction falls by this share from beginning to end
     "bend", "more", "next_bend", "still_more",  # rad, N m/rad: from these wind-ups on the spring is stiffer by that
     "rise", "slow",  # share of the Coulomb friction that is added to it below that speed, rad/s, on both sides
+    "sag", "peak",  # share of the torque that the motor does not make at that torque, N m, and of its square below
+    "weight", "tilt",  # N m of the load, which hangs down at that angle, rad
     "motor_loss",  # friction of the motor per torque through the spring
+    "uneven", "span", "middle",  # share of the friction that is added to it at that distance from a position, rad
 )  # fmt: skip
+
+
+@numba.njit(cache=False)
+def _times(q, v, rise, slow, uneven, span, middle):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Return how many times as large the Coulomb friction is at a position and a speed."""
+    more = 1.0 + (rise * math.exp(-((v / slow) ** 2)) if slow > 0.0 else 0.0)
+    return more * (1.0 + uneven * (q - middle) / span) if uneven != 0.0 else more
 
 
 @numba.njit(cache=False)
@@ -97,7 +121,14 @@ def _run(  # type: ignore[no-untyped-def]
         still_more,
         rise,
         slow,
+        sag,
+        peak,
+        weight,
+        tilt,
         motor_loss,
+        uneven,
+        span,
+        middle,
     ) = d
     z = state.copy()
     q1, q2, q3, v1, v2, v3 = first, first, first, 0.0, 0.0, 0.0
@@ -111,6 +142,7 @@ def _run(  # type: ignore[no-untyped-def]
         z = A @ z + Bq * q1 + (driven[i] if driven.shape[0] else np.zeros(z.size))
         out[i] = u
         acting[i] = u + after[i]
+        acting[i] *= 1.0 - (sag * (acting[i] / peak) ** 2 if sag != 0.0 else 0.0)
         torque = acting[i - lag] if i >= lag else acting[0]
         left = 1.0 - warming * i / periods
         for step in range(steps):
@@ -127,11 +159,9 @@ def _run(  # type: ignore[no-untyped-def]
             push1 = (torque if step or not i else 0.5 * (before + torque)) - offset + spring - left * b1 * v1
             if cogging != 0.0:
                 push1 -= cogging * math.sin(2 * math.pi * q1 / pitch)
-            push2 = -spring - left * b2 * v2
-            held1, held2 = f1 + motor_loss * abs(spring), f2 + loss * abs(spring)
-            if slow > 0.0:
-                held1 += rise * f1 * math.exp(-((v1 / slow) ** 2))
-                held2 += rise * f2 * math.exp(-((v2 / slow) ** 2))
+            push2 = -spring - left * b2 * v2 - weight * math.sin(q2 - tilt)
+            held1 = f1 * _times(q1, v1, rise, slow, uneven, span, middle) + motor_loss * abs(spring)
+            held2 = f2 * _times(q2, v2, rise, slow, uneven, span, middle) + loss * abs(spring)
             if m3 > 0.0:
                 third = k3 * (q3 - q2) + c3 * (v3 - v2)
                 push2 += third
@@ -199,58 +229,101 @@ def spoiled(seed: int, fault: str, longest: float = 12.0, noise: str = "") -> Sp
     the first, friction of 2 to 15 % of the load's torque on either side, friction that winds up over 1e-4 to 1e-2 of
     the travel, cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %, springs of three
     stiffnesses of which the last is 20 to 100 % above the first, from a quarter and a half of the largest wind-up on, a
-    Coulomb friction that is 60 % smaller to 80 % larger towards standstill, below 1 to 10 % of the largest speed.
+    Coulomb friction that is 60 % smaller to 80 % larger towards standstill, below 1 to 10 % of the largest speed, a
+    motor that makes 6 to 14 % less than its current says at the peak, 1 to 8 samples that are lost at one to three
+    instants of the motion, a hanging load of 20 to 100 % of the torque's scatter, Coulomb friction that rises by 10 to
+    30 % from either end of the travel to its middle, and as much beyond.
     """
     axis = drive(seed, longest, noise)
     rng = np.random.default_rng([seed, 19])
     record, truth, about = axis.record, dict(axis.truth), axis.about
     assert record.torque is not None and record.reference is not None
-    samples = record.torque.values.size
     experiment = prepare(axis.loop, record)
     clean, _, wound = simulate(axis, truth, experiment.after_limit)
     scale, travel = float(np.std(clean)), float(np.ptp(record.reference.values))
-    size = {
-        "none": 0.0, "cubic spring": rng.uniform(0.11, 0.94), "backlash": 0.1 * 20 ** rng.uniform(),
+    given = {
+        "cubic spring": rng.uniform(0.11, 0.94), "backlash": 0.1 * 20 ** rng.uniform(),
         "second mode": rng.uniform(1.5, 4.0), "load-dependent friction": rng.uniform(0.02, 0.15),
         "presliding": 10 ** rng.uniform(-4, -2), "cogging": rng.uniform(0.01, 0.05),
         "changing friction": rng.uniform(0.2, 0.6), "spring in pieces": 0.0, "stribeck": rng.uniform(-0.6, 0.8),
-    }["load-dependent friction" if fault == "motor load friction" else fault]  # fmt: skip
-    if fault == "cubic spring":
-        truth["cubic"] = size / wound**2
-    elif fault == "backlash":
-        truth["gap"] = 0.5 * size * wound
-    elif fault == "spring in pieces":
-        size, (first, second) = rng.uniform(0.2, 1.0), (rng.uniform(0.15, 0.35), rng.uniform(0.45, 0.65))
-        truth |= {"bend": first * wound, "next_bend": second * wound}
-        truth |= {"more": 0.5 * size * truth["stiffness"], "still_more": 0.5 * size * truth["stiffness"]}
-    elif fault == "second mode":  # a third of the load on a spring of its own
-        third = truth["load_inertia"] / 3
-        pulsation = 2 * math.pi * about["mode"] * size
-        truth |= {"load_inertia": 2 * third, "third_inertia": third, "third_stiffness": third * pulsation**2}
-        truth["third_damping"] = 0.02 * third * pulsation
-    elif fault == "load-dependent friction":
-        truth["loss"] = size
-    elif fault == "motor load friction":
-        truth["motor_loss"] = size
-    elif fault == "presliding":
-        truth["presliding"] = size * travel
-    elif fault == "cogging":
-        truth |= {"cogging": size * scale, "pitch": travel / rng.uniform(5, 40)}
-    elif fault == "changing friction":
-        truth["warming"] = size
-    elif fault == "stribeck":
-        fastest = float(np.max(np.abs(np.gradient(record.reference.values)))) / record.reference.sample_time
-        truth |= {"rise": size, "slow": fastest * 10 ** rng.uniform(-2, -1)}
-    drawn = rng.standard_normal(samples)
-    if about["noise"] == "coloured force":
-        drawn = lfilter([1.0], [1.0, -math.exp(-about["period"] * 2 * math.pi * rng.uniform(2, 30))], drawn)
-    drawn *= about["size"] * scale / drawn.std()
+    }  # fmt: skip
+    faults, size = fault.split(", "), 0.0
+    for one in faults:
+        size = given.get("load-dependent friction" if one == "motor load friction" else one, 0.0)
+        if one == "cubic spring":
+            truth["cubic"] = size / wound**2
+        elif one == "backlash":
+            truth["gap"] = 0.5 * size * wound
+        elif one == "spring in pieces":
+            size, (first, second) = rng.uniform(0.2, 1.0), (rng.uniform(0.15, 0.35), rng.uniform(0.45, 0.65))
+            truth |= {"bend": first * wound, "next_bend": second * wound}
+            truth |= {"more": 0.5 * size * truth["stiffness"], "still_more": 0.5 * size * truth["stiffness"]}
+        elif one == "second mode":  # a third of the load on a spring of its own
+            third = truth["load_inertia"] / 3
+            pulsation = 2 * math.pi * about["mode"] * size
+            truth |= {"load_inertia": 2 * third, "third_inertia": third, "third_stiffness": third * pulsation**2}
+            truth["third_damping"] = 0.02 * third * pulsation
+        elif one == "cogging":
+            truth |= {"cogging": size * scale, "pitch": travel / rng.uniform(5, 40)}
+        elif one == "stribeck":
+            fastest = float(np.max(np.abs(np.gradient(record.reference.values)))) / record.reference.sample_time
+            truth |= {"rise": size, "slow": fastest * 10 ** rng.uniform(-2, -1)}
+        elif one in _BY_ONE_NUMBER:
+            name, unit = _BY_ONE_NUMBER[one]
+            truth[name] = size * (travel if unit == "travel" else 1.0)
+        elif one in _NEWER:
+            size, values = _draw_newer(seed, one, clean, record.reference.values)
+            truth |= values
+    for _ in range(3 if "saturation" in faults else 0):  # less torque takes more current
+        current = simulate(axis, truth, experiment.after_limit)[0] + experiment.after_limit
+        truth["peak"] = float(np.abs(current).max())
+    drawn = scale * _draw_noise(rng, about, record.torque.values.size)
     on_log = about["noise"] == "log"
-    out, _, _ = simulate(axis, truth, experiment.after_limit + (0.0 if on_log else drawn))
+    # A load hangs in balance before its record begins.
+    rest = np.zeros(round(_SETTLED / about["period"]) if "gravity" in faults else 0)
+    held = record.reference.values[0] + rest
+    before = replace(record.reference, values=np.concatenate([held, record.reference.values]))
+    resting = replace(axis, record=ji.Record(reference=before)) if rest.size else axis
+    after = np.concatenate([rest, experiment.after_limit + (0.0 if on_log else drawn)])
+    out = simulate(resting, truth, after)[0][rest.size :]
     shown = out + experiment.shown + (drawn if on_log else 0.0)
     if not np.all(np.isfinite(shown)) or np.abs(shown).max() > 10 * np.abs(clean).max():
         return None
-    return Spoiled(replace(record, torque=replace(record.torque, values=shown)), axis, size, truth)
+    made = replace(record, torque=replace(record.torque, values=shown))
+    return Spoiled(lose(made, seed) if "lost samples" in faults else made, axis, size, truth)
+
+
+def _draw_noise(rng: np.random.Generator, about: dict[str, Any], samples: int) -> FloatArray:
+    """Return the noise of a drive, as a share of its torque's scatter."""
+    noise = rng.standard_normal(samples)
+    if about["noise"] == "coloured force":
+        noise = lfilter([1.0], [1.0, -math.exp(-about["period"] * 2 * math.pi * rng.uniform(2, 30))], noise)
+    return np.asarray(noise * about["size"] / noise.std())
+
+
+def _draw_newer(seed: int, fault: str, torque: FloatArray, reference: FloatArray) -> tuple[float, dict[str, float]]:
+    """Return the size of a fault, by draws that leave those of the others as they are, and its numbers."""
+    rng = np.random.default_rng([seed, 20])
+    low, high = float(reference.min()), float(reference.max())
+    if fault == "saturation":
+        size = rng.uniform(0.06, 0.14)
+        return size, {"sag": size, "peak": float(np.abs(torque).max())}
+    if fault == "gravity":
+        size = rng.uniform(0.2, 1.0)
+        return size, {"weight": size * float(np.std(torque)), "tilt": rng.uniform(-math.pi, math.pi)}
+    size = float(rng.choice([-1, 1])) * rng.uniform(0.1, 0.3)
+    return size, {"uneven": size, "span": 0.5 * (high - low), "middle": 0.5 * (low + high)}
+
+
+def lose(record: ji.Record, seed: int) -> ji.Record:
+    """Return a record without 1 to 8 samples at one to three instants of its motion, and nothing in their place."""
+    assert record.reference is not None
+    rng = np.random.default_rng([seed, 21])
+    moving = np.flatnonzero(np.diff(record.reference.values)[:-_MOST_LOST])
+    first = rng.choice(moving, rng.integers(1, 4))
+    rows = [one + np.arange(rng.integers(1, _MOST_LOST + 1)) for one in first]
+    less = {name: replace(one, values=np.delete(one.values, np.concatenate(rows))) for name, one in record.items()}
+    return record.with_channels(less)
 
 
 @dataclass(frozen=True)
@@ -302,10 +375,11 @@ def judge(
         return Said(seed, fault, made.size, about, f"{type(error).__name__}: {error}", "", "", None, None, ())
     row, truth = found["stiffness"], made.stiffness(spring)
     named = [
-        str(reason.values.get("suspect", reason.values.get("law", "")))
+        str(values.get("suspect", values.get("law", values.get("cause", ""))))
         for verdict in found.checks.verdicts
         if str(verdict.subject) == "loop"
         for reason in verdict.reasons
+        for values in reason.values.get("causes", [reason.values])
     ]
     return Said(
         seed, fault, made.size, about, "", found.sentence, str(found.answer.trust.code),
@@ -375,7 +449,8 @@ def summarise(runs: Sequence[Said]) -> str:
         z = np.abs([run.z for run in given if run.z is not None])
         sizes = [f"{np.median(a):.2g} {np.quantile(a, 0.9):.2g}" for a in (off, z) if a.size]
         relied = sum(run.trust.startswith("reliable") for run in given)
-        right = [bool(run.named) and run.named[0] in RIGHT.get(fault, ()) for run in here]
+        sought, most = fault.split(", "), 1 + fault.count(", ")  # of a pair both, in either order
+        right = [all({*run.named[:most]} & {*RIGHT.get(one, ())} for one in sought) for run in here]
         missed = sum(not named and run.z is not None and abs(run.z) > 2 for run, named in zip(here, right, strict=True))
         named = Counter(run.named[0] if run.named else "nothing" for run in here).most_common()
         lines.append(
@@ -392,11 +467,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--longest", type=float, default=12.0)
-    parser.add_argument("--fault", action="append", choices=FAULTS)
+    parser.add_argument("--fault", action="append", choices=(*FAULTS, *PAIRS))
     parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
     parser.add_argument("--friction", choices=FRICTIONS, default="symmetric")
     parser.add_argument("--ripple", action="store_true", help="declare the period of the cogging")
     parser.add_argument("--choose", choices=("spring", "friction"), help="compare all of them, and say which is shown")
+    parser.add_argument("--noise", choices=NOISES, default="", help="of all drives; each has one of its own without it")
     parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
     given = parser.parse_args(arguments)
     seeds, said, chosen = range(given.first, given.first + given.count), list[Said](), list[Chosen]()
@@ -405,7 +481,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if given.choose:
             asked, function = asked | {"kind": given.choose}, "studies.mechanics:choose"
         else:
-            asked |= {"spring": given.spring, "friction": given.friction, "ripple": given.ripple}
+            asked |= {"spring": given.spring, "friction": given.friction, "ripple": given.ripple, "noise": given.noise}
             function = "studies.mechanics:judge"
         for found in judge_seeds(function, seeds, asked, out=given.out):
             sys.stdout.write(json.dumps(found) + "\n")

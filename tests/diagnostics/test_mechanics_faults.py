@@ -16,21 +16,23 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.check_loop import LoopTests, search_faults
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
-from jointid.diagnostics.faults.forces import COGGING
+from jointid.diagnostics.faults.forces import COGGING, GRAVITY, TORQUE_SATURATION
 from jointid.diagnostics.faults.friction import (
     CHANGING_FRICTION,
     COULOMB,
     LOAD_DEPENDENT_FRICTION,
     MOTOR_LOAD_FRICTION,
+    UNEVEN_FRICTION,
     VISCOUS,
     WINDING_FRICTION,
 )
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
 from jointid.diagnostics.faults.trials import search_stiffer, solve_with_fault, vary_mechanics
-from jointid.diagnostics.identify import worst_shift
+from jointid.diagnostics.identify import widen_for_faults, worst_shift
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.estimation.descent import descend
+from jointid.estimation.identify import fit
 from jointid.estimation.methods.force_in_loop import find_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.answer import Trust
@@ -69,7 +71,8 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
     found = vary(made, x)
     of_robots = {"asymmetric_friction", "coupled_axes", "position_force", "compliance"}
     sought = {one for one in MECHANICS if one.name not in of_robots}
-    assert {one.fault for one in found} == sought - {COGGING, MOTOR_LOAD_FRICTION}  # which are not tried with a law
+    along = {COGGING, GRAVITY, MOTOR_LOAD_FRICTION, TORQUE_SATURATION, UNEVEN_FRICTION}  # not tried with a law
+    assert {one.fault for one in found} == sought - along
     assert len({(one.fault, one.shape) for one in found}) == len(found)  # a test names one of them
     for one in found:
         assert one.raw is not None
@@ -128,6 +131,37 @@ def test_a_small_second_mode_is_found_by_a_search() -> None:
     check = faults_of(estimate, made.record)
     assert [one.test.fault for one in check.findings] == [SECOND_MODE]
     assert check.findings[0].test.shape == pytest.approx(made.size * made.axis.about["mode"], rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("fault", "seed", "named", "said"),
+    [
+        ("saturation", 605, TORQUE_SATURATION, r"makes 1[234]\.?\d* .*% less torque than its current.*data sheet"),
+        ("gravity", 610, GRAVITY, r'the load hangs: its weight turns the joint.*\[gravity\] load = "link"'),
+        ("uneven friction", 622, UNEVEN_FRICTION, "the friction differs along the travel by 5"),
+    ],
+)
+def test_what_adds_a_force_along_the_motion_is_named_with_its_size(
+    fault: str, seed: int, named: Fault, said: str
+) -> None:
+    made = spoiled(seed, fault, 5.0)
+    assert made is not None
+    check = faults_of(identify(made.record, made.axis.loop), made.record)
+    test, truth = check.findings[0].test, made.truth
+    friction = truth["motor_coulomb"] + truth["load_coulomb"]
+    size = {"saturation": made.size, "gravity": truth.get("weight"), "uneven friction": abs(made.size) * friction}[
+        fault
+    ]
+    assert test.fault is named
+    assert abs(test.size) == pytest.approx(size, rel=0.25)
+    assert re.search(said, check.sentences[0])
+
+
+def test_two_faults_at_once_are_both_named_in_the_answer() -> None:
+    made = spoiled(632, "cubic spring, cogging", 5.0)
+    assert made is not None
+    said = ji.identify(made.record, made.axis.loop).answer.trust.words
+    assert "the spring is not linear" in said and "comes back with the motor's position" in said
 
 
 @pytest.mark.parametrize(("fault", "seed"), [("second mode", 135), ("cubic spring", 164)])
@@ -236,7 +270,8 @@ def test_a_rigid_joint_has_no_spring() -> None:
     rigid = ji.ClosedLoop(ji.RigidJoint(kind=axis.loop.joint.kind), axis.loop.controller)
     record = axis.record.without("motor_position", "load_position")
     estimate = identify(record, rigid, ji.DIDIM())
-    assert not {one.fault for one in faults_of(estimate, record).tests} & MECHANICS
+    along = {TORQUE_SATURATION, UNEVEN_FRICTION}  # which need no spring
+    assert {one.fault for one in faults_of(estimate, record).tests} & MECHANICS == along
 
 
 def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> None:
@@ -352,3 +387,29 @@ def test_the_answer_says_how_much_stiffer_a_spring_is_if_the_load_is_not_rigid()
     record = replace(axis.record, torque=replace(torque, values=torque.values + elastic - usual))
     as_stiff = identify(record, axis.loop)["stiffness"].value
     assert as_stiff == pytest.approx(plain.value, abs=0.25 * stiffer * plain.value)
+
+
+@pytest.mark.slow
+def test_a_fault_of_the_mechanics_that_is_not_excluded_widens_the_intervals() -> None:
+    """A spring 30 % stiffer at the largest wind-up, under noise: the stiffness is 20 % off, and no fault is named."""
+    stiffness, windup = 150.0, 6.7e-4
+    truth = {
+        "motor_inertia": 0.012, "motor_viscous": 0.01, "motor_coulomb": 0.08, "stiffness": stiffness, "damping": 0.05,
+        "load_inertia": 0.014, "load_viscous": 0.01, "load_coulomb": 0.03, "offset": 0.0,
+        "cubic_stiffness": 0.3 * stiffness / windup**2,
+    }  # fmt: skip
+    law = ji.controller.Cascade(position_gain=5.0, velocity_gain=0.6, integral_gain=3.0)
+    reference = ji.excitation.trapezoids((0.5, 1.0, 1.5), 15.0, 1.0, 1e-3, rest=0.1, duration=5.0)
+    noise = 0.004 * np.random.default_rng(1).standard_normal(reference.size)
+    real = ji.ClosedLoop(ji.FlexibleJoint("revolute", spring=ji.spring.CubicSpring()), law)
+    record = ji.simulated_record(real, reference, truth, sample_time=1e-3, torque_noise=noise)
+    found = fit(record.without("motor_position", "load_position"), replace(real, joint=ji.FlexibleJoint("revolute")))
+    assert found.problem is not None and found.x is not None
+    check = search_faults(found.problem, found.x)[0]
+    assert not check.findings
+    assert check.suspected is not None
+    assert check.suspected.test.fault.mechanical
+    assert check.suspected.test.p_value > 0.05
+    (wider,) = widen_for_faults(check)
+    assert wider.by["stiffness"] == abs(check.suspected.changes["stiffness"].by) > 0
+    assert not widen_for_faults(replace(check, suspected=None))

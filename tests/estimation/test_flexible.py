@@ -211,15 +211,20 @@ def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> 
         assert found is not None
         values = problem.values(found)
         assert values["motor_coulomb"] == pytest.approx(axis.truth["motor_coulomb"], abs=0.05 * whole)
-        assert values["motor_coulomb"] + values["load_coulomb"] == pytest.approx(whole)
-        assert values["stiffness"] == axis.truth["stiffness"]
+        assert values["motor_coulomb"] + values["load_coulomb"] == pytest.approx(whole, rel=0.05)
+        assert values["stiffness"] == pytest.approx(axis.truth["stiffness"], rel=0.05)
     assert stiffness_search.divide_coulomb_friction(problem, problem.vector(state | axis.truth), history) is None
 
 
 @pytest.mark.slow
-def test_two_starts_in_the_same_wrong_valley_of_friction_are_led_out_of_it() -> None:
-    """From halves, both starts end with 62 % of the Coulomb friction on the motor, where 72 % are."""
-    drive = healthy.drive(5047, 12.0)
+@pytest.mark.parametrize(("seed", "longest"), [(5047, 12.0), (2055, 5.0), (2017, 5.0)])
+def test_two_starts_in_the_same_wrong_valley_of_friction_are_led_out_of_it(seed: int, longest: float) -> None:
+    """Valleys of the Coulomb friction's division, far from the truth or next to it, and one at a bound of friction.
+
+    Without the steps that lead out of them 62 % are on the motor, where 72 % are; the residual is 9 % larger; and the
+    stiffness ends at 80 %, with the motor's viscous friction at 0.
+    """
+    drive = healthy.drive(seed, longest)
     estimate = identify(drive.record, drive.loop)
     assert estimate["stiffness"].value is not None
     assert all(abs(one) <= 3 for one in deviations(estimate, drive.truth).values())

@@ -483,3 +483,35 @@ def test_a_loop_that_needs_more_delay_than_it_can_bear_is_not_explained_away() -
     made = problem(where, Fault(on("L19", "delay").law), "white", 1)
     x = solved(made, where)
     assert np.linalg.norm(made.residual(x)) > 0.9 * np.linalg.norm(made.filter(made.measured))
+
+
+def test_a_wave_of_any_phase_is_tested_as_two_numbers() -> None:
+    """Of white residuals the best phase of a wave is significant at 5 % as often as that, not three times."""
+    rng, rows, found = np.random.default_rng(3), 200, []
+    waves = np.column_stack([turn(0.4 * np.arange(rows)) for turn in (np.cos, np.sin)])
+    own = rng.standard_normal((rows, 2))
+    fault = replace(number_fault("position_gain"), one_sided=True)
+    for residual in rng.standard_normal((300, rows)):
+        parts = np.linalg.lstsq(np.column_stack([waves, own]), residual, rcond=None)[0][:2]
+        column = waves @ parts / np.linalg.norm(parts)
+        signature = FaultSignature(fault, column, parts=parts.size)
+        (test,) = score_signatures(residual, own, [signature], {fault: 0.0}, lambda: cells(waves[:, 0], waves[:, 1]))
+        found.append(test.p_value)
+    assert 0.02 < np.mean(np.array(found) < 0.05) < 0.1
+
+
+def test_a_deviation_is_widened_for_a_residual_that_repeats_although_the_test_is_not_significant() -> None:
+    rng, rows = np.random.default_rng(4), 4000
+    way = 0.02 * np.arange(rows)
+    repeats = np.sin(7 * np.sin(way)) + 0.3 * rng.standard_normal(rows)
+    column, fault = np.cos(way) ** 3, number_fault("delay")
+    column -= repeats * (column @ repeats) / (repeats @ repeats)  # nothing of the residual is of the fault
+
+    def test(widened: float) -> FaultTest:
+        return score_signatures(
+            repeats, np.cos(way)[:, np.newaxis], [FaultSignature(fault, column)], {fault: 0.0},
+            lambda: cells(np.sin(way), np.cos(way)), widened=widened,
+        )[0]  # fmt: skip
+
+    assert test(0.05).p_value > 0.05
+    assert test(1.0).std > 1.2 * test(0.05).std

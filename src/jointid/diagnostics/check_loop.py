@@ -25,6 +25,7 @@ from jointid.common.messages import Message
 from jointid.common.parameters import Quantity, unit_of
 from jointid.common.text import number
 from jointid.diagnostics.fault_tests import (
+    RARER,
     compute_signatures,
     fit_whitener,
     rank_tests,
@@ -85,7 +86,7 @@ _AT_LEAST = 0.6  # of what half of the log's period changes, by one step: less s
 _REACH = 2.0  # times the same is what any faster drive changes
 _MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not searched for
 _TIMES_UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
-_FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
+_FORCES = 32  # independent ones: the deviation of what they show is known to an eighth
 _AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one
 _LARGEST_SHARE = 0.5  # of the load on a spring of its own
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
@@ -257,6 +258,7 @@ def search_faults(
         assumed=None if first is None or findings else _bound_second_mode(beginning, first, known),
         excluded=() if findings else found.excluded,
         lacking={} if findings else _measure_lacking(state, found),
+        suspected=_suspect_mechanics(state, found, settings.level, known),
     )
     return check, state
 
@@ -301,6 +303,20 @@ def _measure_lacking(state: SearchState, found: _TestResults) -> dict[str, float
     moved = [one.size * np.linalg.pinv(own) @ shapes[one.fault, one.shape] for one in found.excluded]
     names = [p.name for p in state.problem.free_joint]
     return {name: float(max(abs(by[k]) for by in moved)) for k, name in enumerate(names)} if moved else {}
+
+
+def _suspect_mechanics(
+    state: SearchState, found: _TestResults, level: float, known: Mapping[str, float]
+) -> Finding | None:
+    """Return the likeliest fault of the mechanics if it is significant at the level of those of the loop.
+
+    The p-values of the mechanics are those of a tenth of the level: such a fault is not named.
+    """
+    first = next((one for one in found.tests if one.fault.mechanical), None)
+    if first is None or not level < first.p_value <= RARER * level:
+        return None
+    alone = replace(found, tests=(first,))
+    return _make_finding(state, _accept_fault(state, alone), alone, level, known)
 
 
 def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
@@ -651,7 +667,7 @@ def _simulate_forces(state: SearchState) -> list[FloatArray]:
     random = np.random.default_rng(1)
     return [
         problem.filter(one - run.torque + force.noise * random.standard_normal(one.size))
-        for one in simulate_with_force(problem, state.x, force, _FORCES)
+        for one in simulate_with_force(problem, state.x, force, _FORCES, (1.0,))
     ]
 
 

@@ -53,8 +53,11 @@ _COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the 
 _SAME = 0.999  # cosine of two collinear columns
 _KEPT = 0.25  # of a frequency at least: what a fit takes nearly all of is not known from the remainder
 _WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
-_RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
+_MANY = 1e9  # degrees of freedom: a normal distribution
 _MORE = 1.2  # times the deviation: what 32 forces show is so much more in one of twenty by chance
+
+RARER = 10
+"""Times as rarely as one of the loop, a fault of the mechanics is found where there is none."""
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
 
@@ -109,6 +112,7 @@ def score_signatures(
     declared: Mapping[Fault, float],
     where: Callable[[], Cells],
     by_forces: Callable[[], Sequence[FloatArray]] = tuple,
+    widened: float = _WIDENED,
 ) -> tuple[FaultTest, ...]:
     """Test each fault alone, the strongest first of those that are significant.
 
@@ -117,8 +121,10 @@ def score_signatures(
         own: (rows, free) columns of its free parameters, and of faults already corrected.
         signatures: of all faults: none of them is noise.
         declared: value of each fault to be tested.
-        where: returns the rows' cells; called only where a test is significant, as is the next.
-        by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone.
+        where: returns the rows' cells; called only where a deviation is widened.
+        by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone; called
+            only where a test is significant.
+        widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
     """
     basis = _find_basis(np.column_stack([own, *(a.column for a in signatures)]))
     whiten = fit_whitener(_give_back(residual - basis @ (basis.T @ residual), _fitted_share(basis)))
@@ -133,9 +139,9 @@ def score_signatures(
 
     taken = _fitted_share(basis)
     of_mechanics = [group[0].signature.fault.mechanical for group in groups]
-    families = [of_mechanics.count(mechanics) * (_RARER if mechanics else 1) for mechanics in of_mechanics]
+    families = [of_mechanics.count(mechanics) * (RARER if mechanics else 1) for mechanics in of_mechanics]
     found = [
-        _test_group(group, left, taken, family, declared, where, simulate_forces)
+        _test_group(group, left, taken, family, declared, where, simulate_forces, widened)
         for group, family in zip(groups, families, strict=True)
     ]
     return rank_tests(found, _WIDENED)
@@ -240,27 +246,30 @@ def _test_group(
     declared: Mapping[Fault, float],
     where: Callable[[], Cells],
     simulate_forces: Callable[[], FloatArray],
+    widened: float,
 ) -> FaultTest:
     """Return the test of a fault, its p-value adjusted for all tests of the family.
 
     Regressing the parts orthogonal to the other columns is the regression on all columns (Frisch and Waugh).
     """
-    from scipy.stats import t
+    from scipy.stats import f, t
 
-    step, fault = group[0], group[0].signature.fault
+    step, fault, parts = group[0], group[0].signature.fault, group[0].signature.parts
     alone = step.alone[:, np.newaxis]
     after = _give_back(left - step.size * step.alone, taken + _fitted_share(alone / column_norms(alone)))
     alike = tuple(other.signature.fault for other in group[1:])
 
-    def judge(std: float, degrees: float = math.inf) -> FaultTest:
+    def judge(std: float, degrees: float = _MANY) -> FaultTest:
         ratio = step.size / std if std > 0 else 0.0
         tail = t.sf(ratio, degrees) if fault.one_sided else 2 * t.sf(abs(ratio), degrees)
+        if parts > 1:  # a size that its coefficients make has no sign
+            tail = f.sf(ratio**2 / parts, parts, degrees)
         p_value = min(float(tail) * step.shapes * family, 1.0)
         return FaultTest(fault, alike, declared[fault], step.size, std, ratio, p_value, step.signature.shape)
 
     covariance = robust(alone, alone, after)
     test = judge(float(covariance.std[0]))
-    if test.p_value > _WIDENED:
+    if test.p_value > widened:
         return test
     test = judge(float(widen(covariance, alone, alone, after, where())[0].std[0]))
     if test.p_value > _WIDENED or not simulate_forces().size:

@@ -25,7 +25,7 @@ from jointid.common.messages import Message, Progress, Suspicion, ignore_progres
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.record import find_lost_motion, find_plain_cause, find_standstill
+from jointid.diagnostics.faults.record import find_lost_motion, find_lost_samples, find_plain_cause, find_standstill
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.hypothesis_fits import (
     ASTRAY,
@@ -329,6 +329,8 @@ def find_gross_cause(
     loop = estimate.settings.loop
     assert loop is not None
     refused = any(p.value is None for p in estimate.params.rows)
+    if (lost := find_lost_samples(record)) is not None:
+        return Causes(estimate.fit.filtered_error, (), (), plain=lost)
     told = bool(low) and low[0].hypothesis.fault is not None and refused
     if estimate.fit.filtered_error <= _SUSPICIOUS and not told:
         return None

@@ -14,13 +14,13 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Message, Progress, Suspicions, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
-from jointid.common.text import join
+from jointid.common.text import join, number
 from jointid.diagnostics.check_loop import has_unstated_delay
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.numbers import DELAY
-from jointid.diagnostics.faults.record import find_too_short
+from jointid.diagnostics.faults.record import find_lost_samples, find_too_short
 from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, screen_causes
 from jointid.diagnostics.hypothesis_fits import Fit
 from jointid.diagnostics.undeclared import widen_for_undeclared
@@ -45,6 +45,8 @@ from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, skip_test
+
+_TOLD = 1.0  # deviations: what a suspected fault moves further is said
 
 
 @one_thread()
@@ -279,7 +281,10 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
-    tested = part.has_controllers or of_logs
+    lost = next(filter(None, map(find_lost_samples, fit.records)), None)
+    if lost is not None:
+        loop = Verdict(Subject.LOOP, Status.FAILED, (lost,))
+    tested = part.has_controllers or of_logs or lost is not None
     wider = _widen_for_undeclared(fit, found)
     return CheckResults((residual, loop) if tested else (residual,), tuple(wider), diagnosis=found)
 
@@ -297,7 +302,7 @@ def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
 
 
 def widen_for_faults(check: AxisFaults) -> list[Widening]:
-    """Return the shifts of parameters by the faults of the mechanics that a check found; none without any.
+    """Return the shifts of parameters by the faults of the mechanics that a check found or suspects; none without any.
 
     Faults of loop and log widen no interval: they are corrected, or not. Where they are excluded, the joint has what
     looks like them.
@@ -307,9 +312,18 @@ def widen_for_faults(check: AxisFaults) -> list[Widening]:
     for finding in found:
         for name, change in finding.changes.items():
             moved[name] = math.hypot(moved.get(name, 0.0), change.by)
-    for name, by in check.lacking.items():
-        moved[name] = 0.5 * by  # two deviations hold it
-    return [Widening(moved, "what the joint has and its model has not")] if moved else []
+    moved |= {name: 0.5 * by for name, by in check.lacking.items()}  # two deviations hold it
+    wider = [Widening(moved, "what the joint has and its model has not")] if moved else []
+    if (suspect := check.suspected) is not None:
+        title, shifts = suspect.test.title, {name: abs(one.by) for name, one in suspect.changes.items()}
+        off = [
+            f"{check.symbols[name]} by {number(shifts[name], 2)} {check.units[name]}".rstrip()
+            for name, one in suspect.changes.items()
+            if abs(one.sigmas) > _TOLD
+        ]
+        said = f"the record does not exclude this: {title} (p = {number(suspect.test.p_value, 2)}). It may move "
+        wider.append(Widening(shifts, f"a {title}", f"{said}{join(off)}, which the intervals hold" if off else ""))
+    return wider
 
 
 def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedResidual) -> Widening:

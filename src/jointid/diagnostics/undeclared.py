@@ -152,6 +152,6 @@ def _largest_size(torques: AxisTorques, axis: int, fault: Fault, column: FloatAr
     signature = FaultSignature(replace(fault, one_sided=True), column[axis])
     (test,) = score_signatures(
         torques.error[axis], own[:, np.any(own, axis=0)], [signature], {signature.fault: 0.0},
-        lambda: cells(torques.position[axis], torques.velocity[axis]),
+        lambda: cells(torques.position[axis], torques.velocity[axis]), widened=1.0,
     )  # fmt: skip
     return test.size + 2 * test.std

@@ -127,6 +127,44 @@ def test_a_friction_that_grows_with_the_load_is_named() -> None:
     assert any('with a spring, and friction = "load-dependent" (by didim)' in one for one in found.sentences)
 
 
+def test_a_torque_constant_that_falls_with_the_current_is_named() -> None:
+    def more_current(torque: FloatArray) -> FloatArray:
+        return torque * (1.0 + 0.1 * (torque / np.max(np.abs(torque))) ** 2)
+
+    records = logged_torque(records_of(arm(3), 2, noise=0.02), 1, more_current)
+    found = diagnose_robot(identified(arm(3), records), records)
+    assert named(found) == [("joint2", "torque_saturation")]
+    assert found.axes[1].faults.findings[0].test.size == pytest.approx(0.09, abs=0.03)
+
+
+def test_a_friction_that_differs_along_the_travel_is_named() -> None:
+    records, (q, v, _) = records_of(arm(3), 2, noise=0.02), motion(2, 3)
+    way = 2.0 * (q[:, 1] - q[:, 1].min()) / np.ptp(q[:, 1]) - 1.0
+    more = with_torque(records, 1, 2.0 * np.sign(v[:, 1]) * way)
+    found = diagnose_robot(identified(arm(3), more), more)
+    assert named(found) == [("joint2", "uneven_friction")]
+    assert found.axes[1].faults.findings[0].test.size == pytest.approx(2.0, abs=0.2)
+
+
+def test_samples_that_are_missing_are_named_with_their_place() -> None:
+    records = records_of(arm(3), 2, noise=0.02)
+    step = round(1.7 / SAMPLE_TIME)
+    less = [
+        one.with_channels(
+            {name: replace(c, values=np.delete(c.values, np.s_[step : step + 4])) for name, c in one.items()}
+        )
+        for one in records
+    ]
+    found = identify(less, arm(3), IDIM())
+    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    assert loop.status is Status.FAILED
+    assert loop.said.startswith("samples are missing in the record: about 4 at 1.7")
+    assert not any(
+        one.subject is Subject.LOOP and one.status is Status.FAILED
+        for one in identify(records, arm(3), IDIM()).checks.verdicts
+    )
+
+
 def test_positions_in_degrees_are_named_by_the_limits_of_the_model() -> None:
     records = records_of(arm(3), 2)
     links = tuple(replace(link, limits=(-3.0, 3.0)) for link in arm(3).links)

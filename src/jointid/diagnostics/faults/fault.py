@@ -151,6 +151,7 @@ class FaultSignature:
         column: (rows,) change of the filtered torque per unit of its size: a derivative, or a secant.
         shape: the level of a limit, a Stribeck speed, a gap or a frequency; None without a shape.
         tried: number of shapes that this one was chosen from.
+        parts: numbers of the fault that were fitted for this column: 2 of a wave of any phase.
         raw: (samples,) the column before the filter, if no parameter of the problem stands for the fault.
     """
 
@@ -159,6 +160,7 @@ class FaultSignature:
     shape: float | None = None
     raw: FloatArray | None = None
     tried: int = 1
+    parts: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -101,6 +101,8 @@ class AxisFaults:
         of_loop: whether faults of the loop were tested, which needs its simulation.
         excluded: where no fault was found, significant tests of faults that the motor position excludes.
         lacking: largest shift of each parameter, by name, by what looks like them and is in the joint.
+        suspected: a fault of the mechanics beside those found that is significant at the level of those of the loop,
+            not at its own tenth of that: it is not named, but intervals hold what it moves.
     """
 
     findings: tuple[Finding, ...]
@@ -118,6 +120,7 @@ class AxisFaults:
     of_loop: bool = True
     excluded: tuple[FaultTest, ...] = ()
     lacking: Mapping[str, float] = field(default_factory=dict)
+    suspected: Finding | None = None
 
     @property
     def as_declared(self) -> bool:

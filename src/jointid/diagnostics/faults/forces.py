@@ -15,7 +15,7 @@ from jointid.common.text import number, pluralise
 from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, FaultTest, Hint, Measure, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import describe_number
-from jointid.diagnostics.faults.trials import with_joint
+from jointid.diagnostics.faults.trials import respond_to_force, with_joint
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import with_numbers
 from jointid.models.joints import FlexibleJoint, Joint
@@ -28,6 +28,8 @@ from jointid.uncertainty.verdict import Reason
 _STEP = 1e-4  # of the known signal
 _WAVES = 4  # periods in the travel
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
+_HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
+_SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
 _FEWEST = 12  # steps of an injected signal
 _CLEAR = 10.0  # times the median change of a sample: size of a step
 _LARGE = 0.03  # of the torque's scatter: a smaller step is of no interest
@@ -124,6 +126,66 @@ LIMIT = Fault(
     describe=lambda finding, check, _: "the controller's output stops at "
     f"{number(finding.value or finding.test.shape, 4)} {check.on_side('torque')}, which is not declared",
     measure=Measure.SHARE, free=_free_limit, value=lambda problem, value: value * _torque_per_unit(problem),
+)  # fmt: skip
+
+
+def _sag(current: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+    """Yield what a motor makes less than its current says, per unit of it at the largest, and the power it grows by."""
+    share = np.abs(current) / (float(np.max(np.abs(current), initial=0.0)) or 1.0)
+    for power in _SAGS:
+        yield power, current * share**power
+
+
+def _vary_saturation(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
+    added = problem.experiment.after_limit
+    for power, less in _sag(output + added) if output.size == added.size else ():
+        for raw in respond_to_force(problem, x, -less):
+            yield FaultSignature(TORQUE_SATURATION, problem.filter(raw), power, raw)
+
+
+def _along_current(motion: AxisMotion) -> Iterator[FaultSignature]:
+    for power, less in _sag(motion.torque):
+        yield FaultSignature(TORQUE_SATURATION, less, power)
+
+
+def _describe_saturation(finding: Finding, _: AxisFaults, spread: bool) -> str:
+    size = finding.test.show_size("%", spread=spread, factor=100.0)
+    less = "less torque than its current says, where that is largest: its iron saturates"
+    return words("the motor makes", size, less)
+
+
+TORQUE_SATURATION = Fault(
+    "torque_saturation", "torque constant that falls with the current", describe=_describe_saturation,
+    vary=_vary_saturation, along=_along_current, mechanical=True, one_sided=True, measure=Measure.SHARE,
+    remedy=lambda _: "; the joint file has one torque constant: record with half of that torque, or see the curve of "
+    "torque and current in the motor's data sheet",
+)  # fmt: skip
+
+
+def _vary_gravity(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    """Yield the signatures of a load that hangs in four directions."""
+    joint, run = problem.joint, problem.simulate(x)
+    gear = joint.transmission
+    if joint.gravity is not None or (joint.kind if gear is None else gear.load) != "revolute":
+        return
+    angle = run.motor_position if run.load_position is None else run.load_position
+    if gear is not None and gear.ratio is not None and gear.side == "motor":
+        angle = angle / gear.ratio
+    for hangs in _HANGS:
+        for raw in respond_to_force(problem, x, -np.sin(angle - hangs)):
+            yield FaultSignature(GRAVITY, problem.filter(raw), hangs, raw)
+
+
+def _describe_gravity(finding: Finding, check: AxisFaults, spread: bool) -> str:
+    size = finding.test.show_size(check.on_side("torque"), spread=spread)
+    return words("the load hangs: its weight turns the joint", size and f"by {size} at most")
+
+
+GRAVITY = Fault(
+    "gravity", "load that hangs", describe=_describe_gravity, vary=_vary_gravity, mechanical=True,
+    measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+    remedy=lambda _: '; to identify it, declare it: [gravity] load = "link"',
 )  # fmt: skip
 
 INJECTED = Fault("injected", "signal that is not declared")
@@ -233,7 +295,7 @@ def _simulate_ripple(
     if not amplitude > 0.0:
         return None
     parts = parts / amplitude
-    signature = FaultSignature(COGGING, seen @ parts, period, raw @ parts, tried)
+    signature = FaultSignature(COGGING, seen @ parts, period, raw @ parts, tried, parts.size)
     return float(left @ columns @ parts) * amplitude, signature
 
 
@@ -283,7 +345,7 @@ COUPLED = Fault(
     along=_along_others, mechanical=True,
 )  # fmt: skip
 
-FAULTS = (OFFSET, INJECTED_GAIN, INJECTED, POSITION_FORCE, COUPLED)
+FAULTS = (OFFSET, INJECTED_GAIN, TORQUE_SATURATION, GRAVITY, INJECTED, POSITION_FORCE, COUPLED)
 
 
 def find_steps(record: Record) -> Message | None:

@@ -13,7 +13,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, Hint, Measure, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
-from jointid.diagnostics.faults.trials import Trial, search_stiffer
+from jointid.diagnostics.faults.trials import Trial, respond_to_force, search_stiffer
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import (
     PARTS,
@@ -26,13 +26,10 @@ from jointid.models.friction import (
     SymmetricFriction,
 )
 from jointid.models.joints import FlexibleJoint, frictions_beside
-from jointid.records.record import Tap
 from jointid.simulation.closed_loop import Simulation
-from jointid.simulation.loop_input import to_log
 from jointid.uncertainty.verdict import Reason
 
 _SPEEDS = (0.02, 0.04, 0.08)  # of the largest speed: the Stribeck speeds that are tried
-_FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
 _DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which friction winds up
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
 _SIDES = ("motor_", "load_")
@@ -53,25 +50,10 @@ def _vary_stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
         speed = share * float(np.max(np.abs(velocity), initial=0.0))
         if speed > 0:
             force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
-            for raw in _respond(problem, x, force):
+            for raw in respond_to_force(problem, x, force):
                 column = problem.filter(raw)
                 yield FaultSignature(STRIBECK, column, speed, raw)
                 yield FaultSignature(PRESLIDING, -column, speed, -raw)
-
-
-def _respond(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> Iterator[FloatArray]:
-    """Yield the change of the torque, (samples,), by a force on the simulated motor; none at a rate of its own."""
-    if force.size != problem.experiment.after_limit.size:
-        return  # a force at the controller's instants needs the motion there
-    largest = float(np.max(np.abs(force), initial=0.0)) or 1.0
-    small = _FORCE * float(np.max(np.abs(problem.measured))) / largest
-
-    def simulate(by: float) -> FloatArray:
-        return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + by * force))
-
-    raw = (simulate(small) - simulate(-small)) / (2 * small)
-    # The force itself is not in a measured torque.
-    yield raw - to_log(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else raw
 
 
 def _along_stribeck(motion: AxisMotion) -> Iterator[FaultSignature]:
@@ -106,6 +88,37 @@ STRIBECK = Fault(
 PRESLIDING = replace(
     STRIBECK, name="presliding", title="friction that falls towards standstill",
     describe=partial(_describe_stribeck, "smaller"), laws=(PreslidingFriction.name, *_AT_LOW_SPEED),
+)  # fmt: skip
+
+
+def _vary_along_travel(position: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+    """Yield shapes over the travel, of at most 1, and the number of each: a line, half a wave and a whole one."""
+    low, span = float(position.min()), float(np.ptp(position)) or 1.0
+    way = 2.0 * (position - low) / span - 1.0
+    for shape, over in enumerate((way, np.cos(np.pi * way), np.sin(np.pi * way))):
+        yield float(shape), over
+
+
+def _vary_uneven(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    run = problem.simulate(x)
+    for shape, over in _vary_along_travel(run.motor_position):
+        for raw in respond_to_force(problem, x, -np.sign(run.motor_velocity) * over):
+            yield FaultSignature(UNEVEN_FRICTION, problem.filter(raw), shape, raw)
+
+
+def _along_uneven(motion: AxisMotion) -> Iterator[FaultSignature]:
+    for shape, over in _vary_along_travel(motion.position):
+        yield FaultSignature(UNEVEN_FRICTION, np.sign(motion.velocity) * over, shape)
+
+
+def _describe_uneven(finding: Finding, check: AxisFaults, spread: bool) -> str:
+    size = finding.test.show_size(check.on_side("torque"), spread=spread)
+    return words("the friction differs along the travel", size and f"by {size} either way")
+
+
+UNEVEN_FRICTION = Fault(
+    "uneven_friction", "friction that differs along the travel", describe=_describe_uneven, vary=_vary_uneven,
+    along=_along_uneven, mechanical=True, measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
 )  # fmt: skip
 
 
@@ -173,7 +186,7 @@ def _vary_motor_load_friction(problem: ClosedLoopProblem, x: FloatArray) -> Iter
     assert run.load_velocity is not None
     wound, rate = run.motor_position - run.load_position, run.motor_velocity - run.load_velocity
     force = -np.abs(joint.spring.torque(values, wound, rate)) * np.sign(run.motor_velocity)
-    for raw in _respond(problem, x, force):
+    for raw in respond_to_force(problem, x, force):
         yield FaultSignature(MOTOR_LOAD_FRICTION, problem.filter(raw), raw=raw)
 
 
@@ -226,6 +239,6 @@ ASYMMETRIC_FRICTION = Fault(
     reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(AsymmetricFriction.name,),
 )  # fmt: skip
 FAULTS = (
-    STRIBECK, PRESLIDING, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, MOTOR_LOAD_FRICTION, CHANGING_FRICTION,
-    ASYMMETRIC_FRICTION,
+    STRIBECK, PRESLIDING, UNEVEN_FRICTION, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, MOTOR_LOAD_FRICTION,
+    CHANGING_FRICTION, ASYMMETRIC_FRICTION,
 )  # fmt: skip

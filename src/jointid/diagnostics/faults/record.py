@@ -17,7 +17,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
-from jointid.common.text import number
+from jointid.common.text import join, number
 from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import LAW_GAIN, say_times
@@ -48,6 +48,10 @@ _LOST = 0.3  # of the torque, that is no response to the reference
 _AS_LARGE = 0.5  # of what the reference would make at rest: axes that move make a sixth of it at most
 _REMEDY = "record a larger or faster motion"
 _LEAST = 1.0  # s of motion: a shorter record is not relied on
+_FEWEST_STEPS = 10  # of a motion
+_ROUGH = 0.15  # of a step: by so much the next one may differ
+_MOST_PLACES = 20  # more are how the reference is made
+_SAID = 3  # places
 _BACK = 0.05  # of all the way: who goes back less moves one way only
 
 
@@ -194,7 +198,37 @@ def find_plain_cause(record: Record) -> Message | None:
     assert record.reference is not None
     if record.injected is not None:  # that moves the joint, too
         return None
-    return _check_length(record.reference, SHORTEST, "to tell what is wrong") or find_steps(record)
+    short = _check_length(record.reference, SHORTEST, "to tell what is wrong")
+    return short or find_lost_samples(record) or find_steps(record)
+
+
+def find_lost_samples(record: Record) -> Message | None:
+    """Return the message of samples that are missing in a record without stamps; None where the motion shows none.
+
+    There a smooth motion goes a whole number of its steps at once.
+    """
+    channel = record.reference or record.motor_position
+    if channel is None or channel.values.size < 2 * _FEWEST_STEPS:
+        return None
+    steps = np.diff(channel.values)
+    before, here, after = steps[1:-3], steps[2:-2], steps[3:-1]
+    with np.errstate(all="ignore"):
+        times = 2.0 * here / (before + after)
+        smooth = _ROUGH * np.minimum(np.abs(before), np.abs(after))
+        even = (np.abs(before - steps[:-4]) < smooth) & (np.abs(after - steps[4:]) < smooth)
+        lost = np.round(times) - 1.0
+        # Between the samples that are missing the steps change as on either side.
+        near = np.abs(times - lost - 1.0) < _ROUGH * (1.0 + lost)
+        jumps = even & near & (lost >= 1.0) & (np.abs(after - before) < _ROUGH * (2.0 + lost) * np.abs(before))
+    (places,) = np.nonzero(jumps)
+    if not 0 < places.size <= _MOST_PLACES:
+        return None
+    said = [f"about {lost[k]:.0f} at {number(channel.sample_time * (k + 2), 3)} s" for k in places[:_SAID]]
+    more = f" and at {places.size - _SAID} more" if places.size > _SAID else ""
+    clause = f"samples are missing in the record: {join(said)}{more}"
+    clause += "; cut it there (record.start, record.stop), or log time stamps"
+    cause = {"cause": LOST_SAMPLES.name, "value": float(lost[places].sum()), "error": None}
+    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
 
 
 def find_too_short(record: Record) -> Message | None:
@@ -308,4 +342,8 @@ def _state_standstill(words: str) -> Message:
     return Message(Reason.HARDLY_MOVES, clause, {}, clause)
 
 
-FAULTS = (TORQUE_SIGN, REFERENCE_SIGN, SWAPPED_CHANNELS, SAMPLE_TIME, REFERENCE_IS_POSITION, FLEXIBLE)
+LOST_SAMPLES = Fault("lost_samples", "samples that are missing")
+
+FAULTS = (
+    TORQUE_SIGN, REFERENCE_SIGN, SWAPPED_CHANNELS, SAMPLE_TIME, LOST_SAMPLES, REFERENCE_IS_POSITION, FLEXIBLE,
+)  # fmt: skip

@@ -21,6 +21,7 @@ from jointid.uncertainty.verdict import Reason
 
 _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
 _LEAST = 0.05  # of the load: a smaller part rings at any frequency that the noise has, and moves no other parameter
+_FITTED = 3  # numbers of a load that swings, which a search fits: share, frequency and damping
 _WORTH_A_SEARCH = 1.5  # deviations of a load that swings as tried
 
 
@@ -86,7 +87,7 @@ def _try_second_mode(joint: FlexibleJoint, run: Simulation, values: Mapping[str,
 def _search_second_mode(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> list[FaultSignature]:
     """Return the signatures of an elastic load by short searches from three of the modes.
 
-    The tried modes are few, and an elastic load changes all other parameters.
+    The tried modes are few, and an elastic load changes all other parameters. All of their numbers count as fitted.
     """
     test = hint.test
     if test is None or test.p_value <= hint.level or test.strength < _WORTH_A_SEARCH:
@@ -97,7 +98,7 @@ def _search_second_mode(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -
     for end in in_threads(lambda trial: search(problem, x, trial), trials):
         if end is not None and (share := end.values["swinging_share"]) > _LEAST:
             raw, mode = end.change / share, joint.frequencies(end.values)["second_free_free"]
-            found.append(FaultSignature(SECOND_MODE, problem.filter(raw), mode, raw))
+            found.append(FaultSignature(SECOND_MODE, problem.filter(raw), mode, raw, parts=_FITTED))
     return found
 
 

@@ -21,9 +21,12 @@ from jointid.estimation.descent import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import SymmetricFriction
 from jointid.models.joints import FlexibleJoint
+from jointid.records.record import Tap
 from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.loop_input import to_log
 from jointid.simulation.simulated import require_success
 
+_FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
 _WILD = 10.0  # times the torque: a loop that is unstable with a fault so large is not that of the record
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
 _STIFFER = (2.5, 6.0)  # times the stiffness found: beside these springs a fault is tried that hides most of it
@@ -85,6 +88,21 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray, faults: Iterable[F
     for trial, raw in zip(trials, in_threads(simulate, trials), strict=True):
         if raw is not None:
             yield FaultSignature(trial.fault, problem.filter(raw), trial.shape, raw)
+
+
+def respond_to_force(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> Iterator[FloatArray]:
+    """Yield the change of the torque, (samples,), by a force on the simulated motor; none at a rate of its own."""
+    if force.size != problem.experiment.after_limit.size:
+        return  # a force at the controller's instants needs the motion there
+    largest = float(np.max(np.abs(force), initial=0.0)) or 1.0
+    small = _FORCE * float(np.max(np.abs(problem.measured))) / largest
+
+    def simulate(by: float) -> FloatArray:
+        return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + by * force))
+
+    raw = (simulate(small) - simulate(-small)) / (2 * small)
+    # The force itself is not in a measured torque.
+    yield raw - to_log(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else raw
 
 
 def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> FaultFit | None:

@@ -238,14 +238,18 @@ def simulate_mean(problem: ClosedLoopProblem, x: FloatArray, force: RandomForce)
 
 
 def simulate_with_force(
-    problem: ClosedLoopProblem, x: FloatArray, force: RandomForce, pairs: int = _PAIRS
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    force: RandomForce,
+    draws: int = _PAIRS,
+    signs: tuple[float, ...] = (1.0, -1.0),
 ) -> Iterator[FloatArray]:
-    """Yield the torque of the loop, (samples,), under each force of so many pairs of opposite ones."""
+    """Yield the torque of the loop, (samples,), under so many random forces, each of them with each sign."""
     random = np.random.default_rng(0)
-    for _ in range(pairs):
+    for _ in range(draws):
         pushed = force.draw(problem.measured.size, problem.sample_time, random)
-        yield problem.torque(x, partial(_with_force, force=pushed))
-        yield problem.torque(x, partial(_with_force, force=-pushed))
+        for sign in signs:
+            yield problem.torque(x, partial(_with_force, force=sign * pushed))
 
 
 def _with_force(driven: LoopInput, force: FloatArray) -> LoopInput:

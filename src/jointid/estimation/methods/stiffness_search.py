@@ -3,18 +3,22 @@
 1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
 2. A grid of flexible joints, a simulation each, on a band as wide as the log (`starts.flexible_joint`); and starts at
    antiresonances, which need no rigid joint (`starts.flexible_joint`).
-3. Rough descents from the best few, at frequencies apart, until two end together.
+3. Rough descents from the best few, at frequencies apart, until two end together. Starts that are alike may all end in
+   one wrong valley, at a bound of the friction. If the residual there repeats with the motion, twice as many are tried.
 4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
-   first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
+   first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one. From the
+   two divisions beside the end a Gauss-Newton step is taken, too.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
 6. The same with the motor moving at the first sample.
-7. All of it again from a rigid joint below a lower frequency, where the end explains little of the torque.
+7. All of it again with other inertias, then from a rigid joint below a lower frequency, where the end explains little
+   of the torque.
 
 Nelder-Mead begins as the paper does, by halves (13) at a known frequency.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,10 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress, Suspicion
-from jointid.common.parameters import Quantity
+from jointid.common.parameters import Bounds, Quantity
 from jointid.estimation.descent import History, Solved, least_squares, or_moving, roughly
 from jointid.estimation.methods.registry import Method, Task, method_of
 from jointid.estimation.problems.base import INITIAL_STATE
@@ -46,6 +50,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.solve import Counted, Solution, Solver, solve
+from jointid.uncertainty.position_dependent_error import repeatable
 
 RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 
@@ -55,13 +60,15 @@ _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its 
 _LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot be identified
 _LOWER_AGAIN = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
-_REFINED = 6  # starts that are refined at most, until two of them end together
+_REFINED = 6  # starts that are refined at most, until two of them end together; or twice as many, see above
+_HELD = 1e-3  # of its start: so little of a number is left where its bound at 0 holds it
 _BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
 # bottom, and what several ends are good for is to show that no other valley is deeper.
 _TOGETHER, _AS_GOOD = 1e-2, 3e-3
 _BETTER = 1e-3  # of what remains: so much less is further down
 _DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
+_IDLE = 1e-8  # of the largest singular value: smaller ones are those of parameters that change nothing
 _REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 
@@ -110,9 +117,12 @@ class StiffnessSearch:
             solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
         assert rigid.settings.filtering.cutoff is not None
         edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
+        if self.frequency is None and self._explains_little(solved):  # its inertia may be far off: noise moves the axis
+            tell("the search ended where the model explains little; beginning again with other inertias")
+            with contextlib.suppress(MethodError):
+                solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
         for lower in () if self.cutoff else _LOWER_AGAIN:
-            left = self.history.count_evaluations(solved.problem).residual(solved.x)
-            if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
+            if not self._explains_little(solved):
                 break
             # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
             tell("the search ended where the model explains little; beginning again, below a lower frequency")
@@ -124,6 +134,10 @@ class StiffnessSearch:
             simulations += rigid.simulations
             solved = self._from_rigid_joint(rigid)
         return solved, simulations
+
+    def _explains_little(self, solved: Solved) -> bool:
+        left = self.history.count_evaluations(solved.problem).residual(solved.x)
+        return bool(np.linalg.norm(left) > _NOTHING * solved.problem.size)
 
     def _from_rigid_joint(self, rigid: FitResult) -> Solved:
         found = self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
@@ -157,15 +171,18 @@ class StiffnessSearch:
     def _refine(self, candidates: Sequence[Candidate]) -> Solved:
         """Descend from candidates until two ends agree, look beside the best, and go on to the full tolerance."""
         wide, rough, history = self._on_band(math.inf), roughly(self.problem), self.history
-        ends, together = list[tuple[float, float, FloatArray]](), 0
-        for candidate in candidates[:_REFINED]:
+        ends, together = list[tuple[float, float, FloatArray, bool]](), 0
+        for candidate in candidates[: 2 * _REFINED]:
             on = self._on_band(candidate.frequency)
-            x = history.solve(on, rough, on.vector(candidate.values)).x
+            start = on.vector(candidate.values)
+            x = history.solve(on, rough, start).x
             history.tally.evaluations += 1
-            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
-            cost, mode, x = min(ends, key=lambda end: end[0])
-            together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, _ in ends)
-            if together > 1:
+            low = Bounds.of(on.free).lower
+            near = bool(np.any(x - low < _HELD * (start - low)))
+            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x, near))
+            cost, mode, x, held = min(ends, key=lambda end: end[0])
+            together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, *_ in ends)
+            if (together > 1 or len(ends) >= _REFINED) and not (held and self._repeats(mode, x)):
                 break
         on, tried = self._on_band(mode), len(ends)
         divided = divide_coulomb_friction(on, x, history) if together > 1 else None
@@ -185,6 +202,12 @@ class StiffnessSearch:
             break
         message = f"{found.solution.message}; {together} of {tried} starts led there"
         return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
+
+    def _repeats(self, mode: float, x: FloatArray) -> bool:
+        """Test whether the residual of an end repeats with its motion."""
+        on = self._on_band(mode)
+        self.history.tally.evaluations += 2
+        return repeatable(on.residual(x), on.cells(on.simulate(x))).significant
 
     def _on_band(self, mode: float) -> ClosedLoopProblem:
         """Return the problem with the given cut-off, or else with one suited to a mode frequency."""
@@ -299,13 +322,26 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
         moved |= {load: (1 - share) * whole for whole, load in wholes.values()}
         tried.append(problem.vector(values | moved))
     left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), tried)
-    history.tally.evaluations += len(tried)
+    tried += in_threads(lambda i: _step_once(problem, tried[i]), sorted(range(1, len(tried)), key=left.__getitem__)[:2])
+    left += [float(np.linalg.norm(problem.residual(at))) for at in tried[-2:]]
+    history.tally.evaluations += len(tried) + 2
     best = int(np.argmin(left))
     if not left[best] < (1 - _BETTER) * left[0] - _REST * problem.size:
         return None
-    share = 100 * _DIVISIONS[best - 1]
+    there = problem.values(tried[best])
+    share = 100 * np.mean([there[motor] / ((there[motor] + there[load]) or 1.0) for motor, load in sides])
     history.progress(Detail(f"with {share:.0f} % of the Coulomb friction on the motor the model explains more"))
     return tried[best]
+
+
+def _step_once(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray:
+    """Return a Gauss-Newton step from a point, within the bounds: a valley's two sides may have a bottom each."""
+    error, slopes = problem.linearise(x)
+    if not np.all(np.isfinite(slopes)):  # a loop that runs away
+        return x
+    sizes = column_norms(slopes)
+    step = np.linalg.lstsq(slopes / sizes, -error, rcond=_IDLE)[0] / sizes
+    return Bounds.of(problem.free).clip(x + step)
 
 
 def _from_beside(found: Solved, history: History) -> Solution:

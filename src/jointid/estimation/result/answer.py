@@ -295,17 +295,19 @@ def _reasons_against(estimate: EstimateParts, asked: EstimatedParameter) -> list
             found.append(replace(reason, clause=words))
     if loop is None or loop.status is not Status.FAILED:
         return found
+    # A second fault was found beside the first one, corrected; another law that is not excluded is none.
+    faults = [loop.reasons[0], *(one for one in loop.reasons[1:2] if "suspect" in one.values)]
     held = [row.symbol for row in estimate.params.rows if row.of_joint and row.at_bound is not None]
     if held:  # what is wrong is made up for by parameters: by how much a fault moves the others says little then
         words = f"{join(held)} {'end' if len(held) > 1 else 'ends'} at a bound"
         found = [*found, Message(Against.HELD, words)]
-        return [loop.reasons[0], *found]
+        return [*faults, *found]
     # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
     mechanics = [one for one in loop.reasons if one.code in _OF_MECHANICS and asked.name in _OF_SPRING]
     gross = not any("changes" in reason.values for reason in loop.reasons)
     unexplained = any(one.code is Against.TORQUE_UNEXPLAINED for one in found)
     if gross or unexplained or asked.name in moved_by_loop(estimate, threshold=2.0):
-        return [loop.reasons[0], *found]
+        return [*faults, *found]
     return [*mechanics, *found]
 
 
