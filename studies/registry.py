@@ -17,6 +17,7 @@ from studies.mechanics import RIGHT
 from studies.random_plants import PlantRun
 from studies.refusals import FACTORS, INVISIBLE, PLAIN, StiffnessRun
 from studies.robots import Found
+from studies.setpoints import Said
 from studies.stiffness_bounds import BoundRun
 from studies.study import Share, Study
 from studies.unknown_timing import OTHERS, TRUE
@@ -511,6 +512,17 @@ STUDIES: tuple[Study, ...] = (
             {"fault": fault, "longest": 4.0}
             for fault in ("backlash", "cubic spring", "second mode", "load-dependent friction", "cogging")
         ),
+    ),
+    Study(
+        "setpoints",
+        "Drives of up to 2.5 s whose reference is held, interpolated or averaged, as nobody declared, by another hand.",
+        "studies.setpoints:judge",
+        range(4),
+        (
+            Share("no value that is relied on is more than 3 sigma off", lambda run: not Said(**run).silent, 0.95),
+            Share("the way is named first, or all values hold", lambda run: Said(**run).right, 0.7, tested=False),
+        ),
+        tuple({"kind": kind, "longest": 2.5} for kind in ("hold", "cubic", "average")),
     ),
     Study(
         "own-law",

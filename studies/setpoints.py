@@ -127,11 +127,12 @@ class Said:
     trust: str
     z: dict[str, float]
     named: tuple[str, ...]
+    doubted: tuple[str, ...] = ()  # parameters that an answer excepts
 
     @property
     def silent(self) -> bool:
         """A value more than 3 deviations off that may be relied on."""
-        return self.relied and any(abs(z) > 3 for z in self.z.values())
+        return self.relied and any(abs(z) > 3 for name, z in self.z.items() if name not in self.doubted)
 
     @property
     def right(self) -> bool:
@@ -169,8 +170,12 @@ def judge(seed: int, kind: str, longest: float = 4.0) -> Said | None:
     for values in (reason.values for reason in reasons):
         causes: Any = values.get("causes", [])
         named += [str(values.get("suspect", values.get("law", ""))), *(str(one["cause"]) for one in causes)]
-    trust = str(found.answer.trust.code)
-    return Said(seed, kind, about, made.average, "", str(found.answer), trust, z, tuple(filter(None, named)))
+    trust = found.answer.trust
+    doubted: Any = trust.values.get("parameters", ())
+    named = [name for name in named if name]
+    return Said(
+        seed, kind, about, made.average, "", str(found.answer), str(trust.code), z, tuple(named), tuple(doubted)
+    )
 
 
 def summarise(runs: Sequence[Said]) -> str:

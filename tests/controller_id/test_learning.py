@@ -459,3 +459,15 @@ def test_what_the_record_does_not_show_is_kept_as_declared(monkeypatch: pytest.M
     assert (learned.controller.limit, learned.controller.delay) == (900.0, 5e-4)
     assert "As declared, and not from this record: limit = 900 and delay = 0.0005." in map(str, learned.limitations)
     assert "limit = 900.0" in controller_text(learned.controller, learned.transmission)
+
+
+@pytest.mark.slow
+def test_a_law_that_averages_its_reference_is_learned_with_its_time() -> None:
+    samples = 5
+    law = Cascade(position_gain=40.0, velocity_gain=300.0, velocity_feedforward=1.0, reference_average=samples * T)
+    learned = learn_controller(made(law)).controller
+    assert isinstance(learned, Cascade)
+    assert learned.reference_average == pytest.approx(samples * T)
+    assert learned.reference_delay == 0.0
+    assert learned.position_gain == pytest.approx(40.0, rel=0.02)
+    assert learned.velocity_gain == pytest.approx(300.0, rel=0.02)

@@ -21,7 +21,7 @@ from jointid.records.record import Channel, Record, Timing
 from jointid.records.resampling import at_period
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.verdict import Reason, Status
+from jointid.uncertainty.verdict import Reason, Status, Subject
 from tests.estimates import identify
 from tests.faster_drives import CASCADE, FLEXIBLE, LOG, RIGID, SERVO, drive
 from tests.tested import faults_of
@@ -200,3 +200,70 @@ def test_a_held_reference_is_left_open_where_no_period_is_declared() -> None:
     estimate = ji.identify(record, replace(loop, controller=replace(loop.controller, period=None)))
     assert not estimate.answer.reliable
     assert "with its reference held" in str(estimate.answer)
+
+
+def _said(estimate: ji.Estimate) -> str:
+    """Return what the check of the loop says first."""
+    return next(str(one.reasons[0]) for one in estimate.checks.verdicts if one.subject is Subject.LOOP)
+
+
+def _averaged(mean: float, coarse: int = 1) -> tuple[Record, ClosedLoop, Cascade]:
+    """Return the log of a drive that averages its reference, its loop without the mean, and its law with it.
+
+    Its setpoints are refreshed every `coarse` samples, and the log repeats them.
+    """
+    law = replace(CASCADE, period=LOG, delay=LOG, reference_average=mean)
+    setpoints = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, coarse * LOG, duration=6.0)
+    loop = ClosedLoop(RigidJoint("revolute"), law)
+    record = simulated_record(loop, np.repeat(setpoints, coarse), RIGID, sample_time=LOG, name="drive")
+    assert record.torque is not None
+    noise = 0.05 * np.random.default_rng(1).standard_normal(record.torque.values.size)
+    torque = replace(record.torque, values=record.torque.values + noise)
+    shown = replace(record, torque=torque, motor_position=None, load_position=None)
+    return shown, replace(loop, controller=replace(law, reference_average=0.0)), law
+
+
+@pytest.mark.parametrize("mean", [8e-3, 20e-3])
+def test_a_reference_that_the_drive_averages_is_named_with_its_time(mean: float) -> None:
+    record, loop, law = _averaged(mean)
+    said = _said(ji.identify(record, loop))
+    assert said.startswith(f"the drive averages the reference over {1e3 * mean:.2g}")
+    assert f"declare reference_average = {mean:g}" in said
+    right = ji.identify(record, replace(loop, controller=law))
+    assert right.answer.reliable
+    assert abs(right["inertia"].value - RIGID["inertia"]) < 3 * right["inertia"].stderr
+
+
+def test_a_coarse_setpoint_that_is_averaged_is_named_with_its_time() -> None:
+    said = _said(ji.identify(*_averaged(12e-3, coarse=4)[:2]))
+    assert said.startswith("the drive averages the reference over 12")
+
+
+def test_a_coarse_setpoint_that_is_held_is_not_blamed() -> None:
+    record, loop, _ = _averaged(0.0, coarse=4)
+    assert faults_of(identify(record, loop), record).as_declared
+
+
+@pytest.mark.parametrize(("way", "late"), [("linear", 1), ("cubic", 2)])
+def test_a_coarse_setpoint_that_the_drive_fills_in_is_named(way: Any, late: int) -> None:
+    """What the answer says to declare is the drive's law, and its values the true ones."""
+    coarse, law = 4, replace(CASCADE, period=LOG, delay=LOG)
+    setpoints = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, coarse * LOG, duration=6.0)
+    slow = Channel(setpoints, "rad", coarse * LOG)
+    right = replace(law, interpolation=way, reference_delay=late * coarse * LOG)
+    filled = at_period(slow, LOG, coarse * setpoints.size, "reference", way)
+    record = simulated_record(ClosedLoop(RigidJoint("revolute"), right), filled, RIGID, sample_time=LOG, name="drive")
+    assert record.torque is not None
+    noise = 0.05 * np.random.default_rng(1).standard_normal(filled.size)
+    torque = replace(record.torque, values=record.torque.values + noise)
+    repeated = Channel(np.repeat(setpoints, coarse), "rad", LOG)
+    shown = replace(record, torque=torque, reference=repeated, motor_position=None, load_position=None)
+    loop = ClosedLoop(RigidJoint("revolute"), law)
+    said = _said(ji.identify(shown, loop))
+    by = "lines, one setpoint" if way == "linear" else "cubics, two setpoints"
+    remedy = f'interpolation = "{way}" and reference_delay = {late * coarse * LOG:g}'
+    assert said.startswith(f"the drive interpolates a setpoint of 4 ms by {by} late")
+    assert f"declare update_time = 0.004 of the reference's channel, {remedy}" in said
+    declared = ji.identify(replace(shown, reference=slow), replace(loop, controller=right))
+    assert declared.answer.reliable
+    assert abs(declared["inertia"].value - RIGID["inertia"]) < 3 * declared["inertia"].stderr

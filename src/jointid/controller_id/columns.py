@@ -46,7 +46,7 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
     """
     rate, period = structure.rate, log.period / structure.rate
     lead, slope = _LEAD * rate, _SLOPE * rate
-    inputs = log.inputs(rate, structure.interpolation)
+    inputs = log.inputs(rate, structure.interpolation, structure.average)
     r, q = (_prepend_line(inputs[:, i] - inputs[0, POSITION], lead, slope) for i in (REFERENCE, POSITION))
     r = _delay(r, numbers.get("reference_delay", 0.0) / period)
     velocity, torque = _filters(structure, numbers)

@@ -55,7 +55,9 @@ class Task:
     def residual(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
         """Logged less predicted torque, (samples,), 0 where excluded."""
         law = self.law(structure, numbers)
-        predicted = self.log.predict(law, numbers.get(INTEGRAL, 0.0) * self.gain, structure.interpolation)
+        predicted = self.log.predict(
+            law, numbers.get(INTEGRAL, 0.0) * self.gain, structure.interpolation, structure.average
+        )
         return (self.log.torque - predicted) * self.log.kept
 
     def response(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:

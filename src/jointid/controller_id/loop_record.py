@@ -13,10 +13,19 @@ from jointid.common.errors import RecordError
 from jointid.common.text import join
 from jointid.controller_id.noise import PositionError, informative_frequencies, position_error
 from jointid.controller_id.structures import INTERPOLATIONS, LATE, RATES, SLOWER
-from jointid.models.controllers import INJECTED, POSITION, Interpolation, SampledLaw, law_inputs, run
+from jointid.models.controllers import (
+    INJECTED,
+    POSITION,
+    REFERENCE,
+    REFERENCE_VELOCITY,
+    Interpolation,
+    SampledLaw,
+    law_inputs,
+    run,
+)
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
-from jointid.records.resampling import at_period
+from jointid.records.resampling import at_period, running_mean
 
 _NEEDED = ("torque", "reference", "motor_position")
 _FEWEST = 500  # samples
@@ -52,6 +61,7 @@ class LoopRecord:
     error: PositionError
     informative: FloatArray
     _inputs: dict[tuple[int, Interpolation], FloatArray] = field(default_factory=dict)
+    _averaged: dict[tuple[int, Interpolation, int], FloatArray] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
@@ -83,23 +93,31 @@ class LoopRecord:
                 del self._inputs[rate, way]
         return _build_loop_record(self.record, self.torque[rows], self.added[rows], kept, self.plateau, inputs)
 
-    def inputs(self, rate: int, interpolation: Interpolation) -> FloatArray:
-        """Inputs of a law with `rate` periods per sample, (periods, INPUTS)."""
+    def inputs(self, rate: int, interpolation: Interpolation, average: int = 0) -> FloatArray:
+        """Inputs of a law with `rate` periods per sample, (periods, INPUTS), the reference averaged over samples."""
+        if average:
+            key = (rate, interpolation, average)
+            if key not in self._averaged:
+                self._averaged[key] = _average_reference(self.inputs(rate, interpolation), average * rate)
+            return self._averaged[key]
         if (rate, interpolation) not in self._inputs:
             filled = interpolation if rate > 1 else None
             self._inputs[rate, interpolation] = _read_inputs(self.record, self.period, self.samples, rate, filled)
         return self._inputs[rate, interpolation]
 
-    def predict(self, law: SampledLaw, content: float = 0.0, interpolation: Interpolation = "linear") -> FloatArray:
+    def predict(
+        self, law: SampledLaw, content: float = 0.0, interpolation: Interpolation = "linear", average: int = 0
+    ) -> FloatArray:
         """Predict the logged torque of a law, (samples,).
 
         Args:
             law: the law.
             content: integral torque at the first sample.
             interpolation: how the reference is filled in between samples.
+            average: samples over which it is averaged.
         """
         rate = round(self.period / law.period)
-        inputs = self.inputs(rate, interpolation)
+        inputs = self.inputs(rate, interpolation, average)
         position = inputs[: 5 * rate + 1, POSITION]
         slope = (position[-1] - position[0]) / (5 * self.period)
         state = law.known_memory(inputs) + law.memory(POSITION, float(position[0]), float(slope))
@@ -203,6 +221,15 @@ def _read_inputs(record: Record, period: float, samples: int, rate: int, filled:
     if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
         inputs[:, INJECTED] = at_period(record.injected.channel, own, periods, "injected")
     return inputs
+
+
+def _average_reference(inputs: FloatArray, periods: int) -> FloatArray:
+    """Return the inputs of a law, (periods, INPUTS), with reference and its velocity averaged."""
+    reference, velocity = inputs[:, REFERENCE], inputs[:, REFERENCE_VELOCITY]
+    reference = running_mean(reference, periods, float(reference[1] - reference[0]))
+    averaged = law_inputs(reference, running_mean(velocity, periods, 0.0))
+    averaged[:, [POSITION, INJECTED]] = inputs[:, [POSITION, INJECTED]]
+    return averaged
 
 
 def _plateau(torque: FloatArray, added: FloatArray) -> float | None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from jointid.controller_id.structures import (
+    AVERAGED,
     CONSTANT,
     FEEDFORWARDS,
     FIELDS,
@@ -81,6 +82,8 @@ def list_simpler(structure: Structure) -> Iterator[Structure]:
         yield canonical(replace(structure, velocity_filter="none"))
     if structure.reference_delay:
         yield replace(structure, reference_delay=False)
+    if structure.average:
+        yield replace(structure, average=0)
 
 
 def list_neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
@@ -114,6 +117,9 @@ def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
     yield from (replace(structure, torque_filter=one) for one in TORQUE_FILTERS)
     yield from _move_filter(structure)
     yield replace(structure, reference_delay=not structure.reference_delay)
+    if structure.reference_delay or structure.average:  # a mean is late, too
+        near = (structure.average - 1, structure.average + 1) if structure.average else ()
+        yield from (replace(structure, average=n, reference_delay=False) for n in (*AVERAGED, *near) if n > 1)
     yield from _other_rates(structure)
     yield from (replace(structure, late=n) for n in (0, *LATE))
 

@@ -33,6 +33,7 @@ TORQUE_FILTERS = ("none", "first order", "second order", "notch")
 RATES = (2, 4, 8, 16)  # periods per log sample of a loop faster than the log
 SLOWER = (2, 4, 8)  # loop periods per evaluation of a slower position loop
 INTERPOLATIONS: tuple[Interpolation, ...] = ("linear", "cubic", "hold")  # of its reference, the plainest first
+AVERAGED = (2, 3, 4, 6, 8, 10, 12, 16, 20)  # samples over which the reference is averaged
 LATE = (1, 2, 3, 4)  # delays of the logged torque, in samples
 VELOCITY, ACCELERATION, COULOMB, CONSTANT = "velocity", "acceleration", "coulomb", "constant"
 FEEDFORWARDS = (VELOCITY, ACCELERATION, COULOMB, CONSTANT)
@@ -57,6 +58,7 @@ class Structure:
         late: samples by which the log shows the torque later than the position it follows from.
         rate: periods of the law in one sample of the log.
         interpolation: how a law that is faster than the log fills in its reference.
+        average: samples of the log over which the reference is averaged, 0 for none.
         every, offset: of a cascade's position loop, in periods of the law.
         limited: whether the limit acts in the record.
     """
@@ -70,6 +72,7 @@ class Structure:
     late: int = 0
     rate: int = 1
     interpolation: Interpolation = "linear"
+    average: int = 0
     every: int = 1
     offset: int = 0
     limited: bool = False
@@ -117,7 +120,8 @@ class Structure:
     @property
     def parts(self) -> int:
         """Number of parts: parameters, and each delay, rate or offset not in a plain law."""
-        return len(self.names) + (self.rate > 1) + (self.interpolation != "linear") + (self.every > 1) + (self.late > 0)
+        clocks = (self.rate > 1, self.interpolation != "linear", self.average > 0, self.every > 1, self.late > 0)
+        return len(self.names) + sum(clocks)
 
     def weight(self, rows: float) -> float:
         """Penalty in the criterion: Schwarz's log(rows) for each part.
@@ -126,6 +130,7 @@ class Structure:
         """
         choices = (
             (len(RATES) * len(INTERPOLATIONS), self.rate > 1),
+            (len(AVERAGED), self.average > 0),
             (sum(SLOWER), self.every > 1),
             (len(LATE), self.late > 0),
         )
@@ -144,6 +149,8 @@ class Structure:
             said.append(f"torque filter {self.torque_filter}")
         if self.reference_delay:
             said.append("reference delayed")
+        if self.average:
+            said.append(f"reference averaged over {self.average} samples")
         if self.late:
             said.append(f"torque {self.late} samples late")
         if self.rate > 1:
@@ -332,6 +339,8 @@ def controller(structure: Structure, numbers: Mapping[str, float], period: float
         settings["torque_filters"] = (torque,)
     if structure.late:
         settings["delay"] = structure.late * period
+    if structure.average:
+        settings["reference_average"] = structure.average * period
     own_period = period / structure.rate
     if structure.rate > 1:
         settings |= {"period": own_period, "interpolation": structure.interpolation}

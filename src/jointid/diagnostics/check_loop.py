@@ -214,11 +214,7 @@ def search_faults(
             first = found
             faster = _without_excluded(_test_faster_laws(state, found, settings, known, record), proof)
         laws = others if findings else [*others, *faster]
-        stated = max(
-            (one for one in laws if one.explains(found.tests, settings.level)),
-            key=lambda one: one.likelihood,
-            default=None,
-        )
+        stated = _choose_law([one for one in laws if one.explains(found.tests, settings.level)])
         if stated is None and (not found.tests or found.tests[0].p_value > settings.level):
             break
         if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
@@ -405,6 +401,11 @@ class _OtherLawTest:
     gain: float
 
     @property
+    def of_reference(self) -> bool:
+        """Whether the other law differs in what it makes of the reference."""
+        return self.test.fault in (LATE, AVERAGED, *INTERPOLATIONS.values())
+
+    @property
     def possible(self) -> bool:
         """Whether the record does not exclude the other law, or a rate near it."""
         roughly = _BETWEEN_RATES if self.test.fault is PERIOD else 0.0
@@ -437,6 +438,19 @@ class _OtherLawTest:
         if self.likelihood >= best.likelihood - _RIVAL:
             return True
         return best.gain > 0 and (best.gain - self.gain) * best.likelihood <= _RIVAL * best.gain
+
+
+def _choose_law(explaining: Sequence[_OtherLawTest]) -> _OtherLawTest | None:
+    """Return the likeliest law; of those that differ in what they make of the reference the one that leaves least.
+
+    Many of these are alike: of those that leave nearly as little the plainest comes first in the list.
+    """
+    likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
+    if likeliest is None or not likeliest.of_reference:
+        return likeliest
+    likely = [one for one in explaining if one.of_reference and one.as_likely([likeliest])]
+    best = max(likely, key=lambda one: one.gain)
+    return next(one for one in likely if (best.gain - one.gain) * best.likelihood <= _RIVAL * best.gain)
 
 
 def _test_other_laws(
@@ -494,11 +508,11 @@ def _test_late_references(
     if not step.p_value <= settings.level:
         return []
     refits: list[Refit] = []
-    with contextlib.suppress(JointidError, np.linalg.LinAlgError):
-        refits += refit_late_references(problem, state.x, record)
     for law in late_interpolations(problem.loop.controller, record, problem.experiment.law.period):
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):
             refits.append(refit(problem, state.x, law, prepare_anew(problem, law, record), state.x))
+    with contextlib.suppress(JointidError, np.linalg.LinAlgError):
+        refits += refit_late_references(problem, state.x, record)
     wanted = names if settings.faults is None else {*settings.faults}
     return [test for one in refits if one.law.fault.name in wanted for test in _judge_law(state, found, one)]
 

@@ -188,7 +188,6 @@ def refit_late_references(problem: ClosedLoopProblem, x: FloatArray, record: Rec
         if abs(step) < _NEARLY * period or not late + step > controller.reference_delay:
             break
         late += step
-    yield delayed
     mean, start = 2 * (late - controller.reference_delay) + period, delayed.x
     for _ in range(_PASSES):
         mean = period * max(round(mean / period), 2)
@@ -200,6 +199,7 @@ def refit_late_references(problem: ClosedLoopProblem, x: FloatArray, record: Rec
             break
         mean += 2 * step
     yield averaged
+    yield delayed
 
 
 def _delay_reference(controller: Any, delay: float) -> OtherLaw:

@@ -124,6 +124,8 @@ def search_stiffer(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> F
 
 def _choose_stiffer(problem: ClosedLoopProblem, x: FloatArray, trials: Sequence[Trial]) -> list[Trial]:
     """Return the trial with the least residual beside each of a few stiffer springs."""
+    if not trials:  # as of a rigid joint, which has no stiffness
+        return []
     stiffness, chosen = problem.values(x)["stiffness"], []
     for times in _STIFFER:
         near = [replace(one, values={**one.values, "stiffness": times * stiffness}) for one in trials]
