@@ -50,6 +50,7 @@ _REMEDY = "record a larger or faster motion"
 _LEAST = 1.0  # s of motion: a shorter record is not relied on
 _FEWEST_STEPS = 10  # of a motion
 _ROUGH = 0.15  # of a step: by so much the next one may differ
+_SLOW, _COUNTS = 0.1, 8.0  # of a fast step, and times the smallest: a smaller step tells nothing
 _MOST_PLACES = 20  # more are how the reference is made
 _SAID = 3  # places
 _BACK = 0.05  # of all the way: who goes back less moves one way only
@@ -219,7 +220,16 @@ def find_lost_samples(record: Record) -> Message | None:
         lost = np.round(times) - 1.0
         # Between the samples that are missing the steps change as on either side.
         near = np.abs(times - lost - 1.0) < _ROUGH * (1.0 + lost)
-        jumps = even & near & (lost >= 1.0) & (np.abs(after - before) < _ROUGH * (2.0 + lost) * np.abs(before))
+        # Slow steps of a rounded position are few counts, and any of them may be twice the one before.
+        sizes = np.sort(np.abs(steps[steps != 0.0]))
+        least = max(_SLOW * float(sizes[int(0.9 * sizes.size)]), _COUNTS * float(sizes[0])) if sizes.size else 0.0
+        jumps = (
+            (np.abs(before) > least)
+            & even
+            & near
+            & (lost >= 1.0)
+            & (np.abs(after - before) < _ROUGH * (2.0 + lost) * np.abs(before))
+        )
     (places,) = np.nonzero(jumps)
     if not 0 < places.size <= _MOST_PLACES:
         return None
