@@ -52,6 +52,7 @@ from jointid.models.joints import acts_on_whole
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.controller_torque import SeenPosition
 from jointid.uncertainty.covariance import covariance_of, stationary
 from jointid.uncertainty.verdict import StiffnessBound
 
@@ -233,7 +234,9 @@ def predict_intervals(
     work.add()
     tests = []
     for motion in (add_pulses(problem, height, width), double_acceleration(problem, record)):
-        changed = replace(problem, experiment=motion.experiment, measured=problem.measured[: motion.experiment.samples])
+        seen = None if problem.seen is None else SeenPosition(motion.experiment)
+        measured = problem.measured[: motion.experiment.samples]
+        changed = replace(problem, experiment=motion.experiment, measured=measured, seen=seen)
         response, columns = changed.sensitivities(x)
         predicted: dict[str, float] = {}
         if response.outcome is Outcome.FINISHED:

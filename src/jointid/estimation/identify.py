@@ -71,7 +71,8 @@ def fit(
             raise MethodError(
                 "Several records are identified by simulating their loop; give a ClosedLoop, with the controller."
             )
-        return identify_several(record, model, several or SeveralRecords(), method, filtering, parameters, progress)
+        settings = several or SeveralRecords()
+        return state_scale(identify_several(record, model, settings, method, filtering, parameters, progress), record)
     if several is not None:
         raise MethodError("SeveralRecords is about a list of records; received one record: give a list of them.")
     if isinstance(record, Record) and windows is None:

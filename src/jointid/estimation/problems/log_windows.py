@@ -325,7 +325,7 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
     """
     assert record.torque is not None
     experiment = prepare(like.loop, record)
-    problem = replace(like, measured=record.torque.values[: experiment.samples], experiment=experiment)
+    problem = replace(like, measured=record.torque.values[: experiment.samples], experiment=experiment, seen=None)
     inputs, period = experiment.inputs, experiment.law.period
     torque = float(problem.filter(problem.measured)[0])  # a single sample has all of the noise
     velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
