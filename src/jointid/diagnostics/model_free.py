@@ -24,7 +24,7 @@ from jointid.common.errors import JointidError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
@@ -159,7 +159,14 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     return LawOnPosition(left, fits[best][1], late, fits[best][0], noise)
 
 
-def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: float = 0.0, gain: float = 0.0) -> bool:
+def excludes(
+    record: Record,
+    loop: ClosedLoop,
+    controller: Controller,
+    late: float = 0.0,
+    gain: float = 0.0,
+    reference: Channel | None = None,
+) -> bool:
     """Whether a record with a motor position has less than a quarter of a change of law or log.
 
     The logged torque less that of the law is regressed on the change that another law, or another log, makes of the
@@ -172,8 +179,10 @@ def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: flo
         controller: the other law.
         late: delay of the log, s.
         gain: of the log, less 1.
+        reference: that the other law follows; that of the record where None.
     """
-    own, other = _follow(record, loop), _follow(record, replace(loop, controller=controller))
+    driven = record if reference is None else record.with_channels({"reference": reference})
+    own, other = _follow(record, loop), _follow(driven, replace(loop, controller=controller))
     if own is None or other is None or record.torque is None:
         return False
     at = np.arange(min(len(own[1]), len(other[1])))
