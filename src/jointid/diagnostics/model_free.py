@@ -231,10 +231,12 @@ def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArr
     time = np.arange(logged.size) * record.torque.sample_time if record.torque is not None else np.arange(0.0)
     seen = {name: np.interp(time, one.time, one.values) for name, one in record.items()}
     r, q = seen["reference"], seen["motor_position"]
-    columns = [np.cumsum(r - q), np.ones(r.size)]
-    for signal in (r - q, np.gradient(q), *(seen[n] for n in ("reference_velocity", "injected") if n in seen)):
+    more = [seen[name] for name in ("reference_velocity", "injected") if name in seen]
+    total, *signals = see(np.column_stack([np.cumsum(r - q), r - q, np.gradient(q), *more])).T
+    columns = [total, np.ones(r.size)]
+    for signal in signals:
         columns += [np.concatenate([np.full(lag, signal[0]), signal[: signal.size - lag]]) for lag in range(_LAGS)]
-    return _regress(logged, see(np.column_stack(columns)))[0]
+    return _regress(logged, np.column_stack(columns))[0]
 
 
 def _regress(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
