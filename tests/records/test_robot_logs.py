@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +99,28 @@ def test_a_folder_without_a_clock_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run" / "positions.csv").write_text("a,b\n1,2\n3,4\n")
     with pytest.raises(RecordError, match="holds no text with a column of time and one of numbers; name the file"):
         read_table(tmp_path / "run")
+
+
+def test_a_folder_in_a_folder_is_passed_over_and_a_suffix_may_have_capitals(tmp_path: Path) -> None:
+    folder = sage(tmp_path / "run")
+    (folder / "control.csv").rename(folder / "control.CSV")
+    (folder / "old.csv").mkdir()
+    assert {"control/positions/hip", "state_motor/positions/hip"} <= read_table(folder).columns.keys()
+
+
+def test_equal_names_of_joints_drop_no_column(tmp_path: Path) -> None:
+    folder = sage(tmp_path / "run")
+    (folder / "joint_list.txt").write_text("hip\nhip\n")
+    np.testing.assert_allclose(read_table(folder).columns["control/positions[0]"], COMMAND[:, 0])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
+def test_a_pipe_in_a_folder_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(sage(tmp_path / "run") / "pipe.csv")
+    os.mkfifo(lerobot(tmp_path / "set") / "data" / "chunk-000" / "pipe.parquet")
+    for name in ("run", "set"):
+        with pytest.raises(RecordError, match=r"pipe\.(csv|parquet) is a pipe or a device"):
+            read_table(tmp_path / name)
 
 
 @pytest.mark.parametrize("row", ['0.5;"[1.0, -2e-3]";7', "0.5;[1.0 -2e-3];7", "0.5;[1.0,-2e-3];7"])

@@ -109,23 +109,23 @@ def _find_sample_time(record: Record) -> float:
 
 def rate_faults(record: Record) -> list[str]:
     """Faults of a rate at which nothing of a joint's dynamics is seen."""
-    sample_time = _find_sample_time(record)
-    if sample_time <= _SLOWEST_SAMPLE:
+    period = _find_sample_time(record)
+    if period <= _SLOWEST_SAMPLE:
         return []
     return [
-        f"The record has a sample every {sample_time:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing of "
+        f"The record has a sample every {period:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing of "
         "a joint's dynamics; log faster, or check the unit of the time column."
     ]
 
 
 def _rate_warnings(record: Record) -> Iterator[str]:
     """Yield what a slow record cannot tell."""
-    sample_time = _find_sample_time(record)
-    if sample_time > _SLOW_SAMPLE:
-        rate = 1 / sample_time
+    period = _find_sample_time(record)
+    if period > _SLOW_SAMPLE:
+        rate = 1 / period
         yield (
             f"the record has {rate:.3g} samples a second: of a slow motion it tells inertia, friction and gravity; a "
-            f"motion above {rate / 2:.3g} Hz, a resonance there, a delay below {1e3 * sample_time:.2g} ms and the law of a "
+            f"motion above {rate / 2:.3g} Hz, a resonance there, a delay below {1e3 * period:.2g} ms and the law of a "
             "faster drive are not seen"
         )
 
