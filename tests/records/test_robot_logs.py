@@ -187,6 +187,12 @@ def test_the_motors_in_a_record_of_json_are_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.columns["motor_state[1].q"], MOTION[:, 1])
 
 
+def test_a_column_of_empty_lists_of_json_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "run.jsonl"
+    path.write_text("\n".join(json.dumps({"t": t, "faults": []}) for t in TIME))
+    assert read_table(path).passed == {"faults": "its lists are empty"}
+
+
 @pytest.mark.parametrize(("name", "package"), [("chirp.pt", "torch"), ("run.pkl", "pickle")])
 def test_a_pickle_is_refused_with_the_lines_that_convert_it(tmp_path: Path, name: str, package: str) -> None:
     (tmp_path / name).write_bytes(b"cos\nsystem\n(S'touch ran'\ntR.")
