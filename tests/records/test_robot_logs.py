@@ -20,6 +20,7 @@ from jointid.config import loads
 from jointid.config.logged import describe_log
 from jointid.records.checks import find_record_warnings
 from jointid.records.formats import read_table
+from jointid.records.recognition import recognise
 from jointid.records.record import Record
 
 T = 0.005
@@ -416,6 +417,21 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
     assert {type(one).__name__ for one in robot.controllers} == (
         {"PD"} if name in ("mit", "unitree", "unitree_json") else {"NoneType"}
     )
+
+
+@pytest.mark.parametrize(
+    ("columns", "profile"),
+    [
+        (("t", "q", "tau"), None),
+        (("t", "q_0", "tau_0", "q_1", "tau_1"), None),
+        (("t", "q", "tau", "q_des"), "mit"),
+        (("t", "q", "tauEst"), "mit"),
+        (("t", "q", "tau", "kp"), "mit"),
+    ],
+)
+def test_names_of_any_log_are_nobodys(columns: tuple[str, ...], profile: str | None) -> None:
+    found = recognise(columns)
+    assert (None if found is None else found.profile.name) == profile
 
 
 # What is wrong in such a log
