@@ -230,7 +230,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "compare": ("estimate.json other.json", {"--json": "x.json"}),
     "learn-controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
     "data convert": ("record.csv", {"TARGET": "x"}),
-    "data inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png"}),
+    "data inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png", "--write": "x.toml"}),
     "demo": ("", {"FOLDER": "x"}),
     "design": ("joint.toml", {"--json": "x.json", "--figure": "x.png", "--out": "x"}),
     "diagnose": ("joint.toml", {"--json": "x.json"}),
