@@ -250,3 +250,28 @@ def test_the_inertia_of_an_axis_is_that_of_the_mass_matrix() -> None:
         a[0, k] = 1.0
         torque = inverse_dynamics(robot.tree, robot.inertials, 0 * a, 0 * a, a)
         assert robot.axis_inertia(k) == pytest.approx(torque[0, k], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("finger", "joints"),
+    [
+        ('<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-11 1e-11 1e-11"/>', ("left",)),
+        ('<inertial pos="0 0 0" mass="0.5" diaginertia="1e-3 1e-3 1e-3"/>', ("left", "right")),
+        ('<geom size="0.01"/>', ("left", "right")),
+    ],
+)
+def test_only_a_body_without_a_mass_is_the_motor_of_a_spring(finger: str, joints: tuple[str, ...]) -> None:
+    text = (
+        '<mujoco><worldbody><body name="a"><joint name="left" type="slide"/>'
+        '<inertial pos="0 0 0" mass="0.5" diaginertia="1e-3 1e-3 1e-3"/></body>'
+        f'<body name="b"><joint name="right" type="slide" armature="0.2"/>{finger}</body></worldbody><tendon>'
+        '<fixed stiffness="100"><joint joint="left" coef="1"/><joint joint="right" coef="-1"/></fixed>'
+        "</tendon></mujoco>"
+    )
+    robot = read_robot(text, "hand.xml")
+    assert robot.names == joints
+    remark = "hand.xml: the spring of the tendon between left and right is not used"
+    assert robot.remarks == ((remark,) if len(joints) > 1 else ())
+    aside = read_robot(text.replace('<body name="b">', '<body name="b" pos="0 0 1">'))
+    turned = read_robot(text.replace('armature="0.2"', 'axis="1 0 0"'))
+    assert aside.names == turned.names == ("left", "right")

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.check_loop import has_unstated_delay
+from jointid.diagnostics.check_loop import _Proof, has_unstated_delay
 from jointid.diagnostics.diagnose import diagnose_joint
+from jointid.diagnostics.faults.other_laws import late_interpolations
 from jointid.diagnostics.identify import widen_for_faults
 from jointid.diagnostics.model_free import compare_law, excludes
 from jointid.estimation.identify import fit
+from jointid.estimation.result.assemble import FitResult
 from jointid.models.controllers import Cascade
 from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
+from jointid.records.resampling import fill_in
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.verdict import Status, Subject
@@ -89,6 +94,37 @@ def test_a_delay_within_a_sample_that_nobody_stated_is_identified() -> None:
     assert any("no delay is declared: it is identified with the joint" in one for one in estimate.checks.warnings)
     loop = next(v for v in estimate.checks.verdicts if v.subject is Subject.LOOP)
     assert loop.status is Status.PASSED
+
+
+def test_the_first_estimate_stands_where_that_with_the_delay_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    joint = RigidJoint("prismatic", SymmetricFriction())
+    record = logged(joint, PLAIN, replace(LAW, delay=4e-4))
+    asked: list[tuple[str, ...]] = []
+
+    def fails(*given: Any, **more: Any) -> FitResult:
+        asked.append(() if given[2] is None else given[2].free)
+        if asked[-1]:
+            raise ji.MethodError("The loop is unstable.")
+        return fit(*given, **more)
+
+    monkeypatch.setattr(sys.modules["jointid.diagnostics.identify"], "fit_records", fails)
+    estimate = ji.identify(record, ClosedLoop(joint, LAW))
+    assert asked == [(), ("delay",)]
+    assert "delay" not in [row.name for row in estimate.params.rows]
+    assert estimate.params["inertia"].value == pytest.approx(30.0, rel=0.05)
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_a_law_of_setpoints_that_are_filled_in_is_excluded_on_them(declared: bool) -> None:
+    """The log repeats setpoints of 8 ms, which the drive holds, as declared, or interpolates."""
+    joint = RigidJoint("prismatic", SymmetricFriction())
+    asked = np.repeat(trapezoids((0.05, 0.1, 0.2), 2.0, 0.1, 8e-3, duration=4.0), 8)
+    held = Channel(asked, "m", 1e-3)
+    filled, loop = fill_in(held, 8, 1e-3, "linear"), ClosedLoop(joint, LAW)
+    record = simulated_record(loop, held.values if declared else filled.values, PLAIN, sample_time=1e-3)
+    record = record.with_channels({"reference": held})
+    law = next(one for one in late_interpolations(LAW, record, 1e-3) if 'interpolation = "linear"' in one.remedy)
+    assert _Proof(record, loop).excludes_law(law) is declared
 
 
 def test_a_delay_is_unstated_only_where_none_is_declared_nor_denied() -> None:

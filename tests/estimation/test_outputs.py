@@ -114,6 +114,7 @@ def test_a_wrong_ratio_of_gains_is_named() -> None:
     found = identify(logged().without("torque"), ji.controller.PD(position_gain=480.0, derivative_gain=30.0))
     assert not found.answer.reliable
     assert "the position gain is 17 % smaller than declared" in found.sentence
+    assert "or the derivative gain is larger by the same factor" in found.sentence
 
 
 def test_both_outputs_are_weighted_by_their_noise() -> None:

@@ -433,6 +433,15 @@ def test_what_cannot_be_told_apart_is_said() -> None:
     assert check.reasons[0].brief == "the velocity gain is 4.2 % smaller than declared, or so is the gain"
 
 
+@pytest.mark.parametrize(("size", "said"), [(-10.0, "larger"), (10.0, "smaller")])
+def test_a_gain_of_the_opposite_effect_is_off_the_other_way(size: float, said: str) -> None:
+    kp, gain = named("position_gain"), named("gain")
+    both = _check("velocity_gain", size, 1.0, 240.0, alike=(gain, kp), opposite=(kp,)).reasons[0].brief
+    assert both.endswith(f"than declared, or so is the gain, or the position gain is {said} by the same factor")
+    delay = _check("delay", size * 1e-5, 1e-6, alike=(named("log_delay"),), opposite=(named("log_delay"),))
+    assert delay.reasons[0].brief.endswith(" is off by as much the other way")
+
+
 def test_what_is_significant_stands_first_however_strong_the_others_are() -> None:
     """A search among many periods finds the stronger shape, and by chance."""
 

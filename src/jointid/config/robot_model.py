@@ -33,6 +33,7 @@ _DEEPEST = 300  # elements in each other: the parser calls itself for each
 _MOST = 100  # joints
 _MOST_LINKS = 100  # without a mass, in one body
 _NOTHING = 1e-13  # kg and kg m2: a link without a mass is given it, as MuJoCo moves none without, and then freed of it
+_OF_MOTOR = 1e-8  # kg and kg m2: the body of a motor that `output.export` writes has less
 _ROUNDED = 1e-5  # of the largest principal moment of inertia, that others may be below it as of a flat body
 
 _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
@@ -154,7 +155,7 @@ def read_robot(
         raise JointFileError(f"{called} holds <{root.tag}>; expected <robot>, URDF, or <mujoco>, MJCF: check the file.")
     kept = _URDF if root.tag == "robot" else _MJCF
     _refuse_elements(root, called)
-    _join_motors(root)
+    springs = tuple(_join_motors(root))
     order = [one.get("name", "") for one in root.iter("joint")]
     stripped = _filter_tree(root, kept)
     for one in stripped.iter():
@@ -163,7 +164,7 @@ def read_robot(
                 raise JointFileError(
                     f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
                 )
-    remarks = (*_drop_repeats(stripped), *_forget_impossible(stripped))
+    remarks = (*springs, *_drop_repeats(stripped), *_forget_impossible(stripped))
     _give_masses(stripped)
     mujoco = extra("mujoco", "robots", "A robot's model")
     try:
@@ -191,11 +192,11 @@ def read_robot(
     return replace(ordered, remarks=tuple(f"{called}: {one}" for one in remarks))
 
 
-def _join_motors(root: ET.Element) -> None:
+def _join_motors(root: ET.Element) -> Iterator[str]:
     """Make one joint of a motor and a link that a spring joins, as `output.export` writes them.
 
-    The motor is a body beside the link that carries nothing; a fixed tendon whose length is the difference of both
-    positions is the spring.
+    The motor is a body beside the link, of no mass, that turns about the same axis; a fixed tendon whose length is the
+    difference of both positions is the spring. Yield a remark on each tendon between other bodies.
     """
     above = {child: body for body in root.iter() for child in body.findall("body")}
     moving = {joint.get("name"): (body, joint) for body in above for joint in body.findall("joint")}
@@ -203,8 +204,9 @@ def _join_motors(root: ET.Element) -> None:
         ends = {one.get("coef"): one.get("joint") for one in tendon.findall("joint")}
         if tendon.get("stiffness") is None or len(ends) != 2 or not moving.keys() >= {ends.get("1"), ends.get("-1")}:
             continue
-        (_, link), (body, motor) = moving[ends["1"]], moving[ends["-1"]]
-        if len(body.findall("body")) or len(body.findall("joint")) > 1:
+        (beside, link), (body, motor) = moving[ends["1"]], moving[ends["-1"]]
+        if not _is_motor(body, motor, beside, link) or above[body] is not above[beside]:
+            yield f"the spring of the tendon between {ends['1']} and {ends['-1']} is not used"
             continue
         try:
             sums = {key: float(link.get(key, 0)) + float(motor.get(key, 0)) for key in _OF_DRIVE}
@@ -213,6 +215,24 @@ def _join_motors(root: ET.Element) -> None:
         link.attrib.update({key: repr(value) for key, value in sums.items()})
         above[body].remove(body)
         del moving[ends["-1"]]
+
+
+def _is_motor(body: ET.Element, motor: ET.Element, beside: ET.Element, link: ET.Element) -> bool:
+    """Whether a body has one joint, no mass, and pose and axis of the link beside it."""
+    if len([*body.iter("joint")]) > 1 or len([*body.iter("body")]) > 1 or body.find(".//geom") is not None:
+        return False
+    if any(body.get(key) != beside.get(key) for key in ("childclass", *_PLACED)):
+        return False
+    if any(motor.get(key) != link.get(key) for key in ("class", "type", "axis", "pos")):
+        return False
+    said = [
+        (one.get("mass", "0"), one.get("diaginertia", "0"), one.get("fullinertia", "0"))
+        for one in body.iter("inertial")
+    ]
+    try:
+        return all(abs(float(number)) <= _OF_MOTOR for one in said for numbers in one for number in numbers.split())
+    except ValueError:  # MuJoCo's parser says it
+        return False
 
 
 def _follow_ties(

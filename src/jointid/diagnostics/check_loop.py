@@ -64,7 +64,7 @@ from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import Controller, numbers_of, with_numbers
+from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, frictions_beside, springs_beside
@@ -147,12 +147,13 @@ class _Proof:
             return False
         most = _AT_MOST * abs(declared) or abs(size)
         with contextlib.suppress(JointidError):  # no law has such a number
-            return self.excludes_law(with_numbers(controller, {test.name: declared + max(-most, min(size, most))}))
+            other = with_numbers(controller, {test.name: declared + max(-most, min(size, most))})
+            return excludes(self.record, self.loop, other)
         return False
 
-    def excludes_law(self, other: Controller) -> bool:
+    def excludes_law(self, law: OtherLaw) -> bool:
         """Whether the drive does not run another law."""
-        return excludes(self.record, self.loop, other)
+        return excludes(self.record, self.loop, law.controller, reference=law.reference)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -558,7 +559,7 @@ def _test_faster_laws(
 
 
 def _without_excluded(tests: list[_OtherLawTest], proof: _Proof | None) -> list[_OtherLawTest]:
-    return [one for one in tests if proof is None or not proof.excludes_law(one.refit.law.controller)]
+    return [one for one in tests if proof is None or not proof.excludes_law(one.refit.law)]
 
 
 def _judge_law(state: SearchState, found: _TestResults, other: Refit) -> tuple[_OtherLawTest, ...]:

@@ -28,6 +28,7 @@ from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.robots.zeros import EncoderZero, find_zeros
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.controllers.servo_base import require_one_each
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -169,11 +170,7 @@ def diagnose_robot(
     robot, torques = part.model, torques_of_robot(estimate, records)
     if not controllers and isinstance(part.setup, RobotLoop):
         controllers = part.setup.controllers
-    if controllers and len(controllers) != len(robot):
-        raise MethodError(
-            f"A robot of {len(robot)} joints has as many controllers; received {len(controllers)}: give None for one "
-            "that is not known."
-        )
+    require_one_each(controllers, len(robot))
     laws = _laws(robot, records, controllers)
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
     own = [

@@ -150,9 +150,10 @@ def identify(
     found = run_checks(fit, progress, shown, low)
     if (freed := _free_unstated_delay(fit, method, found)) is not None:
         progress("the torque acts within a sample after its log: the delay is identified, too")
-        fit = fit_records(record, model, freed, filtering=filtering, parameters=parameters, progress=progress)
-        fit = replace(fit, after=(*fit.after, _DELAY_SAID))
-        found = run_checks(fit, progress, shown, low)
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the first estimate stands
+            wider = fit_records(record, model, freed, filtering=filtering, parameters=parameters, progress=progress)
+            wider = replace(wider, after=(*wider.after, _DELAY_SAID))
+            fit, found = wider, run_checks(wider, progress, shown, low)
     return assemble(fit, found, torque_constant=torque_constant)
 
 

@@ -157,10 +157,19 @@ def test_a_robot_has_an_entry_for_each_joint() -> None:
     assert len(built(ji.export(robot, "mjlab").text)) == 3
 
 
+@pytest.mark.parametrize("language", ["isaac-lab", "mjcf", "bam"])
+@pytest.mark.parametrize("count", [1, 4])
+def test_controllers_are_one_for_each_joint(language: str, count: int) -> None:
+    with pytest.raises(ji.MethodError, match=f"A model of 3 joints has as many controllers; received {count}"):
+        ji.export(arm(3), language, controllers=[LAW] * count)
+    with pytest.raises(ji.MethodError, match="A model of 1 joint has"):
+        ji.export(model(ji.RigidJoint("revolute"), RIGID), language, controllers=[LAW] * 2)
+
+
 def test_a_cascade_is_such_a_law_and_what_it_has_more_is_said() -> None:
     law = ji.controller.Cascade(
         position_gain=30.0, velocity_gain=0.02, integral_gain=5.0, velocity_filter=[0.5, 0.5], gain=2.0,
-        velocity_limit=3.0, acceleration_feedforward=1.0,
+        velocity_limit=3.0, acceleration_feedforward=1.0, reference_average=8e-3, interpolation="cubic",
     )  # fmt: skip
     made = ji.export(model(ji.RigidJoint("revolute"), RIGID, "knee"), "usd", controllers=[law])
     said = numbers(made.text, "knee")
@@ -168,6 +177,9 @@ def test_a_cascade_is_such_a_law_and_what_it_has_more_is_said() -> None:
     assert said["drive:angular:physics:damping"] == pytest.approx(0.04 * math.pi / 180)
     for part in ("integral of the controller", "limit of the velocity", "filter of the velocity", "acceleration"):
         assert any(part in one for one in made.lost), part
+    assert {"the mean of the reference over a time", "the interpolation of the reference"} <= {*made.lost}
+    held = ji.export(model(ji.RigidJoint("revolute"), RIGID), "usd", controllers=[replace(LAW, interpolation="hold")])
+    assert not any("of the reference" in one for one in held.lost)
     alone = ji.export(model(ji.RigidJoint("revolute"), RIGID, "knee"), "usd")
     assert any("no law of position and velocity is declared" in one for one in alone.lost)
 

@@ -192,6 +192,7 @@ class FaultTest:
         statistic: their ratio.
         p_value: adjusted for all tests of the record together.
         shape: the level of a limit in the torque's unit, or a Stribeck speed.
+        opposite: those of `alike` whose size has the opposite sign.
     """
 
     fault: Fault
@@ -202,6 +203,7 @@ class FaultTest:
     statistic: float
     p_value: float
     shape: float | None = None
+    opposite: tuple[Fault, ...] = ()
 
     @property
     def name(self) -> str:

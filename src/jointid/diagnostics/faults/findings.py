@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from jointid.common.messages import Message
 from jointid.common.text import format_signed, number
 from jointid.common.transmission import Side
-from jointid.diagnostics.faults.fault import Fault, FaultTest, Shown, call_number
+from jointid.diagnostics.faults.fault import Fault, FaultTest, Measure, Shown, call_number
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import FRICTIONS, LoadDependentFriction, StribeckFriction
@@ -201,8 +201,7 @@ class AxisFaults:
         p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
         said, clause = f"{s.fault.describe(finding, self, True)} ({p_value})", s.fault.describe(finding, self, False)
         if s.alike:
-            alike = self.call(*s.alike)
-            also = f", or so is {alike}" if self.in_drive(s.fault) is None else f", or {alike} is off by as much"
+            also = self._name_alike(s)
             said += f"{also}, which this loop cannot distinguish from {self.call(s.fault)}"
             clause += also
         if finding.rivals:
@@ -213,6 +212,18 @@ class AxisFaults:
         values |= {"std": s.std, "p_value": s.p_value}
         values |= {"changes": {name: change.by for name, change in finding.changes.items()}}
         return Message(s.fault.reason, said, values, clause)
+
+    def _name_alike(self, s: FaultTest) -> str:
+        """Return the clauses on faults with the same effect: of the same sign, and of the opposite one."""
+        also, in_unit = "", self.in_drive(s.fault) is not None
+        if same := [one for one in s.alike if one not in s.opposite]:
+            also = f", or {self.call(*same)} is off by as much" if in_unit else f", or so is {self.call(*same)}"
+        if s.opposite:
+            gains = not any(self.in_drive(one) or one.measure is not Measure.DECLARED for one in (s.fault, *s.opposite))
+            less = "smaller" if s.size > 0 else "larger"
+            by = f"{less} by the same factor" if gains else "off by as much the other way"
+            also += f", or {self.call(*s.opposite)} is {by}"
+        return also
 
     def list_laws_with(self, finding: Finding) -> tuple[str, ...]:
         """Return the laws of the joint with the fault that was found or a rival of it, the best of them first."""

@@ -24,6 +24,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting, settings_of
+from jointid.common.text import pluralise
 from jointid.common.units import per
 from jointid.models.controllers.filters import Filter, as_filter
 from jointid.models.controllers.sampled import (
@@ -348,6 +349,19 @@ class DiagramController(ServoController):
         if self.coulomb_feedforward:
             total = total + diagram.delay(diagram.input(DIRECTION), late) * self.coulomb_feedforward
         return total
+
+
+def require_one_each(controllers: Sequence[object], joints: int) -> None:
+    """Refuse controllers that are given and are not one for each joint.
+
+    Raises:
+        MethodError: there are more or fewer.
+    """
+    if controllers and len(controllers) != joints:
+        raise MethodError(
+            f"A model of {pluralise(joints, 'joint')} has as many controllers; received {len(controllers)}: give None "
+            "for one that is not known."
+        )
 
 
 def numbers_of(controller: Controller) -> dict[str, float]:

@@ -13,7 +13,7 @@ from jointid.common.files import write_whole
 from jointid.common.text import join
 from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
+from jointid.models.controllers.servo_base import Controller, numbers_of, require_one_each, with_numbers
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
 from jointid.output.export.actuators import bam, isaac_lab, mjlab, usd
@@ -130,7 +130,8 @@ def export(
         settings: of the language.
 
     Raises:
-        MethodError: there is no such language, setting or side, or the language cannot hold this joint.
+        MethodError: there is no such language, setting or side, controllers are not one for each joint, or the
+            language cannot hold this joint.
         JointFileError: the joint file cannot be read any more, or cannot say this.
 
     Example:
@@ -160,10 +161,12 @@ def export(
     if robot is not None:
         if side is not None:
             raise MethodError("All numbers of a robot are behind its gears; leave the side out.")
+        require_one_each(given, len(robot if isinstance(robot, Robot) else robot.require_robot().model))
         bodies, note = read_robot_model(robot)
         laws = [pd_law(one) for one in given]
         return Export(chosen.name, *write(replace(bodies, name=name or bodies.name), laws, **settings), note)
     model = _model(estimate, name)
+    require_one_each(given, 1)
     if given:  # its numbers are of the side that was identified
         identified = None if model.joint.transmission is None else model.joint.transmission.side
         law = (

@@ -62,6 +62,8 @@ def pd_law(controller: Controller | None) -> PDLaw | None:
         *(["the limit of the velocity command"] if velocity_limit < math.inf else []),
         *(["the filter of the velocity"] if len(numerator) + len(denominator) > 2 else []),
         *(["the filters of the torque"] if controller.torque_filters else []),
+        *(["the mean of the reference over a time"] if controller.reference_average else []),
+        *(["the interpolation of the reference"] if controller.interpolation in ("linear", "cubic") else []),
         *[f"the {name}" for name in forward if name != "velocity feedforward"],
     ]
     force = controller.gain * controller.ratio**2

@@ -12,7 +12,7 @@ from jointid.diagnostics.axis_parameters import Told, parameters_by_axis
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import show_value
 from jointid.estimation.result.summary import remarks
-from jointid.models.controllers.servo_base import Controller
+from jointid.models.controllers.servo_base import Controller, require_one_each
 from jointid.output.export.pd_law import controllers_of, pd_law
 
 _CALLED = {
@@ -42,9 +42,13 @@ def data_sheets(estimate: Estimate, controllers: Sequence[Controller | None] = (
     Args:
         estimate: by any method.
         controllers: of each joint; those that it was identified under where there are none.
+
+    Raises:
+        MethodError: there are more or fewer controllers than joints.
     """
     robot = estimate.robot
     names = ("",) if robot is None else robot.model.names
+    require_one_each(controllers, len(names))
     laws = controllers_of(estimate) or controllers or (None,) * len(names)
     said, known = remarks(estimate), {one.name: one for one in parameters_by_axis(estimate)}
     for place, (axis, controller) in enumerate(zip(names, laws, strict=True)):
