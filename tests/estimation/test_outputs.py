@@ -73,6 +73,43 @@ def test_a_known_parameter_or_an_injected_torque_tells_the_scale() -> None:
     assert scale_status(identify(record)) == ["passed"]
 
 
+def test_a_signal_without_torque_and_a_speed_tell_no_scale() -> None:
+    still = logged(injected=np.zeros(6000)).without("torque")
+    assert scale_status(identify(still, checks=False)) == ["unknown"]
+    joint = ji.RigidJoint("revolute", friction=ji.friction.StribeckFriction())
+    speed = next(p for p in joint.parameters if p.name == "stribeck_speed").fix(0.3)
+    found = ji.identify(
+        logged().without("torque"), ji.ClosedLoop(joint, LAW), parameters={"stribeck_speed": speed}, checks=False
+    )
+    assert scale_status(found) == ["unknown"]
+
+
+def test_outputs_that_contradict_each_other_are_not_averaged() -> None:
+    record = logged(torque_noise=0.3 * np.random.default_rng(1).standard_normal(6000))
+    assert record.torque is not None
+    larger = replace(record, torque=replace(record.torque, values=1.08 * record.torque.values))
+    with pytest.raises(ji.MethodError, match=r"differs from the logged torque by -7.. % in size; expected one torque"):
+        identify(larger, LAW, "torque", "motor_position")
+
+
+def test_outputs_are_of_one_record() -> None:
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
+    with pytest.raises(ji.MethodError, match="chosen for one record"):
+        ji.identify([logged(), logged()], loop, ji.DIDIM(outputs=("motor_position",)))
+
+
+def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
+    found = ji.identify(logged(), loop, ji.DIDIM(outputs=("motor_position",)), checks=False)
+    assert ji.diagnose(found, logged()).axes[0].law is None
+    (profile,) = ji.intervals(found, logged().without("torque")).profiles
+    low, high = profile.interval
+    assert low is not None and high is not None and low < 0.5 < high
+    both = ji.identify(logged(), loop, ji.DIDIM(outputs=("torque", "motor_position")), checks=False)
+    with pytest.raises(ji.MethodError, match="identify from one of them"):
+        ji.diagnose(both, logged())
+
+
 def test_a_wrong_ratio_of_gains_is_named() -> None:
     found = identify(logged().without("torque"), ji.controller.PD(position_gain=480.0, derivative_gain=30.0))
     assert not found.answer.reliable
@@ -92,10 +129,15 @@ def test_both_outputs_are_weighted_by_their_noise() -> None:
     assert scale_status(both) == []
 
 
-def test_an_integral_leaves_the_offset_without_an_interval() -> None:
+@pytest.mark.parametrize("begin", [0.0, 0.6])
+def test_an_integral_leaves_no_constant_torque(begin: float) -> None:
     law = ji.controller.Cascade(position_gain=15.0, velocity_gain=30.0, integral_gain=5.0)
-    found = identify(logged(law).without("torque"), law, checks=False)
-    assert found.params["offset"].stderr is None
+    whole, first = logged(law).without("torque"), round(begin / SAMPLE_TIME)
+    record = whole.with_channels(
+        {name: replace(channel, values=channel.values[first:]) for name, channel in whole.items()}
+    )
+    found = identify(record, law, checks=False)
+    assert found.params["offset"].value is None
     assert max(map(abs, deviations(found))) < 3.5
     assert any("offset includes what the integral held" in said for said in found.checks.warnings)
 

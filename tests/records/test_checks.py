@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from jointid.common.errors import RecordError
 from jointid.records.checks import (
     check_record,
+    find_record_warnings,
     limit_faults,
     scale_faults,
     still_faults,
@@ -51,6 +52,18 @@ def only(faults: list[str]) -> str:
 
 def test_a_good_record_has_no_fault() -> None:
     check_record(good(), limit=10.0)
+
+
+def test_a_slow_channel_beside_a_fast_torque_is_no_fault() -> None:
+    slow = channel(POSITION[::200], sample_time=0.2)
+    for name in ("reference", "load_position"):
+        record = good(reference_velocity=None, **{name: slow})
+        check_record(record)
+        assert not [text for text in find_record_warnings(record, record.channels) if "samples a second" in text]
+    with pytest.raises(RecordError, match=r"a sample every 0\.2 s \(at most 0\.1 s expected\)"):
+        check_record(good(torque=channel(TORQUE[::200], "N", 0.2)))
+    with pytest.raises(RecordError, match=r"a sample every 0\.2 s \(at most 0\.1 s expected\)"):
+        check_record(good(torque=None, motor_position=slow))
 
 
 def test_all_faults_are_raised_together() -> None:

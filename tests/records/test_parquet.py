@@ -12,7 +12,7 @@ import pytest
 from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
 
 from jointid.common.errors import RecordError
-from jointid.records.formats import format_of, read_blocks, read_table, table
+from jointid.records.formats import format_of, parquet, read_blocks, read_table, table
 
 
 def test_every_kind_of_number_is_a_column(tmp_path: Path) -> None:
@@ -169,3 +169,23 @@ def test_lists_of_any_length_are_not_decoded(tmp_path: Path) -> None:
     table = read_table(path)
     assert list(table.columns) == ["q"]
     assert table.passed == {"lists": "its rows are lists of any length"}
+
+
+def test_a_column_of_empty_lists_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    pq.write_table(pa.table({"q": [1.0, 2.0], "none": pa.array([[], []], pa.list_(pa.float64()))}), path)
+    table = read_table(path)
+    assert (list(table.columns), table.passed) == (["q"], {"none": "its lists are empty"})
+
+
+def test_lists_that_change_their_length_do_not_end_the_reading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parquet, "_BATCH", 2)
+    path = tmp_path / "run.parquet"
+    lists = [[1.0, 2.0], [1.0, 2.0], [1.0], [1.0, 2.0, 3.0], [1.0, 2.0], [1.0, 2.0]]  # the mean is 2
+    pq.write_table(pa.table({"q": np.arange(6.0), "lists": lists}), path)
+    table = format_of(path).read(path)
+    assert {name: values.tolist() for name, values in table.columns.items()} == {"q": [0, 1, 2, 3, 4, 5]}
+    assert table.passed == {"lists": "its rows are lists of any length"}
+    pieces = [block.table() for block in parquet.Parquet().blocks(path, 4)]
+    nan = pytest.approx(np.nan, nan_ok=True)
+    assert np.concatenate([piece.columns["lists[1]"] for piece in pieces]).tolist() == [2, 2, nan, nan, 2, 2]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from jointid.config import loads
 from jointid.config.logged import describe_log
 from jointid.records.checks import find_record_warnings
 from jointid.records.formats import read_table
+from jointid.records.recognition import recognise
 from jointid.records.record import Record
 
 T = 0.005
@@ -99,12 +102,61 @@ def test_a_folder_without_a_clock_is_refused(tmp_path: Path) -> None:
         read_table(tmp_path / "run")
 
 
+def test_a_folder_in_a_folder_is_passed_over_and_a_suffix_may_have_capitals(tmp_path: Path) -> None:
+    folder = sage(tmp_path / "run")
+    (folder / "control.csv").rename(folder / "control.CSV")
+    (folder / "old.csv").mkdir()
+    assert {"control/positions/hip", "state_motor/positions/hip"} <= read_table(folder).columns.keys()
+
+
+def test_equal_names_of_joints_drop_no_column(tmp_path: Path) -> None:
+    folder = sage(tmp_path / "run")
+    (folder / "joint_list.txt").write_text("hip\nhip\n")
+    np.testing.assert_allclose(read_table(folder).columns["control/positions[0]"], COMMAND[:, 0])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
+def test_a_pipe_in_a_folder_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(sage(tmp_path / "run") / "pipe.csv")
+    os.mkfifo(lerobot(tmp_path / "set") / "data" / "chunk-000" / "pipe.parquet")
+    for name in ("run", "set"):
+        with pytest.raises(RecordError, match=r"pipe\.(csv|parquet) is a pipe or a device"):
+            read_table(tmp_path / name)
+
+
 @pytest.mark.parametrize("row", ['0.5;"[1.0, -2e-3]";7', "0.5;[1.0 -2e-3];7", "0.5;[1.0,-2e-3];7"])
 def test_a_list_in_a_cell_is_a_column_for_each_number(tmp_path: Path, row: str) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t;q;n\n" + f"{row}\n" * 3)
     columns = read_table(path).columns
     assert {name: values[0] for name, values in columns.items()} == {"t": 0.5, "q[0]": 1.0, "q[1]": -2e-3, "n": 7.0}
+
+
+@pytest.mark.parametrize("unit", ["A", "F", "N", "a", "-"])
+def test_a_unit_in_brackets_is_no_list(tmp_path: Path, unit: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(f"t;i\n[s];[{unit}]\n" + "".join(f"{k};{k + 0.5}\n" for k in range(5)))
+    assert [name.split(" ")[0] for name in read_table(path).columns] == ["t", "i"]
+
+
+def test_lists_behind_a_remark_in_brackets_are_opened(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("[2]\nt;q\n" + "0.5;[1.0, 2.0]\n" * 3)
+    assert list(read_table(path).columns) == ["t", "q[0]", "q[1]"]
+
+
+@pytest.mark.parametrize("cell", ["[1,5; 2,5]", "[1,5 2,5]", "[1,5, 2,5]"])
+def test_decimal_commas_in_a_list_are_read(tmp_path: Path, cell: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t;q\n" + f"0,5;{cell}\n" * 3)
+    assert {name: values[0] for name, values in read_table(path).columns.items()} == {
+        "t": 0.5,
+        "q[0]": 1.5,
+        "q[1]": 2.5,
+    }
+    path.write_text("t,q\n" + f'0.5,"{cell}"\n' * 3)
+    with pytest.raises(RecordError, match=r'line 2, column "q" holds "\[1,5.*which is not a number'):
+        read_table(path)
 
 
 def test_lists_of_two_lengths_are_refused_with_the_line(tmp_path: Path) -> None:
@@ -134,6 +186,12 @@ def test_the_motors_in_a_record_of_json_are_columns(tmp_path: Path) -> None:
     path.write_text("\n".join(map(json.dumps, rows)))
     table = read_table(path)
     np.testing.assert_array_equal(table.columns["motor_state[1].q"], MOTION[:, 1])
+
+
+def test_a_column_of_empty_lists_of_json_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "run.jsonl"
+    path.write_text("\n".join(json.dumps({"t": t, "faults": []}) for t in TIME))
+    assert read_table(path).passed == {"faults": "its lists are empty"}
 
 
 @pytest.mark.parametrize(("name", "package"), [("chirp.pt", "torch"), ("run.pkl", "pickle")])
@@ -361,6 +419,21 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
     )
 
 
+@pytest.mark.parametrize(
+    ("columns", "profile"),
+    [
+        (("t", "q", "tau"), None),
+        (("t", "q_0", "tau_0", "q_1", "tau_1"), None),
+        (("t", "q", "tau", "q_des"), "mit"),
+        (("t", "q", "tauEst"), "mit"),
+        (("t", "q", "tau", "kp"), "mit"),
+    ],
+)
+def test_names_of_any_log_are_nobodys(columns: tuple[str, ...], profile: str | None) -> None:
+    found = recognise(columns)
+    assert (None if found is None else found.profile.name) == profile
+
+
 # What is wrong in such a log
 # ---------------------------
 
@@ -408,12 +481,27 @@ def test_gains_that_vary_are_refused_in_a_sentence_and_a_part_is_read(tmp_path: 
     assert "\n[controller]" not in describe_log(found, "run.csv")
 
 
-def test_gains_in_the_drives_whole_numbers_are_refused(tmp_path: Path) -> None:
-    one_motor(tmp_path, kp=0 * TIME + 1638)
-    said = refusal(tmp_path, JOINT + '[drive]\nprofile = "mit"\n' + LAW)
-    assert (
-        "kp (column \"kp\") reaches 1638, more than the drive's 500 N m/rad: it is in the drive's whole numbers" in said
-    )
+@pytest.mark.parametrize(("profile", "most"), [("damiao", "500 N m/rad"), ("robstride", "5000 N m/rad")])
+def test_gains_in_the_drives_whole_numbers_are_refused(profile: str, most: str, tmp_path: Path) -> None:
+    log = LOGS[profile](tmp_path / "run")
+    motor = MOTORS[profile]
+    with_gain = read_table(log).columns
+    for kp in (16380, 400):
+        table(log, {**with_gain, "kp_0": 0 * TIME + kp})
+        drive = f'[drive]\nprofile = "{profile}"\naxis = 1\n{motor}\n'
+        text = JOINT.replace('"run.csv"', '"run.csv"\ntime = "timestamp"') + drive + LAW.replace("40 N", "400 N")
+        if kp == 400:
+            assert loads(text, tmp_path).record().torque is not None
+            continue
+        said = refusal(tmp_path, text)
+        assert f"kp (column \"kp_0\") reaches 16380, more than the drive's {most}: it is in the drive's whole" in said
+        assert said.endswith(f"times the number over {65535 if profile == 'robstride' else 4095}.")
+
+
+def test_a_large_gain_of_decoded_values_is_read(tmp_path: Path) -> None:
+    one_motor(tmp_path, kp=0 * TIME + 800)
+    text = JOINT + '[drive]\nprofile = "mit"\n' + LAW.replace("40 N m", "800 N m")
+    assert loads(text, tmp_path).record().torque is not None
 
 
 def test_a_field_needs_the_motors_range_and_its_own_bits(tmp_path: Path) -> None:

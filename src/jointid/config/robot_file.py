@@ -176,7 +176,7 @@ class RobotFileTable(Table):
         shared, controlled = self.record.channels, all(one.controller is not None for one in self.joints)
         own = [one.channels for one in self.joints if one.channels is not None]
         logged = any(one.torque is not None for one in (shared, *own)) or self.drive.profile is not None
-        if controlled and not logged and self.record.torque is None:
+        if controlled and not logged and self.record.torque != "logged":
             return "didim"  # of the motor positions
         # A joint without a controller leaves one method only.
         measured = self.record.channels.motor_position is not None or any(

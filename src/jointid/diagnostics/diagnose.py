@@ -19,7 +19,7 @@ from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torqu
 from jointid.diagnostics.check_loop import LoopTests, SearchState, list_laws, search_faults
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.intervals import read_as_identified, rebuild_problem
 from jointid.diagnostics.law_comparison import order_laws
 from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -103,6 +103,7 @@ def diagnose(
             f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
             "record it was identified from."
         )
+        record = read_as_identified(estimate, record)
         return diagnose_joint(estimate, record, rebuild_problem(estimate, record, another), tests, shown)[0]
     if not isinstance(record, Sequence):
         raise MethodError("The estimate of a robot is diagnosed on the record of each joint; give them in order.")

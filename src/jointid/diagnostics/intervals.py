@@ -23,8 +23,10 @@ from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate, fingerprint
+from jointid.estimation.result.parts import EstimateParts
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
+from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.identifiability import Combination
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.profile import (
@@ -115,6 +117,7 @@ def intervals(
             f"Profiles and bootstraps are of DIDIM, whose criterion can be followed; this estimate is by "
             f"{estimate.settings.method.upper()}: identify with the controller known."
         )
+    record = read_as_identified(estimate, record)
     record.require(("torque",), "A profile")
     other = (
         f"This record is not the one the estimate came from ({estimate.data.record}); give that one, or identify this."
@@ -170,6 +173,7 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
         MethodError: the record is another one.
     """
     assert estimate.settings.loop is not None
+    record = read_as_identified(estimate, record)
     if record.torque is not None and fingerprint(record.torque.values) != estimate.data.fingerprint:
         raise MethodError(another)
     values = {p.name: p.value or 0.0 for p in estimate.params.rows}
@@ -179,6 +183,22 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
     problem = problem.freeing(*(name for name in values if name not in problem.units))
     problem = problem.keeping({p.name: values[p.name] for p in estimate.params.rows if not p.free})
     return problem, problem.vector(values)
+
+
+def read_as_identified(estimate: EstimateParts, record: Record) -> Record:
+    """Return a record with the torque that an estimate was identified from: logged, or computed from the position.
+
+    Raises:
+        MethodError: it was identified from both.
+    """
+    read, loop = estimate.data.channels, estimate.settings.loop
+    if loop is None or "motor_position" not in read or record.computed:
+        return record
+    if "torque" in read:
+        raise MethodError(
+            "An estimate from torque and motor position together is not examined again; identify from one of them."
+        )
+    return compute_controller_torque(record, loop)
 
 
 def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:

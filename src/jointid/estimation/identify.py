@@ -61,6 +61,12 @@ def fit(
         found = fit_robot(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
         robot = model if isinstance(model, Robot) else model.robot
         return replace(found, after=robot_record_warnings(record, robot))
+    single = isinstance(record, Record) and windows is None
+    if isinstance(method, DIDIM) and method.outputs and not single:
+        raise MethodError(
+            "The outputs of DIDIM are chosen for one record; received several, or windows: leave outputs out, or "
+            "compute the torques by compute_controller_torque."
+        )
     if isinstance(record, Sequence):
         if not all(isinstance(one, Record) for one in record):
             raise MethodError("Several records of a joint are a list of records; received something else in it.")

@@ -16,18 +16,25 @@ from scipy.ndimage import uniform_filter1d
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.text import join
+from jointid.common.text import format_signed, join, number
 from jointid.estimation.result.assemble import FitResult
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import CHANNELS, Record
 from jointid.simulation.controller_torque import SOURCE, compute_controller_torque, seen_position
+from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.verdict import scale_verdict
 
 Logs: TypeAlias = Sequence[Record]
 
 OUTPUTS = ("torque", "motor_position")
 
-_OFFSET = "offset"
+_ONE_WAY = ("coulomb_forwards", "coulomb_backwards")
+_CONSTANT = (  # what includes a constant torque
+    "offset", "gravity_constant", *(f"{side}{name}" for side in ("", "motor_", "load_") for name in _ONE_WAY),
+)  # fmt: skip
+_OF_TORQUE = ("N", "kg", "A", "V")  # units of what is a part of the torque begin so
+_ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
+_SURE, _SAME = 4.0, 0.02  # deviations, and size or samples: what two torques must differ by to be two
 _BANDS = 64  # of the spectrum, in each of which the shares of both outputs are one
 _FEWEST = 8  # frequencies in one
 
@@ -103,10 +110,26 @@ def _average(record: Record, errors: tuple[FloatArray, FloatArray]) -> Record:
     """Return the record with the mean of both torques whose error is least at each frequency.
 
     Both errors e are seen beside one prediction. The share w of the computed torque makes the power of
-    ``(1 - w) e1 + w e2`` least, averaged over neighbouring frequencies, which allows for what they have in common.
+    ``(1 - w) e1 + w e2`` least, averaged over neighbouring frequencies, which allows for what they have in common. What
+    is constant is taken from the log: the content of an integral is unknown.
+
+    Raises:
+        MethodError: the torques differ by a factor or by a delay, so one of them is wrong.
     """
     assert record.torque is not None
-    logged, apart = np.fft.rfft(errors[0]), np.fft.rfft(errors[1] - errors[0])
+    torque, difference = record.torque.values[: errors[0].size], errors[1] - errors[0]
+    columns = np.column_stack([torque, np.gradient(torque), np.ones(torque.size)])
+    weights = np.linalg.lstsq(columns, difference, rcond=None)[0]
+    std = robust(columns, columns, difference - columns @ weights).std
+    sure = np.abs(weights) > np.maximum(_SURE * std, _SAME)
+    if sure[0] or sure[1]:
+        told = (f"{format_signed(100 * weights[0], 2)} % in size", f"{number(abs(weights[1]), 2)} samples in time")
+        apart_by = join([said for said, is_sure in zip(told, sure, strict=False) if is_sure])
+        raise MethodError(
+            f"The controller's torque for the logged motor position differs from the logged torque by {apart_by}; "
+            "expected one torque: identify from one output, which tests the other, and correct gains, units or delay."
+        )
+    logged, apart = np.fft.rfft(errors[0]), np.fft.rfft(difference - difference.mean())
     width = max(logged.size // _BANDS, _FEWEST)
     common, size = (uniform_filter1d(one, width) for one in (-(logged * apart.conj()).real, np.abs(apart) ** 2))
     share = np.clip(np.divide(common, size, out=np.full_like(size, 0.5), where=size > 0.0), 0.0, 1.0)
@@ -118,25 +141,36 @@ def _average(record: Record, errors: tuple[FloatArray, FloatArray]) -> Record:
 def state_scale(fit: FitResult, records: Logs) -> FitResult:
     """Return a fit of computed torques with a verdict on what these do not tell; any other fit as it is.
 
-    A fixed parameter other than 0, or a known signal beside the controller's output, tells the factor that controller
-    and joint have in common. The content of an integral
-    at the first sample is unknown, and with it the offset, which then has no interval.
+    A fixed parameter other than 0 that is a part of the torque, or a known torque beside the controller's output, tells
+    the factor that controller and joint have in common. The content of an integral at the first sample is unknown, and
+    with it a constant torque: the parameters that include it lose their values.
     """
     computed = [(record, record.computed_by) for record in records if record.computed_by is not None]
     if not computed:
         return fit
-    known = [row.name for row in fit.params.rows if row.of_joint and not row.free and row.value]
-    known += ["the injected signal"] if any(record.injected is not None for record, _ in computed) else []
+    rows = fit.params.rows
+    known = [
+        row.name for row in rows if row.of_joint and not row.free and row.value and row.unit.startswith(_OF_TORQUE)
+    ]
+    known += ["the injected signal"] if any(_tells_scale(record) for record, _ in computed) else []
     integral = any(law.law(_sample_time(record)).integrates for record, law in computed)
-    lost = [row.name for row in fit.params.rows if integral and row.free and row.name.rpartition(".")[2] == _OFFSET]
+    lost = tuple(
+        row.name for row in rows if integral and row.of_joint and row.free and row.name.rpartition(".")[2] in _CONSTANT
+    )
     verdict = scale_verdict(known, lost)
-    rows = tuple(replace(row, stderr=None, identifiable=False) if row.name in lost else row for row in fit.params.rows)
     checks = replace(
         fit.checks, verdicts=(*fit.checks.verdicts, verdict), warnings=(*fit.checks.warnings, verdict.said)
     )
     read = {*fit.data.channels, "motor_position", *(name for _, law in computed for name in law.channels)}
     data = replace(fit.data, channels=tuple(name for name in CHANNELS if name in read - {"torque"}))
-    return replace(fit, params=replace(fit.params, rows=rows), checks=checks, data=data)
+    return replace(fit, checks=checks, data=data, undetermined=lost)
+
+
+def _tells_scale(record: Record) -> bool:
+    """Test whether a known torque beside the controller's output is large enough to tell a scale."""
+    if record.injected is None or record.torque is None:
+        return False
+    return float(np.std(record.injected.channel.values)) > _ENOUGH * float(np.std(record.torque.values))
 
 
 def _sample_time(record: Record) -> float:

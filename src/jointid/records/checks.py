@@ -101,25 +101,31 @@ def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
     ]
 
 
+def _find_sample_time(record: Record) -> float:
+    """Return the sample time of the torque, or without one of the motor position; other channels may be slower."""
+    judged = record.motor_position if record.torque is None else record.torque
+    return 0.0 if judged is None else judged.sample_time
+
+
 def rate_faults(record: Record) -> list[str]:
     """Faults of a rate at which nothing of a joint's dynamics is seen."""
-    slowest = max((channel.sample_time for _, channel in record.items()), default=0.0)
-    if slowest <= _SLOWEST_SAMPLE:
+    period = _find_sample_time(record)
+    if period <= _SLOWEST_SAMPLE:
         return []
     return [
-        f"The record has a sample every {slowest:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing of "
+        f"The record has a sample every {period:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing of "
         "a joint's dynamics; log faster, or check the unit of the time column."
     ]
 
 
 def _rate_warnings(record: Record) -> Iterator[str]:
     """Yield what a slow record cannot tell."""
-    slowest = max((channel.sample_time for _, channel in record.items()), default=0.0)
-    if slowest > _SLOW_SAMPLE:
-        rate = 1 / slowest
+    period = _find_sample_time(record)
+    if period > _SLOW_SAMPLE:
+        rate = 1 / period
         yield (
             f"the record has {rate:.3g} samples a second: of a slow motion it tells inertia, friction and gravity; a "
-            f"motion above {rate / 2:.3g} Hz, a resonance there, a delay below {1e3 * slowest:.2g} ms and the law of a "
+            f"motion above {rate / 2:.3g} Hz, a resonance there, a delay below {1e3 * period:.2g} ms and the law of a "
             "faster drive are not seen"
         )
 

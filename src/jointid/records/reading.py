@@ -306,9 +306,11 @@ class _Columns:
                 continue
             low, high, said = float(values.min()), float(values.max()), f'{gain.name} (column "{name}")'
             if gain.largest is not None and high > gain.largest:
+                most = 2 ** (profile.channels["torque"][0].bits or 0) - 1
                 yield (
                     f"{said} reaches {high:g}, more than the drive's {gain.largest:g} {gain.units[0]}: it is in the "
-                    f"drive's whole numbers; log it in {gain.units[0]}, as {gain.largest:g} times the number over 4095."
+                    f"drive's whole numbers; log it in {gain.units[0]}, as {gain.largest:g} times the number over "
+                    f"{most}."
                 )
             elif high - low > _SAME_GAIN * abs(high):
                 yield (

@@ -11,6 +11,7 @@ from jointid.records.drives import DriveGain, Place, Profile, index_columns, loa
 from jointid.records.record import CHANNELS
 
 _LAST = "generic"  # whose names others have too
+_PLAIN = re.compile(r"(?:.*[./])?(?:q|tau)_?\d*\s*(?:[\[(].*)?", re.IGNORECASE)  # names of any log
 _MOST = 64  # axes of a log
 
 
@@ -61,6 +62,8 @@ class Recognised:
 def recognise(columns: tuple[str, ...]) -> Recognised | None:
     """Recognise whose log has these columns; None where no profile knows a position, and another channel or axis.
 
+    "q" and "tau" alone are nobody's names.
+
     Of several profiles the one counts that knows most columns; the plain names come last.
     """
     best: Recognised | None = None
@@ -70,8 +73,9 @@ def recognise(columns: tuple[str, ...]) -> Recognised | None:
             break
         profile = load_profile(name)
         axes = tuple(_find_axes(profile, columns))
-        count = sum(len(axis.channels) + len(axis.gains) for axis in axes)
-        if count > max(known, 1):
+        names = [name for axis in axes for name in (*axis.channels.values(), *axis.gains)]
+        count = len(names)
+        if count > max(known, 1) and not all(map(_PLAIN.fullmatch, names)):
             best, known = Recognised(profile, axes), count
     return best
 

@@ -153,6 +153,19 @@ def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> N
         write_whole(tmp_path, b"a folder")
 
 
+def test_a_log_of_nobody_is_refused_before_anything_is_written(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(place)
+    assert run("data", "inspect", "record.csv", "--json", "new.json", "--write", "new.toml") == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "has no columns that a profile of a drive knows" in said.err
+    assert contents(place) == before
+    write_table("known.csv", Table({"t": np.arange(9) * 1e-3, "q": np.arange(9.0), "tauEst": np.ones(9)}))
+    (place / "new.toml").mkdir()
+    assert run("data", "inspect", "known.csv", "--write", "new.toml") == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
 def test_half_a_result_is_never_seen(tmp_path: Path) -> None:
     (tmp_path / "old.json").write_text("old", encoding="utf-8")
     for error in (KeyboardInterrupt, OSError(28, "No space left on device")):
@@ -217,7 +230,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "compare": ("estimate.json other.json", {"--json": "x.json"}),
     "learn-controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
     "data convert": ("record.csv", {"TARGET": "x"}),
-    "data inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png"}),
+    "data inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png", "--write": "x.toml"}),
     "demo": ("", {"FOLDER": "x"}),
     "design": ("joint.toml", {"--json": "x.json", "--figure": "x.png", "--out": "x"}),
     "diagnose": ("joint.toml", {"--json": "x.json"}),

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.console import Several, deliver, show
 from jointid.apps.cli.places import Outputs
+from jointid.common.files import write_whole
 
 Decimal: TypeAlias = Literal[".", ","]
 Header: TypeAlias = Annotated[bool | None, Parameter(negative="--no-header")]
@@ -50,10 +51,13 @@ def inspect(
     outputs = Outputs({"--json": json, "--write": write}, {"--figure": figure})
     outputs.spare("FILE", file)
     found = look(file, **_reader_options(delimiter, decimal, header))
+    text = ""
+    if write is not None:  # what it refuses comes before any file
+        place = os.path.relpath(file.absolute(), write.absolute().parent)
+        text = describe_log(found, Path(place).as_posix(), axis)
     deliver(found, json, (figure, figures.draw))
     if write is not None:
-        place = os.path.relpath(file.absolute(), write.absolute().parent)
-        write.write_text(describe_log(found, Path(place).as_posix(), axis), encoding="utf-8")
+        write_whole(write, text)
         show(f"Written: {write}")
 
 

@@ -331,8 +331,10 @@ def torque_problem(
     measured, seen = record.torque.values[: experiment.samples], seen_position(record, loop)
     if seen is not None and record.motor_position is not None:
         measured = seen.torque(record.motor_position.values)[: measured.size]
+    # Of positions alone the content of an integral is one with a constant torque of the joint.
+    around = with_torque(surroundings, experiment, measured) if seen is None else surroundings
     return ClosedLoopProblem(
-        (*parameters, *with_torque(surroundings, experiment, measured)),
+        (*parameters, *around),
         measured,
         filtering.resolve(experiment.sample_time, loop.joint.model),
         loop,

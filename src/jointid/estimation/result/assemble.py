@@ -27,6 +27,7 @@ class FitResult(EstimateParts):
         before, after: warnings before and after those of the method.
         encoder_lag: that hides the spring between both encoders, where they were read.
         earlier: simulations of searches before the last one.
+        undetermined: names of parameters that lose their values once all is checked.
     """
 
     problem: ClosedLoopProblem | None = None
@@ -38,6 +39,7 @@ class FitResult(EstimateParts):
     after: tuple[str, ...] = ()
     encoder_lag: EncoderLag | None = None
     earlier: int = 0
+    undetermined: tuple[str, ...] = ()
 
     @property
     def simulations(self) -> int:
@@ -84,7 +86,12 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
         torque_constant: with its unit, where all values are proportional to it.
     """
     checked = checked or CheckResults()
-    rows = tuple(_row(p, fit.at_bounds or {}, checked.widenings) for p in fit.params.rows)
+    rows = tuple(
+        replace(p, value=None, stderr=None, identifiable=False)
+        if p.name in fit.undetermined
+        else _row(p, fit.at_bounds or {}, checked.widenings)
+        for p in fit.params.rows
+    )
     held = bounds_verdict(tuple(p.name for p in rows if p.at_bound is not None))
     subjects = {v.subject for v in checked.verdicts}
     own = (

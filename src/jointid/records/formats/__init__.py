@@ -21,7 +21,16 @@ from jointid.records.formats.npz import Npz
 from jointid.records.formats.parquet import Parquet
 from jointid.records.formats.reader_process import MEMORY, read_apart, read_blocks_apart
 from jointid.records.formats.rosbag import RosBag
-from jointid.records.formats.table import Block, Format, Holds, NotStreamedError, Streamed, Table, format_size
+from jointid.records.formats.table import (
+    Block,
+    Format,
+    Holds,
+    NotStreamedError,
+    Streamed,
+    Table,
+    format_size,
+    require_file,
+)
 from jointid.records.formats.tdms import Tdms
 from jointid.records.formats.text import is_gzip
 
@@ -91,7 +100,7 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
     path = Path(path)
     reader = format_of(path, **options)
     with _explain_failure(path):
-        _require_file(path)
+        require_file(path)
         return reader.read(path) if _is_harmless(reader, path) else read_apart(path, reader.name, dict(options))
 
 
@@ -113,7 +122,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
             return block.table(count)
 
     with _explain_failure(path):
-        _require_file(path)
+        require_file(path)
         if _is_harmless(reader, path):
             blocks = reader.blocks(path, rows)
         else:
@@ -146,19 +155,6 @@ def _is_harmless(reader: Format, path: Path) -> bool:
     """
     is_short = path.stat().st_size <= _SHORT and not is_gzip(path)
     return isinstance(reader, Npy) or (isinstance(reader, Csv) and is_short)
-
-
-def _require_file(path: Path) -> None:
-    """Refuse a path without content."""
-    if "\0" in str(path):
-        raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
-    size = path.stat().st_size
-    if path.is_dir():
-        return
-    if not path.is_file():
-        raise RecordError(f"{path} is a pipe or a device; write what it gives to a file, and name that.")
-    if size == 0:
-        raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
 
 
 @contextmanager

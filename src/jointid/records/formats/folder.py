@@ -12,7 +12,15 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.records.formats.csv import Csv
 from jointid.records.formats.parquet import Parquet
-from jointid.records.formats.table import STAMP_NAME, Holds, Table, join_tables, require_size
+from jointid.records.formats.table import (
+    STAMP_NAME,
+    Holds,
+    Table,
+    join_tables,
+    require_file,
+    require_size,
+    require_unique_names,
+)
 
 _INFO, _DATA, _JOINTS = "meta/info.json", "data/*/*.parquet", "joint_list.txt"
 _LARGEST = 2**20  # bytes of a list of names
@@ -36,8 +44,7 @@ class Folder:
         """Whether a folder holds such a record, and no bag."""
         if (path / _INFO).is_file():
             return True
-        found = {file.suffix.lower() for file in path.iterdir()} if path.is_dir() else set()
-        return ".csv" in found and not found.intersection(_BAGS)
+        return path.is_dir() and bool(_find_files(path, ".csv")) and not _find_files(path, *_BAGS)
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
@@ -52,11 +59,18 @@ class Folder:
         return name
 
 
+def _find_files(path: Path, *suffixes: str) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in suffixes and not file.is_dir())
+
+
 def _read_texts(path: Path) -> Table:
     columns, clocks = dict[str, FloatArray](), dict[str, str]()
     units, passed = dict[str, str](), dict[str, str]()
     joints = _read_joints(path / _JOINTS)
-    for file in sorted(path.glob("*.csv")):
+    files, size = _find_files(path, ".csv"), 0
+    require_unique_names(path, [file.stem for file in files])
+    for file in files:
+        require_file(file)
         table = Csv().read(file)
         found = [*set(table.clocks.values()), *filter(STAMP_NAME.fullmatch, table.columns)]
         named = {name: f"{file.stem}/{_name(name, joints)}" for name in table.columns}
@@ -67,7 +81,8 @@ def _read_texts(path: Path) -> Table:
         columns |= {named[name]: values for name, values in table.columns.items()}
         units |= {named[name]: unit for name, unit in table.units.items()}
         clocks |= {named[name]: named[found[0]] for name in table.columns if name != found[0]}
-        require_size(path, sum(values.size for values in columns.values()))
+        size += sum(values.size for values in table.columns.values())
+        require_size(path, size)
     if not columns:
         raise RecordError(f"{path.name} holds no text with a column of time and one of numbers; name the file itself.")
     return Table(columns, {}, path.name, units, passed, clocks)
@@ -76,7 +91,9 @@ def _read_texts(path: Path) -> Table:
 def _read_joints(file: Path) -> list[str]:
     if not file.is_file() or file.stat().st_size > _LARGEST:
         return []
-    return [line.strip() for line in file.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    lines = map(str.strip, file.read_text(encoding="utf-8", errors="replace").splitlines())
+    names = [line for line in lines if line]
+    return names if len(set(names)) == len(names) else []
 
 
 def _name(column: str, joints: list[str]) -> str:
@@ -86,17 +103,23 @@ def _name(column: str, joints: list[str]) -> str:
 
 
 def _read_data_set(path: Path) -> Table:
-    files = sorted(path.glob(_DATA))
+    files = sorted(file for file in path.glob(_DATA) if not file.is_dir())
     if not files:
         raise RecordError(f"{path.name} is a LeRobot data set without a file {_DATA}; copy its folder data too.")
-    tables = []
+    tables, size = [], 0
     for file in files:
+        require_file(file)
         tables.append(Parquet().read(file))
-        require_size(path, sum(values.size for table in tables for values in table.columns.values()))
+        size += sum(values.size for values in tables[-1].columns.values())
+        require_size(path, size)
     whole = join_tables(tables)
     names = dict(_feature_names(path / _INFO))
-    columns = {names.get(name, name): values for name, values in whole.columns.items()}
-    return replace(whole, columns=columns, source=path.name)
+    return replace(
+        whole,
+        columns={names.get(name, name): values for name, values in whole.columns.items()},
+        units={names.get(name, name): unit for name, unit in whole.units.items()},
+        source=path.name,
+    )
 
 
 def _feature_names(file: Path) -> Iterator[tuple[str, str]]:

@@ -162,6 +162,9 @@ class _Columns:
 
     def _take_lists(self, path: str, values: list[Any], filled: list[Any], depth: int) -> None:
         sizes = {len(value) for value in filled}
+        if sizes == {0}:
+            self.passed[path or "value"] = "its lists are empty"
+            return
         if len(sizes) == 1 and all(isinstance(cell, dict) for value in filled for cell in value):
             for place in range(min(sizes)):  # of records in each record, as of the motors of a robot
                 cells = [None if value is None else value[place] for value in values]

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
@@ -60,7 +60,11 @@ class Parquet:
             parts = list(_read_parts(path, file))
         if not parts:
             raise RecordError(f"{path.name} holds no row of numbers; log or copy it again.")
-        return join_tables(parts)
+        passed = parts[-1].passed
+        late = passed.keys() - parts[0].passed.keys()  # lists that were of one length at first
+        whole = join_tables(parts)
+        kept = {name: values for name, values in whole.columns.items() if name.rpartition("[")[0] not in late}
+        return replace(whole, columns=kept, passed=passed)
 
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many."""
@@ -167,14 +171,18 @@ class _Decoder:
         elif _is_list(kind) and types.is_floating(kind.value_type) | types.is_integer(kind.value_type):
             sizes = {array.type.list_size} if types.is_fixed_size_list(kind) else set(array.value_lengths().to_pylist())
             size = self.sizes.setdefault(name, next(iter(sizes), 0))
-            if array.null_count or sizes != {size} or size > _WIDEST:
-                if types.is_fixed_size_list(kind) or name not in self.read:
-                    fixed = "its lists are missing in some rows, or too long"
-                    self.passed[name] = fixed if types.is_fixed_size_list(kind) else _ANY_LENGTH
+            if array.null_count or sizes != {size} or not 0 < size <= _WIDEST:
+                fixed = "its lists are missing in some rows, or too long"
+                reason = fixed if types.is_fixed_size_list(kind) else _ANY_LENGTH
+                self.passed[name] = "its lists are empty" if sizes == {0} else reason
+                if name not in self.read:
                     return
-                raise RecordError(f"{name} has lists of {size} numbers, and later others; log lists of one length.")
-            self.read.add(name)
-            matrix = _to_floats(array.flatten()).reshape(-1, size)
+                matrix = np.full((len(array), size), np.nan)  # blocks before this one are read already
+            elif name in self.passed and name not in self.read:
+                return
+            else:
+                self.read.add(name)
+                matrix = _to_floats(array.flatten()).reshape(-1, size)
             yield from ((f"{name}[{index}]", column) for index, column in enumerate(matrix.T))
         elif types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
             yield name, self._instants(name, array)

@@ -265,6 +265,19 @@ def explain_damage(path: Path, format_name: str, remedy: str) -> Iterator[None]:
         ) from error
 
 
+def require_file(path: Path) -> None:
+    """Refuse a path without content."""
+    if "\0" in str(path):
+        raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
+    size = path.stat().st_size
+    if path.is_dir():
+        return
+    if not path.is_file():
+        raise RecordError(f"{path} is a pipe or a device; write what it gives to a file, and name that.")
+    if size == 0:
+        raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
+
+
 def require_size(path: Path, numbers: int, limit: int = WHOLE) -> None:
     """Refuse a file that declares too many numbers."""
     if numbers * _NUMBER > limit:

@@ -36,7 +36,9 @@ _DELIMITERS = (";", "\t", "|", ",", BLANKS)  # of dialects that read a file alik
 _SAMPLE = 200  # lines that decide, from the end of the file, where the data is
 _COMMA_AND_BLANK = re.compile(r",[ \t]+")
 _LIST = re.compile(r'(?:^|(?<=[,;\t|]))("?)\[([-+\d.eEnaifNAIF,;\s]+)\]\1(?=$|[,;\t|])')  # a cell
-_COMMA_OR_BLANKS = re.compile(r"[\s,;]+")
+# Of a list: where a semicolon, or a blank, separates its numbers, a comma within one is a decimal mark.
+_COMMA = re.compile(",")
+_SEPARATORS = (re.compile(r"\s*;\s*"), re.compile(r"\s*,\s+|\s+,?"), _COMMA)
 _SPLIT_NUMBER = re.compile(r"[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)  # a cell cut at the wrong mark
 _EXPONENT_OR_WORD = r"(?:e[+-]?\d+)?|nan|inf|infinity)"
 _NUMBERS = {
@@ -129,29 +131,37 @@ def open_lists(lines: Iterable[Line]) -> Iterator[Line]:
 
     Loggers write so where a row holds the values of all joints. The line above the first such row names the columns.
     """
-    above, opened = None, False
+    above, listed, opened = None, False, False
     for line in lines:
-        found = list(_LIST.finditer(line.text)) if "[" in line.text else []
-        if found:
-            first = found[0]
-            mark = line.text[first.start() - 1] if first.start() else line.text[first.end() : first.end() + 1] or ","
-            lists = [_COMMA_OR_BLANKS.split(match[2].strip()) for match in found]
-            if above is not None and not opened:
+        mark, lists = _find_lists(line.text)
+        if lists:
+            if above is not None and not (listed or opened):
                 bare = _LIST.sub("", line.text)
-                places = [_LIST.sub("", line.text[: match.start()]).count(mark) for match in found]
+                places = [_LIST.sub("", line.text[: match.start()]).count(mark) for match in _LIST.finditer(line.text)]
                 names = above.text.split(mark)
                 if len(names) == bare.count(mark) + 1:
                     for place, cells in zip(places, lists, strict=True):
                         names[place] = mark.join(f"{names[place].strip()}[{k}]" for k in range(len(cells)))
-                    above = Line(above.number, mark.join(names))
-            opened = True
+                    above, opened = Line(above.number, mark.join(names)), True
             each = iter(lists)
             line = Line(line.number, _LIST.sub(lambda _, mark=mark: mark.join(next(each)), line.text))  # type: ignore[misc]  # noqa: B023, PLW2901
         if above is not None:
             yield above
-        above = line
+        above, listed = line, bool(lists)
     if above is not None:
         yield above
+
+
+def _find_lists(text: str) -> tuple[str, list[list[str]]]:
+    """Return the delimiter of a line and the numbers in each of its lists; none where something else is in brackets."""
+    found = list(_LIST.finditer(text)) if "[" in text else []
+    if not found:
+        return ",", []
+    first = found[0]
+    mark = (text[first.start() - 1] if first.start() else text[first.end() : first.end() + 1]) or ","
+    inside = [match[2].strip() for match in found]
+    lists = [next(one for one in _SEPARATORS if one.search(each) or one is _COMMA).split(each) for each in inside]
+    return mark, lists if all(is_number(cell) and mark not in cell for cells in lists for cell in cells) else []
 
 
 @contextmanager
