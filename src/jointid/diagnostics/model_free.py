@@ -142,16 +142,20 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     logged, made, see = followed
     assert record.torque is not None
     count = logged.size
-    shifts = np.arange(-_LATEST * _PARTS, _LATEST * _PARTS + 1) / _PARTS
     inside = slice(_BORDER, count - _BORDER)
-    columns = np.column_stack([made, np.ones(count)])
+    columns = np.vstack([made.T, np.ones(count)])  # each in one piece, for speed
 
     def delay(shift: float) -> FloatArray:
         whole = math.floor(shift)
         first, last = _BORDER - whole, count - _BORDER - whole
-        return (1 - shift + whole) * columns[first:last] + (shift - whole) * columns[first - 1 : last - 1]
+        share = shift - whole
+        return ((1 - share) * columns[:, first:last] + share * columns[:, first - 1 : last - 1]).T
 
     left, weights = _regress(logged[inside], delay(0.0))
+    whole = np.arange(-_LATEST, _LATEST + 1)
+    near = whole[np.argmin(_regress_roughly(logged[inside], map(delay, whole)))]
+    shifts = near + np.arange(-_PARTS, _PARTS + 1) / _PARTS
+    shifts = shifts[np.abs(shifts) <= _LATEST]
     shares = _regress_roughly(logged[inside], map(delay, shifts))
     best, gain = int(np.argmin(shares)), float(weights[0])
     noise = _regress_on_past(record, logged, see)
@@ -227,10 +231,12 @@ def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArr
     time = np.arange(logged.size) * record.torque.sample_time if record.torque is not None else np.arange(0.0)
     seen = {name: np.interp(time, one.time, one.values) for name, one in record.items()}
     r, q = seen["reference"], seen["motor_position"]
-    columns = [np.cumsum(r - q), np.ones(r.size)]
-    for signal in (r - q, np.gradient(q), *(seen[n] for n in ("reference_velocity", "injected") if n in seen)):
+    more = [seen[name] for name in ("reference_velocity", "injected") if name in seen]
+    total, *signals = see(np.column_stack([np.cumsum(r - q), r - q, np.gradient(q), *more])).T
+    columns = [total, np.ones(r.size)]
+    for signal in signals:
         columns += [np.concatenate([np.full(lag, signal[0]), signal[: signal.size - lag]]) for lag in range(_LAGS)]
-    return _regress(logged, see(np.column_stack(columns)))[0]
+    return _regress(logged, np.column_stack(columns))[0]
 
 
 def _regress(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
