@@ -119,7 +119,7 @@ def find_axis_faults(
         found[axis].append(Finding(test, test.declared + test.size, (), {}))
         first.append((axis, test))
         open_ones = [one for one in shapes if (one.axis, one.fault) != (axis, LOG_GAIN)]
-    while open_ones and residual.size > _FEWEST * (own.shape[1] + len(open_ones)) and np.any(residual):
+    while np.any(residual) and _has_enough_rows(residual, own, open_ones):
         keys = {one.key: (one.axis, one.fault) for one in open_ones}
         signatures = [FaultSignature(one.key, one.column, one.shape) for one in open_ones]
         tested = score_signatures(residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed))
@@ -153,6 +153,12 @@ def find_axis_faults(
         for k in range(n)
     )  # fmt: skip
     return faults, follows
+
+
+def _has_enough_rows(residual: FloatArray, own: FloatArray, shapes: Sequence[_Shape]) -> bool:
+    """Test whether there are rows enough for the columns, of each fault one shape, and any shape at all."""
+    tried = {(one.axis, one.fault) for one in shapes}
+    return bool(tried) and residual.size > _FEWEST * (own.shape[1] + len(tried))
 
 
 def _find_scale(

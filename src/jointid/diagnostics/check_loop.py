@@ -282,8 +282,12 @@ def _bound_second_mode(state: SearchState, found: _TestResults, known: Mapping[s
         alone = (column - own @ np.linalg.lstsq(own, column, rcond=None)[0])[:, np.newaxis]
         size = float(alone[:, 0] @ left) / float(alone[:, 0] @ alone[:, 0])
         share = min(max(size, 0.0) + _INTERVAL * float(robust(alone, alone, left).std[0]), _LARGEST_SHARE)
+        if not share > 0.0:  # a record without noise excludes all of it
+            continue
         start = ElasticLoad().start(values, share, (one.shape or 0.0) / first)
         bounds.append((start["stiffness"] / values["stiffness"] - 1.0, share, one.shape))
+    if not bounds:
+        return None
     more, share, mode = max(bounds)
     if more * values["stiffness"] <= _INTERVAL * known.get("stiffness", math.inf):
         return None

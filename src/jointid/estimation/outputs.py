@@ -66,7 +66,7 @@ def fit_outputs(
     Raises:
         RecordError: a record lacks an output that is asked for.
     """
-    logged = all(record.torque is not None for record in records)
+    logged = any(record.torque is not None for record in records)
     if tuple(outputs) == ("torque",) or (not outputs and logged):
         return fit(records)
     computed = [compute_controller_torque(record, loop) for record, loop in zip(records, loops, strict=True)]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.text import number, pluralise
@@ -145,7 +146,13 @@ def _vary_saturation(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Faul
 
 
 def _along_current(motion: AxisMotion) -> Iterator[FaultSignature]:
-    for power, less in _sag(motion.torque):
+    # Of the torque that follows the motion: a power of the measured one holds its error, which is then found in it.
+    q, v, others = motion.position, motion.velocity, motion.others.values()
+    columns = [motion.acceleration, v, np.sign(v), np.ones(q.size), np.sin(q), np.cos(q), *chain.from_iterable(others)]
+    known = np.column_stack(columns)
+    sizes = column_norms(known)
+    known = known[:, sizes > 0.0] / sizes[sizes > 0.0]
+    for power, less in _sag(known @ np.linalg.lstsq(known, motion.torque, rcond=None)[0]):
         yield FaultSignature(TORQUE_SATURATION, less, power)
 
 

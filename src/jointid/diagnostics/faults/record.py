@@ -211,6 +211,8 @@ def find_lost_samples(record: Record) -> Message | None:
     channel = record.reference or record.motor_position
     if channel is None or channel.values.size < 2 * _FEWEST_STEPS:
         return None
+    if record.torque is not None and _roughness(channel) > _roughness(record.torque):
+        return None  # which is no motion
     steps = np.diff(channel.values)
     before, here, after = steps[1:-3], steps[2:-2], steps[3:-1]
     with np.errstate(all="ignore"):
@@ -239,6 +241,14 @@ def find_lost_samples(record: Record) -> Message | None:
     clause += "; cut it there (record.start, record.stop), or log time stamps"
     cause = {"cause": LOST_SAMPLES.name, "value": float(lost[places].sum()), "error": None}
     return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
+
+
+def _roughness(channel: Channel) -> float:
+    """Return the usual change of a signal's steps over its usual step."""
+    steps = np.diff(channel.values)
+    moving = steps[steps != 0.0]
+    size = float(np.median(np.abs(moving))) if moving.size else 0.0
+    return float(np.median(np.abs(np.diff(moving)))) / size if size and moving.size > 1 else 0.0
 
 
 def find_too_short(record: Record) -> Message | None:
