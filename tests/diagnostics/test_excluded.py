@@ -12,6 +12,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.check_loop import LoopTests, _Proof, has_unstated_delay
 from jointid.diagnostics.diagnose import diagnose_joint
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.other_laws import late_interpolations
 from jointid.diagnostics.identify import widen_for_faults
 from jointid.diagnostics.model_free import compare_law, excludes
@@ -45,7 +46,7 @@ def logged(
 OF_LOOP = ("position_gain", "velocity_gain", "delay", "period", "log_gain", "log_delay")
 
 
-def found_in(record: Record, loop: ClosedLoop) -> tuple[set[str], ji.Diagnosis]:
+def found_in(record: Record, loop: ClosedLoop) -> tuple[set[str], Diagnosis]:
     said = ji.diagnose(ji.identify(record, loop, checks=False), record, tests=LoopTests(faults=OF_LOOP))
     return {name for one in said.axes[0].faults.findings for name in one.test.label.split(" or ")}, said
 

@@ -11,6 +11,7 @@ import pytest
 
 import jointid as ji
 from jointid.config import loads
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.simulation.synthesis import simulate
@@ -82,6 +83,25 @@ def test_a_signal_without_torque_and_a_speed_tell_no_scale() -> None:
         logged().without("torque"), ji.ClosedLoop(joint, LAW), parameters={"stribeck_speed": speed}, checks=False
     )
     assert scale_status(found) == ["unknown"]
+
+
+def test_a_free_gain_needs_a_known_parameter() -> None:
+    record, wrong = logged().without("torque"), ji.controller.PD(position_gain=480.0, derivative_gain=36.0)
+    loop, method = ji.ClosedLoop(ji.RigidJoint("revolute"), wrong), ji.DIDIM(free=("gain",))
+    with pytest.raises(ji.MethodError, match="one with the scale of the joint"):
+        ji.identify(record, loop, method, checks=False)
+    known = {"inertia": ji.RigidJoint("revolute").parameters[0].fix(0.5)}
+    found = ji.identify(record, loop, method, parameters=known, checks=False)
+    assert found.params["gain"].value == pytest.approx(400.0 / 480.0, rel=1e-3)
+    assert max(map(abs, deviations(found))) < 3.5
+
+
+def test_no_fault_of_a_log_is_tested_where_no_torque_was_logged() -> None:
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
+    found = ji.identify(logged().without("torque"), loop)
+    checked = found.checks.diagnosis
+    assert isinstance(checked, Diagnosis)
+    assert not {"log_gain", "log_delay"} & {test.name for test in checked.axes[0].faults.tests}
 
 
 def test_outputs_that_contradict_each_other_are_not_averaged() -> None:

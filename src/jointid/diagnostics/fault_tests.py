@@ -70,7 +70,8 @@ def compute_signatures(
     numbers = numbers_of(problem.loop.controller).items()  # a gain of 0 is a choice, not a fault
     own_signature = {fault.name for fault in FAULTS if fault.vary}
     wanted = [n for n, v in numbers if n == DELAY.name or (v and math.isfinite(v) and n not in own_signature)]
-    names = [name for name in (*wanted, LOG_GAIN.name, LOG_DELAY.name) if name not in taken]
+    of_log = () if problem.seen is not None else (LOG_GAIN.name, LOG_DELAY.name)  # no torque was logged
+    names = [name for name in (*wanted, *of_log) if name not in taken]
     wider = problem.freeing(*names)
     bare = [p for p in wider.parameters if p.name == OFFSET.name and not p.free and (p.start or 0.0) == 0.0]
     wider = wider.replace_parameters({p.name: replace(p, free=True) for p in bare})

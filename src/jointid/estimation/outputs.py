@@ -157,6 +157,12 @@ def state_scale(fit: FitResult, records: Logs) -> FitResult:
     lost = tuple(
         row.name for row in rows if integral and row.of_joint and row.free and row.name.rpartition(".")[2] in _CONSTANT
     )
+    freed = [row.name for row in rows if not row.of_joint and row.free and row.name == "gain"]
+    if freed and not known:
+        raise MethodError(
+            "From positions alone the controller's gain is one with the scale of the joint; expected a known inertia, "
+            "friction or stiffness, or an injected torque: fix one of them, or keep the gain."
+        )
     verdict = scale_verdict(known, lost)
     checks = replace(
         fit.checks, verdicts=(*fit.checks.verdicts, verdict), warnings=(*fit.checks.warnings, verdict.said)

@@ -221,7 +221,7 @@ def scale_verdict(known: Sequence[str], lost: Sequence[str] = ()) -> Verdict:
     """
     said = "the torque is computed from the declared controller and the motor position, "
     if known:
-        code, said = Reason.SCALE_KNOWN, f"{said}and {join(known)} tells its scale"
+        code, said = Reason.SCALE_KNOWN, f"{said}and {join(known)} tells its scale: free gain to identify it"
     else:
         code = Reason.SCALE_DECLARED
         said += "so a common factor of its gains is invisible: gains 10 % too large make every parameter 10 % too large"

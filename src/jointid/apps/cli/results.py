@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -289,6 +290,7 @@ def export(
         no_load_speed: likewise its speed without torque, in rad/s or m/s.
     """
     from jointid.config import JointFile
+    from jointid.estimation.result.estimate import law_fingerprint
     from jointid.output import json as answers
     from jointid.output.export import export as run
     from jointid.output.export import find_language, read_joint_model
@@ -317,6 +319,10 @@ def export(
     if language == "joint-file":
         settings |= {"file": file, "folder": out.parent}
     model = read_joint_model(estimate, file.joint, file.name)
+    with contextlib.suppress(JointidError):  # the export says what it lacks
+        under = answers.read_identified(estimate, file.joint).controller
+        if file.loop is not None and under not in ("", law_fingerprint(file.loop)):
+            show("The controller of the joint file is not the one the joint was identified under.")
     exported = run(model, language, side=side, controllers=file.controllers, **settings)
     exported.save(out)
     show(exported)

@@ -411,7 +411,7 @@ def consequence(estimate: EstimateParts, verdict: Verdict) -> str:
     value = asked.name.replace("_", " ")
     if asked.value is None:
         return f"Do not use a value of the {value}, only what is said of it above."
-    if verdict.subject is Subject.LOOP:
+    if verdict.subject in (Subject.LOOP, Subject.SCALE):
         return _consequence_of_loop(estimate, asked, verdict)
     if verdict.good is False and (why := _against(asked, verdict)):
         return f"Do not use the {value}: {why}."
@@ -440,6 +440,8 @@ def _against(asked: EstimatedParameter, verdict: Verdict) -> str:
 
 def _consequence_of_loop(estimate: EstimateParts, asked: EstimatedParameter, verdict: Verdict) -> str:
     value, trust = asked.name.replace("_", " "), answer_of(estimate).trust
+    if verdict.subject is Subject.SCALE:
+        return f"The {value} is as right as the scale of the controller's gains."
     doubted = trust.code is Trust.NOT_YET
     speaks = doubted and any(str(one.code) in trust.values["reasons"] for one in verdict.reasons)
     by, far = moved_by_loop(estimate).get(asked.name), moved_by_loop(estimate, 2.0)
