@@ -266,7 +266,7 @@ def _test_group(
         tail = t.sf(ratio, degrees) if fault.one_sided else 2 * t.sf(abs(ratio), degrees)
         if parts > 1:  # a size that its coefficients make has no sign
             tail = f.sf(ratio**2 / parts, parts, degrees)
-        p_value = min(float(tail) * step.shapes * family, 1.0)
+        p_value = min(float(tail) * step.shapes * family, 1.0) if abs(step.size) >= fault.least else 1.0
         return FaultTest(fault, alike, declared[fault], step.size, std, ratio, p_value, step.signature.shape, opposite)
 
     covariance = robust(alone, alone, after)

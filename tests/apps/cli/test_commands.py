@@ -724,7 +724,7 @@ def test_compare_sets_every_method_of_the_real_axis_side_by_side(
 @pytest.mark.slow
 def test_the_friction_of_the_real_axis(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = friction_of(emps_path, "asymmetric-stribeck", tmp_path / "out.json", capsys)
-    assert found == pytest.approx(-6.7, abs=0.1)
+    assert found == pytest.approx(-9.3, abs=0.2)  # beside the delay within a sample that is identified with it
 
 
 def test_nine_seconds_of_it_tell_directions_apart_beside_the_delay(

@@ -64,6 +64,7 @@ class Fault:
         applies: whether a joint can have a fault that is only searched for: the best of many shapes is large by chance.
         declared: value without the fault; None for a number of the controller, whose value is declared.
         one_sided: whether its size can only be positive.
+        least: smallest size that is named: less is within what such a part is known to.
         mechanical: whether it is a fault of the joint's model, not of loop or log.
         last: whether it is named only where no other fault is collinear.
         kin: group of faults that describe one effect; after one is found, the others are not tested.
@@ -98,6 +99,7 @@ class Fault:
     applies: Callable[[Joint], bool] | None = None
     declared: float | None = 0.0
     one_sided: bool = False
+    least: float = 0.0
     mechanical: bool = False
     last: bool = False
     kin: str = ""

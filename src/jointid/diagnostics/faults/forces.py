@@ -27,6 +27,7 @@ from jointid.simulation.simulated import require_success
 from jointid.uncertainty.verdict import Reason
 
 _STEP = 1e-4  # of the known signal
+_LEAST_SAG = 0.04  # of the torque at the peak: to so much a torque constant is known to be one
 _WAVES = 4  # periods in the travel
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
@@ -164,7 +165,8 @@ def _describe_saturation(finding: Finding, _: AxisFaults, spread: bool) -> str:
 
 TORQUE_SATURATION = Fault(
     "torque_saturation", "torque constant that falls with the current", describe=_describe_saturation,
-    vary=_vary_saturation, along=_along_current, mechanical=True, one_sided=True, measure=Measure.SHARE,
+    vary=_vary_saturation, along=_along_current, mechanical=True, one_sided=True, least=_LEAST_SAG,
+    measure=Measure.SHARE,
     remedy=lambda _: "; the joint file has one torque constant: record with half of that torque, or see the curve of "
     "torque and current in the motor's data sheet",
 )  # fmt: skip
