@@ -441,7 +441,7 @@ def _against(asked: EstimatedParameter, verdict: Verdict) -> str:
 def _consequence_of_loop(estimate: EstimateParts, asked: EstimatedParameter, verdict: Verdict) -> str:
     value, trust = asked.name.replace("_", " "), answer_of(estimate).trust
     if verdict.subject is Subject.SCALE:
-        return f"The {value} is as right as the scale of the controller's gains."
+        return f"The {value} may be used: it is as right as the scale of the controller's gains."
     doubted = trust.code is Trust.NOT_YET
     speaks = doubted and any(str(one.code) in trust.values["reasons"] for one in verdict.reasons)
     by, far = moved_by_loop(estimate).get(asked.name), moved_by_loop(estimate, 2.0)
