@@ -1,4 +1,4 @@
-"""A joint file or a robot file that reads a log whose columns a drive's profile knows."""
+"""Joint and robot files for logs with columns of a known profile."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _moves(channel: InspectedChannel) -> bool:
 
 
 def _clock(columns: Mapping[str, InspectedChannel], axes: tuple[LoggedAxis, ...]) -> dict[str, Any]:
-    """Return the keys of [record] that several clocks need, and a clock that begins anew."""
+    """Return the keys of [record] for several or restarting clocks."""
     every = [columns[name] for axis in axes for name in axis.channels.values()]
     times = {channel.time: channel.sample_time for channel in every if channel.time and channel.sample_time}
     if len(times) > 1:
@@ -75,7 +75,7 @@ def _clock(columns: Mapping[str, InspectedChannel], axes: tuple[LoggedAxis, ...]
 
 
 def _controller(log: Recognised, axis: LoggedAxis, columns: Mapping[str, InspectedChannel]) -> dict[str, Any]:
-    """Return [controller] where the law is known, and the log holds its gains, which do not change."""
+    """Return [controller] of a known law whose logged gains are constant."""
     gains = {gain.key: (columns[name].outline, gain.units[0]) for name, gain in axis.gains.items()}
     if not log.profile.law or len(gains) < 2 or any(_moves(columns[name]) for name in axis.gains):
         return {}

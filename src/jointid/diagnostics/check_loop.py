@@ -137,7 +137,7 @@ class _Proof:
     loop: ClosedLoop
 
     def excludes(self, test: FaultTest) -> bool:
-        """Whether a fault of law or log of that size is not in the record."""
+        """Test whether the position excludes a fault of this size."""
         controller, size = self.loop.controller, test.size
         if test.fault is LOG_GAIN:
             return excludes(self.record, self.loop, controller, gain=size)
@@ -333,7 +333,7 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
 
 
 def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: ClosedLoopProblem) -> bool:
-    """Return whether the torque acts within a sample after its log, by a delay that nobody stated.
+    """Test for an undeclared delay below one sample.
 
     The law must make the logged torque of the motor position: then the delay is behind the log, and no fault of law or
     log looks like it.
@@ -407,7 +407,7 @@ class _OtherLawTest:
 
     @property
     def of_reference(self) -> bool:
-        """Whether the other law differs in what it makes of the reference."""
+        """Test whether the other law answers the reference differently."""
         return self.test.fault in (LATE, AVERAGED, *INTERPOLATIONS.values())
 
     @property

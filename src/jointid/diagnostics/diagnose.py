@@ -147,7 +147,7 @@ def diagnose_joint(
 
 
 def _compare_laws_with(faults: AxisFaults, problem: ClosedLoopProblem, x: FloatArray, record: Record) -> AxisFaults:
-    """Return the faults of a loop with the laws that have them compared, where a fault has several."""
+    """Return the faults with their possible laws compared."""
     compared: list[str] = []
     kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
     for kind in kinds:

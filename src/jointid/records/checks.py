@@ -119,7 +119,7 @@ def rate_faults(record: Record) -> list[str]:
 
 
 def _rate_warnings(record: Record) -> Iterator[str]:
-    """Yield what a slow record cannot tell."""
+    """Yield the limits of a slow record, a sentence each."""
     period = _find_sample_time(record)
     if period > _SLOW_SAMPLE:
         rate = 1 / period

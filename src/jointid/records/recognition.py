@@ -49,7 +49,7 @@ class Recognised:
 
     @property
     def sentence(self) -> str:
-        """What was recognised, in a sentence."""
+        """The recognised log in a sentence."""
         gains = sorted({gain.name for axis in self.axes for gain in axis.gains.values()})
         more = f"; gains {join(gains)}" if gains else ""
         channels = join([name for name in CHANNELS if any(name in axis.channels for axis in self.axes)])

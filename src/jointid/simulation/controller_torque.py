@@ -85,7 +85,7 @@ def law_outputs(position: Channel, experiment: LoopInput) -> FloatArray:
 
 
 def seen_position(record: Record, loop: ClosedLoop) -> SeenPosition | None:
-    """Return what takes motor positions to the torque of a record where that is computed; None where it was logged."""
+    """Return the map from position to computed torque; None for a logged torque."""
     if record.computed_by is None or record.motor_position is None:
         return None
     return SeenPosition(prepare(replace(loop, controller=record.computed_by), record))
@@ -93,7 +93,7 @@ def seen_position(record: Record, loop: ClosedLoop) -> SeenPosition | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenPosition:
-    """What takes a motor position to a torque: the declared law without its limits, linear in the position.
+    """The map from a motor position to a torque: the declared law without limits.
 
     Attributes:
         experiment: what `prepare` made of the record under the declared law.

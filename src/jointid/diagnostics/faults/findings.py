@@ -226,7 +226,7 @@ class AxisFaults:
         return also
 
     def list_laws_with(self, finding: Finding) -> tuple[str, ...]:
-        """Return the laws of the joint with the fault that was found or a rival of it, the best of them first."""
+        """Return the laws that have a fault or its rivals, best first."""
         fault = finding.test.fault
         named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
         laws = dict.fromkeys(law for one in named if one.table == fault.table for law in one.laws if law in self.laws)

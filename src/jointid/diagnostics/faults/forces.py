@@ -132,7 +132,7 @@ LIMIT = Fault(
 
 
 def _sag(current: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-    """Yield what a motor makes less than its current says, per unit of it at the largest, and the power it grows by."""
+    """Yield the missing torque per unit loss at the peak, and its power."""
     share = np.abs(current) / (float(np.max(np.abs(current), initial=0.0)) or 1.0)
     for power in _SAGS:
         yield power, current * share**power

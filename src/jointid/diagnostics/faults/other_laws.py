@@ -345,7 +345,7 @@ def _try_interpolation(way: Interpolation, declared: Hypothesis) -> Iterator[Hyp
 
 
 def _judge_mean(declared: Hypothesis, best: Fit | None, _: float) -> tuple[float | None, float] | None:
-    """Return the time of a mean that fits where another late reference fits best, and its residual."""
+    """Return the averaging time that fits best, and its residual."""
     reference, controller = declared.record.reference, declared.controller
     if best is None or reference is None or not hasattr(controller, "velocity_filter"):
         return None

@@ -49,7 +49,7 @@ Writer = Callable[[JointModel | Robot, Sequence["Actuator"], float], Written]
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """What a simulator takes of a joint, in SI units.
+    """An actuator of a simulator, in SI units.
 
     Attributes:
         name: of the joint.
@@ -256,7 +256,7 @@ def _actuators(
 
 
 def _commands(law: PDLaw, timestep: float) -> tuple[int, list[str]]:
-    """Return the steps by which commands are late, and sentences on what of commands and delays is not held."""
+    """Return the delay of commands in steps, and sentences on the losses."""
     steps, lost = round(law.command_delay / timestep), list[str]()
     if abs(steps * timestep - law.command_delay) > 1e-9:
         written = f"{steps} steps of {1e3 * timestep:.4g} ms are written"

@@ -74,7 +74,7 @@ def pd_law(controller: Controller | None) -> PDLaw | None:
 
 
 def controllers_of(estimate: object) -> Sequence[Controller | None]:
-    """Return the controllers that an estimate was identified under, with the numbers that were free."""
+    """Return the controllers of an estimate, with their identified numbers."""
     if not isinstance(estimate, Estimate):
         return ()
     if estimate.robot is not None:

@@ -154,7 +154,7 @@ class Profile:
         return [name for name, signal in found.items() if not signal.fallback] or list(found)
 
     def gain_columns(self, columns: Spoken, place: Place) -> dict[str, DriveGain]:
-        """Columns that hold a gain of the controller, where exactly one does."""
+        """Columns of the controller's gains, where exactly one fits."""
         made = {}
         for gain in self.gains:
             names = _fill_names(gain.columns, place)
@@ -263,7 +263,7 @@ def _fill_names(names: Iterable[str], place: Place) -> Iterator[str]:
 
 
 def _find_lacking(every: Iterable[Iterable[TraceSignal]], place: Place) -> tuple[str, str] | None:
-    """What a place lacks that names of signals have, in words and as the drive's setting."""
+    """Missing parts of a place, in words and as settings of the drive."""
     names = " ".join(name for signals in every for signal in signals for name in signal.names)
     if "axis" not in place and ("{axis}" in names or "{index}" in names):
         return "the number of the axis", "axis"
@@ -395,11 +395,11 @@ class Drive:
 
     @property
     def place(self) -> Place:
-        """Where in a trace the axis stands."""
+        """Place of the axis in a trace."""
         return place_of(self.axis, self.joint)
 
     def field_range(self, channel: str) -> float:
-        """Return what the largest number of a channel's field of bits stands for, in SI.
+        """Return the SI value of the largest number of a bit field.
 
         Raises:
             UnitError: it is not known; the message is the end of a sentence.

@@ -81,7 +81,7 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
 
 
 def _refuse_pickle(path: Path) -> list[str]:
-    """Return the sentence on a pickle, and the lines that convert it where it was written."""
+    """Return the refusal of a pickle, with the lines that convert it."""
     package = _PICKLES[path.suffix.lower()]
     load = f'("{path.name}", weights_only=True)' if package == "torch" else f'(open("{path.name}", "rb"))'
     return [
