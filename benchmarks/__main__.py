@@ -85,7 +85,7 @@ def main() -> None:
             parser.error(f"there are no results in {DATA.name}: run it without --page first")
         results = before
     else:
-        results = measure(options, before)
+        results = measure(options, before).of_release(version("jointid"))
         save(results, DATA)
     for path in (*drawn(results, IMAGES), _page(results)):
         say(f"wrote {path.relative_to(ROOT)}")
@@ -98,7 +98,7 @@ def _page(results: Results) -> Path:
 
 def _machine() -> str:
     info = Path("/proc/cpuinfo")
-    found = re.search(r"model name\s*: (.*)", info.read_text()) if info.is_file() else None
+    found = re.search(r"model name\s*: (.*)", info.read_text(encoding="utf-8")) if info.is_file() else None
     name = found.group(1) if found else platform.processor() or platform.machine()
     return f"{name}, {os.cpu_count()} cores, {platform.system()}"
 

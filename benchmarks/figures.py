@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.peers import PEERS, peer
-from benchmarks.results import LoopResult, Point, Results, Solver
+from benchmarks.results import LoopResult, Point, Release, Results, Solver
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ _LOOKS = dict(
 _SEARCHES = ("#000000", "#0072B2", "#D55E00")
 LEFT = 0.03  # %: what is more exact is drawn there
 
-IMAGES = ("benchmarks-error.png", "benchmarks-times.png", "benchmarks-searches.png")
+IMAGES = ("benchmarks-error.png", "benchmarks-times.png", "benchmarks-searches.png", "benchmarks-releases.png")
 """Names of the files, in the order of the page."""
 
 
@@ -44,6 +44,8 @@ def drawn(results: Results, folder: Path) -> tuple[Path, ...]:
         figures.append((IMAGES[1], times_figure(results.loops[0])))
     if results.solvers:
         figures.append((IMAGES[2], searches_figure(results.solvers)))
+    if results.releases:
+        figures.append((IMAGES[3], releases_figure(results.releases)))
     for name, figure in figures:
         figure.savefig(folder / name, dpi=130)
     return tuple(folder / name for name, _ in figures)
@@ -124,6 +126,30 @@ def searches_figure(solvers: Sequence[Solver]) -> Figure:
         _plain(axes.xaxis)
         axes.grid(color="0.9")
     panels[0].set_ylabel("starts that found the minimum [%]")
+    panels[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
+    return figure
+
+
+def releases_figure(releases: Sequence[Release]) -> Figure:
+    """Return the ratios to each peer over the releases: one simulation, and one with derivatives."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    for number, (axes, title) in enumerate(zip(panels, ("one simulation", "with eight derivatives"), strict=True)):
+        for key in (key for key in PEERS if key != "jointid"):
+            own = [(at, one.ratios[key][number]) for at, one in enumerate(releases) if key in one.ratios]
+            colour, marker = _LOOKS[key]
+            if own:
+                axes.plot(*zip(*own, strict=True), color=colour, marker=marker, label=peer(key).title)
+        axes.axhline(1.0, color="0.3", linewidth=1)
+        axes.set(yscale="log", xlim=(-0.5, len(releases) - 0.5))
+        axes.set_xticks(range(len(releases)), [one.version for one in releases])
+        axes.set_title(title, fontsize=10, loc="left")
+        axes.set_xlabel("release")
+        axes.grid(color="0.9", axis="y")
+        _plain(axes.yaxis)
+    panels[0].set_ylabel("times as long as jointid")
     panels[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
     return figure
 

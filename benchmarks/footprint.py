@@ -73,7 +73,9 @@ def _size(title: str, requirements: tuple[str, ...]) -> Size:
         return Size(title, 0.0, 0, "uv is not there to make an environment with")
     with tempfile.TemporaryDirectory() as folder:
         where = Path(folder)
-        pins = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["uv"]["constraint-dependencies"]
+        pins = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["uv"][
+            "constraint-dependencies"
+        ]
         (where / "pins.txt").write_text("\n".join(pins))
         clean = {name: value for name, value in os.environ.items() if name not in ("VIRTUAL_ENV", "PYTHONPATH")}
         install = [uv, "pip", "install", "-q", "--link-mode", "copy", "--no-compile-bytecode"]
@@ -94,7 +96,7 @@ def _memory() -> float:
     """Return the most memory this process has held, MB."""
     status = Path("/proc/self/status")
     if status.is_file():  # the resource usage of a child begins with its parent's on Linux
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+        line = next(line for line in status.read_text(encoding="ascii").splitlines() if line.startswith("VmHWM"))
         return float(line.split()[1]) * 1024 / 1e6
     import resource
 

@@ -11,7 +11,7 @@ from benchmarks.identification import FACTOR
 from benchmarks.measuring import ENOUGH
 from benchmarks.peers import PEERS, peer
 from benchmarks.problem import EMPS, SAMPLES, STICK
-from benchmarks.results import LoopResult, Results, Rigid, Solver, Spread, Timed, spread
+from benchmarks.results import LoopResult, Release, Results, Rigid, Solver, Spread, Timed, spread
 from benchmarks.searching import SAME
 
 TRIED = Path(__file__).with_name("tried.md")
@@ -56,6 +56,7 @@ def written(results: Results) -> str:
     parts += _own(results)
     parts += _before(results)
     parts += _searches(results.solvers, results.rigid)
+    parts += _releases(results.releases)
     parts.append(TRIED.read_text(encoding="utf-8"))
     return "\n".join(part.strip("\n") + "\n" for part in parts if part)
 
@@ -185,6 +186,23 @@ def _searches(solvers: Sequence[Solver], rigid: Rigid | None) -> list[str]:
         "\n".join(_table(("", "successful", "simulations", "time, s", "least left of the torque, %"), rows + absent)),
         f"\n![Starts that found the minimum, over time and simulations](images/{IMAGES[2]})\n",
         *_rigid(rigid),
+    ]
+
+
+def _releases(releases: Sequence[Release]) -> list[str]:
+    if not releases:
+        return []
+    peers = [key for key in PEERS if key != "jointid" and any(key in one.ratios for one in releases)]
+    rows = [
+        (one.version, one.date, *(f"{one.ratios[key][0]:,.3g}" if key in one.ratios else "" for key in peers))
+        for one in releases
+    ]
+    return [
+        "## Over the releases\n",
+        "How many times as long as jointid each peer takes for one simulation of the first loop, a row for each "
+        "release. A ratio is measured side by side on one machine, so that rows compare although machines differ.\n",
+        f"![Ratios to the peers over the releases](images/{IMAGES[3]})\n",
+        "\n".join(_table(("release", "measured", *(peer(key).title for key in peers)), rows)),
     ]
 
 

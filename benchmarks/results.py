@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -141,13 +141,28 @@ class Rigid:
 
 
 @dataclass(frozen=True, slots=True)
+class Release:
+    """Ratios of one version to its peers on the first loop; times of other machines would not compare.
+
+    Attributes:
+        ratios: by the peer, how many times as long as this package it takes for one simulation, for one with
+            derivatives, and for one of a batch.
+    """
+
+    version: str
+    date: str
+    ratios: dict[str, tuple[float, float, float]]
+
+
+@dataclass(frozen=True, slots=True)
 class Results:
     """Everything the page is made of.
 
     Attributes:
         machine, versions, date: of the last run. load: of the machine before and after it, as processes that want a
             core; nobody else on the machine would leave about 0 before.
-        points: every setting on the first loop. The others are named as their classes are.
+        points: every setting on the first loop. releases: one for each version that was measured.
+            The others are named as their classes are.
     """
 
     machine: str
@@ -161,6 +176,19 @@ class Results:
     sizes: tuple[Size, ...] = ()
     solvers: tuple[Solver, ...] = field(default=())
     rigid: Rigid | None = None
+    releases: tuple[Release, ...] = ()
+
+    def of_release(self, version: str) -> Results:
+        """Return these with the ratios of the first loop as those of a version, in the place of what it had."""
+        rows = self.loops[0].rows if self.loops else ()
+        medians = {
+            row.peer: tuple(one.ratio.median for one in (row.single, row.slopes, row.batch))
+            for row in rows
+            if row.peer != "jointid"
+        }
+        ratios = {peer: (round(a, 3), round(b, 3), round(c, 3)) for peer, (a, b, c) in medians.items()}
+        others = tuple(one for one in self.releases if one.version != version)
+        return replace(self, releases=(*others, Release(version, self.date, ratios)) if ratios else others)
 
 
 def save(results: Results, path: Path) -> None:

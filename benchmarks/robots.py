@@ -5,10 +5,10 @@
 
 The closed loop: 6 joints, 10 s at 1 kHz, rigid and flexible, and MuJoCo in steps of 1 ms to 0.05 ms, the errors of both
 against jointid's own run at sixteen times the steps, which an adaptive integrator with the same events confirms
-(`tests/simulation/test_robots.py`). Then DIDIM. `--costs` measures instead how the processor's time grows with joints,
-1 to 7, and with the length of the record, 2 to 40 s, and draws it into a file, SVG or PNG, where one is named. Times
-are the shortest of several turns, taken in turn; those of the processor are printed beside those of the clock, since
-a machine may have other work.
+(`tests/simulation/test_robots.py`). Then DIDIM, of two arms of six joints on one base for 60 s at 500 Hz, too.
+`--costs` measures instead how the processor's time grows with joints, 1 to 7 and 12, and with the length of the record,
+2 to 40 s, and draws it into a file, SVG or PNG, where one is named. Times are the shortest of several turns, taken in
+turn; those of the processor are printed beside those of the clock, since a machine may have other work.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from tests.robots_mujoco import simulate_by_mujoco
 from tests.robots_plants import Twin, seven, six, two
 
 TURNS = 5
-JOINTS, LENGTHS = tuple(range(1, 8)), (2.0, 5.0, 10.0, 20.0, 40.0)  # of what the cost is measured over; s
+JOINTS, LENGTHS = (*range(1, 8), 12), (2.0, 5.0, 10.0, 20.0, 40.0)  # of what the cost is measured over; s
 STEPS = (1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5)  # s, of MuJoCo
 
 
@@ -75,13 +75,16 @@ def loops() -> None:
             print(f"  MuJoCo at {1e3 * step:g} ms: {taken[1]:.3f} s, {taken[1] / own[1]:.1f} times, error {error:.1e}")
 
 
-def rigid(twin: Twin, duration: float) -> None:
-    """Print the time of rigid DIDIM."""
-    records, _ = recorded(twin.loop(), twin.records(duration), 0.03)
-    taken = shortest(lambda: identify_rigid_robot(twin.loop(), records), 3)
-    fit = identify_rigid_robot(twin.loop(), records)
+def rigid(twin: Twin, duration: float, *, sample_time: float = 1e-3, delay: float = 0.0) -> None:
+    """Print the time of rigid DIDIM, under laws with a delay."""
+    loop = twin.loop()
+    loop = replace(loop, controllers=tuple(replace(one, delay=delay) for one in loop.controllers))  # type: ignore[type-var]
+    records, _ = recorded(loop, twin.records(duration, sample_time=sample_time), 0.03)
+    taken = shortest(lambda: identify_rigid_robot(loop, records), 3)
+    fit = identify_rigid_robot(loop, records)
     print(
-        f"rigid DIDIM, {len(twin.robot)} joints, {duration:g} s: {taken[0]:.2f} s (processor {taken[1]:.2f} s), "
+        f"rigid DIDIM, {len(twin.robot)} joints, {duration:g} s at {1 / sample_time:g} Hz: "
+        f"{taken[0]:.2f} s (processor {taken[1]:.2f} s), "
         f"{len(fit.names)} parameters, {fit.iterations} iterations",
         flush=True,
     )
@@ -109,6 +112,19 @@ def only(twin: Twin, joints: int) -> Twin:
     return Twin(robot, *each)
 
 
+def twelve() -> Twin:
+    """Return two arms of six joints on one base."""
+    arm = six()
+    links = [
+        replace(link, name=f"{link.name} {side}", parent=-1 if link.parent < 0 else link.parent + first)
+        for side, first in (("left", 0), ("right", len(arm.robot)))
+        for link in arm.robot.links
+    ]
+    joints = [replace(one, name=f"{one.name} {side}") for side in ("left", "right") for one in arm.robot.joints]
+    twice = (np.tile(values, 2) for values in (arm.home, arm.travel, arm.inertia, arm.bandwidth))
+    return Twin(replace(arm.robot, links=tuple(links), joints=tuple(joints)), *twice)
+
+
 def cost(twin: Twin, duration: float) -> tuple[float, ...]:
     """Return the processor's time of a closed loop, of one with all derivatives, and of rigid DIDIM, s."""
     loop, driven = twin.loop(), twin.records(duration)
@@ -127,7 +143,7 @@ def costs(figure: Path | None) -> None:
     """Print how the processor's time grows with joints and length, with the power it grows by; and draw it."""
     found = []
     for what, sizes, twins in (
-        ("joints", JOINTS, [(only(seven(), n), 10.0) for n in JOINTS]),
+        ("joints", JOINTS, [(twelve() if n > len(seven().robot) else only(seven(), n), 10.0) for n in JOINTS]),
         ("seconds", LENGTHS, [(seven(), length) for length in LENGTHS]),
     ):
         times = np.array([cost(*one) for one in twins])
@@ -176,6 +192,7 @@ def main() -> None:
     loops()
     for twin in (two(), six(), seven()):
         rigid(twin, 10.0)
+    rigid(twelve(), 60.0, sample_time=2e-3, delay=5e-4)
     flexible(six(True), 10.0, searched=False)
     for twin in (two((12.0, 18.0)), six(True), seven(flexible=True)):
         flexible(twin, 10.0, searched=True)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
+import published
+
 from jointid import __version__
 
 project = "jointid"
@@ -25,6 +27,7 @@ extensions = [
     "mathml",
     "pages",
     "public_names",
+    "published",
     "search_words",
 ]
 exclude_patterns = ["_ext", "_static", "images"]
@@ -55,6 +58,8 @@ add_module_names = False
 toc_object_entries_show_parents = "hide"
 python_display_short_literal_types = True
 
+place = published.address()
+html_baseurl = f"{place}/{version}/" if place else ""
 html_theme = "pydata_sphinx_theme"
 html_title = "jointid"
 html_static_path = ["_static"]
@@ -72,5 +77,6 @@ html_theme_options = {
     "footer_end": [],
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
+    **published.options(place, version),
 }
 html_sidebars = {"index": [], "faq": [], "gallery": [], "glossary": [], "symptoms": []}

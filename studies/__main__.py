@@ -1,10 +1,11 @@
-"""Run studies, check a drawn tenth of them, or write their tables.
+"""Run studies, check a drawn part of them, or write their tables.
 
 python -m studies [NAME ...]                 run all studies, or these, and store their shares in docs/studies.json
 python -m studies NAME --seeds 1000:1200     run other seeds, and show their shares
 python -m studies list                       show the studies
 python -m studies check [NAME ...] [--draw WORD]
-                                             judge a tenth of each again, drawn by a word or else by the commit
+                                             judge a tenth of these again, or of a third of the studies; a word or
+                                             else the commit draws them
 python -m studies tables [--check]           write the tables of the documentation
 """
 
@@ -20,7 +21,7 @@ from studies.comparing import LEVEL, compare, counted
 from studies.registry import STUDIES
 from studies.seeds import Judged, judge_tasks
 from studies.stored import ROOT, Entry, Program, fill_tables, read_entries, shown_studies, write_entries
-from studies.study import Study
+from studies.study import Study, draw_studies
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -36,7 +37,8 @@ def main(arguments: Sequence[str]) -> int:
     if command == "tables":
         return _write_tables(given.check)
     if command == "check":
-        return _check(chosen, given.draw or Program.here().commit)
+        draw = given.draw or Program.here().commit
+        return _check(chosen if given.names else draw_studies(STUDIES, draw), draw)
     return _run(chosen, given.seeds, given.out)
 
 

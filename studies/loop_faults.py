@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.diagnostics.check_loop import LoopTests, search_faults
+from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.fault_tests import rank_tests
+from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.descent import descend
 from jointid.uncertainty.covariance import sandwich
 from tests.faults import Fault, Loop, Noise, line_7, on, problem, setting, solved

@@ -577,6 +577,20 @@ STUDIES: tuple[Study, ...] = (
         tuple({"held": held, "way": way} for way in ("drive side", "arm") for held in (True, False)),
     ),
     Study(
+        "load-friction",
+        "A joint and an arm of two joints, empty and loaded, with friction that grows with the torque.",
+        "studies.load_friction:judge",
+        range(10),
+        (
+            Share("every share mu within 2.5 sigma", _within("share", 2.5), 0.9),
+            Share("every Coulomb friction within 2.5 sigma", _within("coulomb", 2.5), 0.9),
+            Share("85 % of the parameters or more within 2 sigma", lambda run: run["inside"] >= 0.85, 0.8),
+            Share("of a joint without the law it is named", lambda run: run.get("joint"), 0.9),
+            Share("of an arm without the law it is named on an axis", lambda run: run.get("robot"), 0.1, tested=False),
+        ),
+        ({"system": "joint"}, {"system": "robot"}),
+    ),
+    Study(
         "velocity-taps",
         "Controllers of random servos whose velocity is a weighted difference of up to eight positions.",
         "studies.velocity_taps:judge",

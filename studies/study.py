@@ -66,6 +66,12 @@ class Study:
         return {share.label: "".join(_letter(share, one) for one in outcomes) for share in self.shares}
 
 
+def draw_studies(studies: Sequence[Study], word: str) -> list[Study]:
+    """Return a third of the studies, drawn by a word, in their order."""
+    drawn = random.Random(word).sample(range(len(studies)), -(-len(studies) // 3))  # noqa: S311
+    return [studies[place] for place in sorted(drawn)]
+
+
 def _letter(share: Share, outcome: Any) -> str:
     holds = None if outcome is None else share.holds(outcome)
     return UNCOUNTED if holds is None else HELD if holds else FAILED

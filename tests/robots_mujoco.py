@@ -65,8 +65,10 @@ def model_of(robot: Robot, step: float) -> mujoco.MjModel:
 
 def simulate_by_mujoco(
     robot: Robot, gains: FloatArray, references: FloatArray, period: float, start: FloatArray, step: float = 1e-4
-) -> FloatArray:
-    """Return the torques, (periods, n), of a robot under PD laws with backward differences, held for a period each.
+) -> tuple[FloatArray, FloatArray]:
+    """Return torques and motor positions, (periods, n), of a robot under PD laws with backward differences.
+
+    A torque is held for a period; positions are those at its begin.
 
     Args:
         robot: of revolute joints, one after the other. gains: (n, 2) of position and its difference.
@@ -78,12 +80,13 @@ def simulate_by_mujoco(
     motors = np.array([model.joint(f"m{i}").qposadr[0] for i in range(len(robot))])
     data.qpos[:] = _coordinates(robot.joints, start)
     error = references[0] - data.qpos[motors] - (references[1] - references[0])
-    torques, each = np.empty_like(references), round(period / step)
+    torques, positions, each = np.empty_like(references), np.empty_like(references), round(period / step)
     for k, reference in enumerate(references):
-        before, error = error, reference - data.qpos[motors]
+        positions[k] = data.qpos[motors]
+        before, error = error, reference - positions[k]
         torques[k] = data.ctrl[:] = gains[:, 0] * error + gains[:, 1] * (error - before) / period
         mujoco.mj_step(model, data, each)
-    return torques
+    return torques, positions
 
 
 def _coordinates(joints: tuple[RobotJoint, ...], start: FloatArray) -> FloatArray:

@@ -65,7 +65,7 @@ class Twin:
             duration: s. seed: of the motion. sample_time: s.
             multisine: rad, size of what is added between 3 and 35 Hz.
         """
-        t = np.arange(round(duration / sample_time)) * sample_time
+        t: FloatArray = np.arange(round(duration / sample_time), dtype=np.float64) * sample_time
         q = self.home + motion(t, seed, self.travel)
         if multisine:
             rng = np.random.default_rng(seed + 1000)

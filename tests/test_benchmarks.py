@@ -23,6 +23,7 @@ from benchmarks.results import (
     LoopResult,
     Own,
     Point,
+    Release,
     Results,
     Rigid,
     Row,
@@ -239,7 +240,8 @@ def some_results() -> Results:
             Solver("a toolbox", 0, (), (), (), (), "left out: no such thing"),
         ),
         Rigid(24841, Spread(0.03, 0.028, 0.04, 21), 7, 0.045),
-    )  # fmt: skip
+        (Release("0.2.0", "2025-05-05", {"jax": (120.0, 9.0, 2.0)}),),
+    ).of_release("0.3.0")  # fmt: skip
 
 
 def test_the_page_says_what_was_measured() -> None:
@@ -254,6 +256,10 @@ def test_the_page_says_what_was_measured() -> None:
     assert "| least squares | 4 of 6 | 20 (20 to 20) | 1 (1 to 1) | 8.0000 |" in text
     assert "| a toolbox | left out: no such thing |" in text
     assert "takes 30 (28 to 40) ms and 7 simulations with derivatives, and leaves 4.50 % of the torque." in text
+    assert "| release | measured | JAX scan |\n" in text
+    assert "| 0.2.0 | 2025-05-05 | 120 |" in text
+    assert "| 0.3.0 | 2026-01-01 | 100 |" in text
+    assert [one.version for one in some_results().of_release("0.2.0").releases] == ["0.3.0", "0.2.0"]
     assert text.count("\n\n\n") == 0
     assert text.endswith(page.TRIED.read_text(encoding="utf-8"))
     assert "## Whole identifications" not in page.written(replace(some_results(), solvers=()))

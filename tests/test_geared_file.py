@@ -16,7 +16,7 @@ from jointid.common.transmission import Transmission
 from jointid.config import JointFile, dumps, loads, save
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.output.json import read_identified, to_dict, write
+from jointid.output.json import load_estimate, to_dict, write
 from jointid.records.columns import Column
 from jointid.records.reading import read
 from jointid.records.record import Record
@@ -134,13 +134,13 @@ def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate
     assert to_dict(motor)["transmission"] is to_dict(motor)["other_side"] is None
 
     file = file_of(folder, BY_THE_LOAD)
-    assert read_identified(folder / "out.json", file.joint, file.loop).values == found.values
+    assert load_estimate(folder / "out.json", file).values == found.values
     other = file_of(folder, GEARED, "motor")
     with pytest.raises(RecordError, match=r"per load, on the load side, and this joint has .* on the motor side"):
-        read_identified(folder / "out.json", other.joint, other.loop)
+        load_estimate(folder / "out.json", other)
     plain = file_of(folder, ON_THE_MOTOR)
     with pytest.raises(RecordError, match="and this joint has no transmission; correct"):
-        read_identified(folder / "out.json", plain.joint, plain.loop)
+        load_estimate(folder / "out.json", plain)
 
 
 def test_a_record_is_referred_when_it_is_read_and_comes_back(folder: Path) -> None:
@@ -304,7 +304,7 @@ def test_a_limit_that_the_torque_does_not_keep_is_told_with_its_side(folder: Pat
         file_of(folder, GEARED.replace("limit = 3.0", "limit = 0.1"), side).record()
     expected = f"reaches {number} {unit} on the {side} side, above the controller's limit of {number} {unit} there;"
     assert re.search(expected, str(beyond.value))
-    measured = GEARED.replace('"tau [mN m]"', '"tau [mN m]", tap = "measured"').replace("limit = 3.0", "limit = 0.1")
+    measured = GEARED.replace('"tau [mN m]"', '"tau [mN m]", tap = "measured"').replace("limit = 3.0", "limit = 0.01")
     with pytest.raises(RecordError, match=f"stands at its limit of {number} {unit} on the {side} side in "):
         file_of(folder, measured, side).record()
 

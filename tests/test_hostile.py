@@ -182,7 +182,7 @@ def test_numbers_that_nothing_measured_has_are_refused(spoil: Callable[..., Path
 
 def test_an_answer_without_end_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out.json").symlink_to("/dev/zero")
-    with pytest.raises(RecordError, match="which no answer has"):
+    with pytest.raises(RecordError, match="it is a pipe or a device, no file"):
         answers.read_report(tmp_path / "out.json")
 
 
@@ -389,7 +389,7 @@ def test_a_spoiled_answer_is_refused(spoil: Callable[..., Path], name: str) -> N
     file = loads(JOINT)
     path = spoil(SPOILED_ANSWERS[name], "out.json")
     with one_sentence_each() as said:
-        answers.read_identified(path, file.joint, file.loop)
+        answers.load_estimate(path, file)
     assert len(said) == 1
 
 
@@ -398,7 +398,7 @@ def test_a_spoiled_answer_is_refused(spoil: Callable[..., Path], name: str) -> N
 def test_an_answer_of_any_bytes_is_read_or_refused(spoil: Callable[..., Path], content: bytes) -> None:
     file = loads(JOINT)
     with one_sentence_each():
-        found = answers.read_identified(spoil(content, "out.json"), file.joint, file.loop)
+        found = answers.load_estimate(spoil(content, "out.json"), file)
         assert all(np.isfinite(value) for value in found.values.values())
 
 

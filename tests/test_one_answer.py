@@ -83,7 +83,8 @@ def test_one_record_has_one_answer(gain: float, trust: str, tmp_path: Path, monk
     assert page is not None
     assert _told(json.loads(page[1])["estimate"]) == expected
     row = run_case(Case("axis", joint.read_text(encoding="utf-8"), str(run), ""))
-    assert (row.outcome, row.sentence, row.trust) == (Outcome.IDENTIFIED, notebook.sentence, trust)
+    outcome = Outcome.IDENTIFIED if trust == "reliable" else Outcome.DOUBTFUL
+    assert (row.outcome, row.sentence, row.trust) == (outcome, notebook.sentence, trust)
 
 
 def test_an_estimate_says_that_its_checks_were_left_out(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def test_the_readme_is_short_and_has_one_picture_and_one_table() -> None:
     assert README.count("![") == 1
     assert len(re.findall(r"^\|---", README, re.MULTILINE)) == 1
     row = r"^\| .+ \| `jointid ((?:data |diagnose |campaign )?[\w-]+)[^|]*` \| \["
-    found_there = {"demo", "simulate", "diagnose", "data convert"}
+    found_there = {"demo", "doctor", "simulate", "diagnose", "data convert"}
     found_there |= {f"campaign {name}" for name in ("work", "status", "report", "export")}
     assert set(re.findall(row, README, re.MULTILINE)) == set(commands.names()) - found_there
 

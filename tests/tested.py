@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from jointid.diagnostics.check_loop import LoopTests
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import Record
 

@@ -30,6 +30,8 @@ REPOSITORY = {
     "README.md": "readme",
     "CONTRIBUTING.md": "contributing",
     "CHANGELOG.md": "changelog",
+    "CODE_OF_CONDUCT.md": "conduct",
+    "SECURITY.md": "security",
     "examples/emps/README.md": "example-emps",
     "examples/actuator/README.md": "example-actuator",
     "examples/kr300/README.md": "example-kr300",

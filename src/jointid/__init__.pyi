@@ -26,6 +26,7 @@ from .models.robots.robot import Robot
 from .output import figures
 from .output.export import export, state_space
 from .output.json.documents import to_dict
+from .output.json.reading import load_estimate
 from .output.report import Report
 from .paper.twin import twin
 from .planning.design import design
@@ -95,6 +96,7 @@ __all__ = [
     "intervals",
     "learn_controller",
     "load",
+    "load_estimate",
     "read",
     "robots",
     "simulate",

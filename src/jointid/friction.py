@@ -2,6 +2,7 @@
 
 from jointid.models.friction import (
     AsymmetricFriction,
+    AsymmetricLoadDependentFriction,
     AsymmetricStribeckFriction,
     DriftingFriction,
     LoadDependentFriction,
@@ -12,6 +13,7 @@ from jointid.models.friction import (
 )
 
 __all__ = [
-    "AsymmetricFriction", "AsymmetricStribeckFriction", "DriftingFriction", "LoadDependentFriction",
-    "PreslidingFriction", "StribeckFriction", "SymmetricFriction", "WoundLoadDependentFriction",
+    "AsymmetricFriction", "AsymmetricLoadDependentFriction", "AsymmetricStribeckFriction", "DriftingFriction",
+    "LoadDependentFriction", "PreslidingFriction", "StribeckFriction", "SymmetricFriction",
+    "WoundLoadDependentFriction",
 ]  # fmt: skip

@@ -125,10 +125,10 @@ def load_joint(path: Path) -> None:
         save_with_controller(file, file.controller, path.with_name("written.toml"))
 
 
-def read_identified(path: Path) -> None:
+def load_estimate(path: Path) -> None:
     """Read an answer as an identified joint."""
     file = loads(JOINT.replace('friction = "asymmetric"\n', ""))
-    answers.read_identified(path, file.joint, file.loop)
+    answers.load_estimate(path, file)
 
 
 def read_report(path: Path) -> None:
@@ -139,5 +139,5 @@ def read_report(path: Path) -> None:
 READERS: dict[str, tuple[Callable[[Path], None], ...]] = {
     "record": (read_whole, read_in_blocks, read_channels, look_into),
     "joint": (load_joint,),
-    "answer": (read_identified, read_report),
+    "answer": (load_estimate, read_report),
 }

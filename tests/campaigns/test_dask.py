@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import random
+import re
+import shlex
+import shutil
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,8 +23,9 @@ from jointid.campaigns.engines import DaskCluster, LocalProcesses
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.store import open_database
-from jointid.common.errors import MethodError
+from jointid.common.errors import JointidError, MethodError
 from tests.campaigns.work import POISON, carry, cases, ends
+from tests.losses.runs import COUNT, SEED
 
 pytestmark = [
     pytest.mark.slow,
@@ -75,3 +82,84 @@ def test_a_scheduler_that_does_not_answer_is_a_sentence(tmp_path: Path, monkeypa
         pytest.raises(MethodError, match=r"^No Dask scheduler answers at tcp://127.0.0.1:9 \("),
     ):
         run_cases(lambda: cases(1, tmp_path / "log"), DaskCluster("tcp://127.0.0.1:9"), database, carry=carry)
+
+
+def test_a_worker_of_another_version_refuses_in_a_sentence(cluster: Cluster, tmp_path: Path) -> None:
+    (tmp_path / "other.py").write_text("import jointid.campaigns.run\njointid.campaigns.run.__version__ = '0.0.1'\n")
+    cluster.add_worker("--preload", str(tmp_path / "other.py"))
+    with open_database(tmp_path) as database:
+        run_cases(lambda: cases(2, tmp_path / "log"), DaskCluster(cluster.address), database)
+    rows = read_results(tmp_path).rows
+    assert [row.outcome for row in rows] == [Outcome.REFUSED] * 2
+    assert "and the worker has 0.0.1; install the same on both" in rows[0].sentence
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="a certificate")
+def test_a_cluster_of_ones_own_certificate_takes_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The settings of the documentation; whoever has no certificate is not let in."""
+    made = "openssl req -x509 -newkey rsa:2048 -nodes -keyout mine.key -out mine.pem -days 2 -subj /CN=jointid"
+    subprocess.run(shlex.split(made), cwd=tmp_path, check=True, capture_output=True)
+    settings = {"ca-file": "mine.pem"}
+    for who in ("scheduler", "worker", "client"):
+        settings |= {f"{who}.cert": "mine.pem", f"{who}.key": "mine.key"}
+    settings = {f"distributed.comm.tls.{key}": str(tmp_path / name) for key, name in settings.items()}
+    for key, path in settings.items():
+        name = key.upper().replace(".", "__").replace("-", "_")
+        monkeypatch.setenv(f"DASK_{name}", path)
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "True")
+    dask = pytest.importorskip("dask")
+    with contextlib.ExitStack() as stack, open_database(tmp_path) as database:
+        cluster = Cluster(tmp_path, stack, "tls://127.0.0.1:0")
+        cluster.add_worker()
+        with dask.config.set({**settings, "distributed.comm.require-encryption": True}):
+            ran = run_cases(lambda: cases(3, tmp_path / "log"), DaskCluster(cluster.address), database, carry=carry)
+        assert ran.made[Outcome.IDENTIFIED] == 3
+        monkeypatch.setattr("jointid.campaigns.engines._PATIENCE", 1.0)
+        plain = DaskCluster(cluster.address.replace("tls", "tcp"))
+        with pytest.raises(MethodError, match="No Dask scheduler answers"):
+            run_cases(lambda: cases(4, tmp_path / "log"), plain, database, carry=carry)
+
+
+@pytest.mark.hostile
+def test_nothing_is_lost_or_kept_twice_at_any_moment(
+    cluster: Cluster, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Workers and schedulers are killed; `JOINTID_ATTACKS=50` kills that many. The same command goes on each time."""
+    log, dice, count, workers = tmp_path / "log", random.Random(f"dask{SEED}"), 40 * COUNT, [cluster.add_worker()]
+    sentences = list[str]()
+
+    def attack() -> None:
+        begin = len(ends(log))
+        while len(ends(log)) <= begin:
+            time.sleep(0.01)
+        time.sleep(dice.uniform(0.0, 0.3))
+        if turn % 2:
+            workers.pop().kill()
+        else:
+            cluster.scheduler.kill()
+            cluster.scheduler.wait()
+            workers.pop().wait()  # a worker ends with its scheduler
+            time.sleep(dice.uniform(0.0, 3.0))
+            cluster.scheduler = cluster.start_scheduler(cluster.address)
+        workers.append(cluster.add_worker())
+
+    for turn in range(COUNT):
+        killer = threading.Thread(target=attack)
+        killer.start()
+        with open_database(tmp_path) as database:
+            kept, before = {row.content_hash for row in read_results(tmp_path).rows}, len(ends(log))
+            try:
+                run_cases(partial(cases, 40 * (turn + 1), log), DaskCluster(cluster.address), database, carry=carry)
+            except JointidError as error:
+                sentences.append(str(error))
+        killer.join()
+        assert kept <= {row.content_hash for row in read_results(tmp_path).rows}, "a result was lost"
+        assert not kept & set(ends(log)[before:]), "a finished case was made again"
+    with open_database(tmp_path) as database:
+        run_cases(lambda: cases(count, log), DaskCluster(cluster.address), database, carry=carry)
+    results = read_results(tmp_path)
+    assert results.counts()[Outcome.IDENTIFIED] == results.cases == count
+    assert all(
+        re.fullmatch(r"The Dask scheduler at .* answers no more; start it again, .*kept\.", s) for s in sentences
+    )
+    assert "Traceback" not in capfd.readouterr().err

@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 
 from jointid.campaigns.cases import Case, Found, Outcome, Row
-from jointid.campaigns.drift import Series, best_change, judge, series_of
+from jointid.campaigns.drift import Loss, Series, best_change, judge, series_of
 from jointid.campaigns.folder import Results, Status
+from jointid.campaigns.pictures import draw_matrix
 from jointid.campaigns.report import CampaignReport, report_of
 from jointid.common.arrays import FloatArray
+from jointid.common.charts import Chart, Line, Panel
+from jointid.common.document import Picture
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.matplotlib_backend import svg
 
 STATED = {"stiffness": 0.008, "total_coulomb": 0.017, "total_viscous": 0.025}
 """Stated standard deviation as a share of the value, as the fleet of `examples/fleet` has them."""
@@ -201,3 +205,70 @@ def test_a_day_that_is_none_does_not_hide_a_drift() -> None:
     ]
     (found,) = judge(series_of(rows))
     assert found.significant and found.kind == "step"
+
+
+def spoilt(rows: list[Row], joint: str, since: str, **more: object) -> list[Row]:
+    return [replace(row, **more) if row.joint == joint and row.day >= since else row for row in rows]  # type: ignore[arg-type]
+
+
+def test_a_joint_that_lost_its_value_is_named_and_one_spoilt_day_is_no_loss() -> None:
+    """Five days without an answer, and a stiffness that nine days refuse while friction is known."""
+    rows = spoilt(list(fleet(1, 12)), "axis 005", "2026-10-16", outcome=Outcome.DOUBTFUL, sentence="It did not end.")
+    refused = {"stiffness": Found(None, None, "SI")}
+    rows = [replace(row, found=row.found | refused) if row.joint == "axis 009" and row.day > "2026-10-11" else row
+            for row in rows]  # fmt: skip
+    rows = spoilt(rows, "axis 007", "2026-10-20", outcome=Outcome.REFUSED, sentence="It is empty.", found={})
+    lost = report(rows).losses
+    assert [(one.joint, one.quantity) for one in lost] == [("axis 005", ""), ("axis 009", "stiffness")]
+    assert all(one.last < "2026-10-16" and one.runs >= 4 for one in lost)
+    assert report(rows).verdict[0].startswith("2 joints lost a value: axis 005 and axis 009. ")
+    assert report(rows).verdict[1] is False
+    assert "axis 005  all" in report(rows).summary() and "It did not end." in report(rows).summary()
+    assert report(list(fleet(1, 12))).losses == ()
+    never = report([replace(row, outcome=Outcome.REFUSED, found={}) for row in rows if row.joint == "axis 001"])
+    assert [(one.joint, one.last) for one in never.losses] == [("axis 001", "")]
+
+
+def test_a_page_of_a_fleet_has_its_days_and_changes_and_folds_quiet_rows() -> None:
+    from jointid.output.report.page import page
+
+    rows = spoilt(list(fleet(1, 30, falling=2)), "axis 005", "2026-10-16", outcome=Outcome.DOUBTFUL, sentence="<b>")
+    found = report(rows)
+    matrix, values = (block for block in found.to_page().blocks if isinstance(block, Picture))
+    drawn, text = matrix.draw().decode(), page(found.to_page())
+    assert [name for name in sorted({row.joint for row in rows}) if f">{name}<" in drawn] == [
+        "axis 000", "axis 001", "axis 005"
+    ]  # fmt: skip
+    late = sum(row.joint == "axis 005" and row.day >= "2026-10-16" for row in rows)
+    assert drawn.count(">?<") == late and "27 joints" in matrix.text
+    after = sum(row.joint == one.series.joint and row.day >= one.since for one in found.drifted for row in rows)
+    assert drawn.count('fill="#0072B2"') == after
+    assert values.draw().startswith(b"<?xml") and "<svg" in text and "<b>" not in text
+    assert text.count("<details>") == 1, "the changes within scatter"
+    assert not any(isinstance(block, Picture) for block in found.to_document(details=True).blocks)
+    quiet = report(list(fleet(1, 12))).to_page().blocks
+    assert sum(isinstance(block, Picture) for block in quiet) == 1
+
+
+def test_a_picture_has_a_row_for_each_setting_and_the_first_loss_of_a_joint() -> None:
+    days = [f"jour {day}" for day in range(5)]
+    rows = [
+        Row("", joint, "", day, changes, None, Outcome.IDENTIFIED, "", "")
+        for joint, changes in (("épaule", ("a = 1",)), ("épaule", ("a = 2",)), ("quiet", ()))
+        for day in (days if joint == "quiet" else [day.replace("jour", "été") for day in days])
+    ]
+    losses = [
+        Loss("épaule", ("a = 1",), quantity, f"été {last}", 4 - last, "")
+        for quantity, last in (("inertia", 1), ("stiffness", 3))
+    ]
+    matrix = draw_matrix(rows, [], losses)
+    drawn = matrix.draw().decode()
+    assert ">épaule (a = 1)<" in drawn and ">épaule (a = 2)<" in drawn
+    assert drawn.count(">?<") == 3, "the days after the first loss, of this setting alone"
+    assert "Not shown: 1 joint " in matrix.text
+
+
+def test_no_label_of_a_chart_is_read_as_a_formula() -> None:
+    name = r"$\none$"
+    line = Line(np.arange(3.0), np.arange(3.0), "#000000", label=name)
+    assert svg(Chart("x", "", (Panel(name, name, (line,), name),), title=name)).startswith(b"<?xml")

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import signal
 import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context, util
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +17,34 @@ from jointid.campaigns.engines import LocalProcesses
 
 if sys.platform != "win32":
     import resource
+
+
+def open_workers() -> None:
+    with LocalProcesses(1).open() as workers:
+        assert workers.executor.submit(signal.getsignal, signal.SIGINT).result() == signal.SIG_IGN
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no server forks workers there")
+def test_other_workers_of_the_program_hear_an_interrupt() -> None:
+    open_workers()
+    with ProcessPoolExecutor(1, get_context("forkserver")) as own:
+        assert signal.SIGINT not in own.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="no server forks workers there")
+def test_a_campaign_in_a_child_process_leaves_the_folder_of_its_parent() -> None:
+    folder = Path(util.get_temp_dir())
+    before = set(folder.iterdir())
+    child = get_context("spawn").Process(target=open_workers)
+    child.start()
+    child.join()
+    assert child.exitcode == 0
+    for _ in range(200):  # until its server has ended
+        if (after := set(folder.iterdir())) == before:
+            break
+        time.sleep(0.05)
+    assert after == before
 
 
 def faults(turns: int) -> int:

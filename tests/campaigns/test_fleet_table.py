@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from jointid.campaigns import fleet
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Outcome, Row
 from jointid.campaigns.fleet import read_fleet_table
@@ -171,13 +171,13 @@ def test_thousands_of_joints_need_one_joint_file_which_is_read_once(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reads = []
-    read = Path.open
+    read = fleet.read_text
 
-    def count(path: Path, *mode: Any, **more: Any) -> Any:
+    def count(path: Path) -> str:
         reads.append(path.name)
-        return read(path, *mode, **more)
+        return read(path)
 
-    monkeypatch.setattr(Path, "open", count)
+    monkeypatch.setattr(fleet, "read_text", count)
     table = "name,record,filtering.cutoff\n" + "".join(f"axis {n},../run.npy,{30 + n % 3}\n" for n in range(3000))
     assert len(hashes(listed(place, table))) == 3000
     assert reads.count("joint.toml") == 1

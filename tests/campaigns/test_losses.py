@@ -25,6 +25,7 @@ from jointid.campaigns.run import run_cases
 from jointid.campaigns.shards import Shard, open_shard, read_shards
 from jointid.campaigns.store import open_database, require_local_disk
 from jointid.common.errors import RecordError
+from tests.campaigns.conftest import FLEET
 from tests.campaigns.work import POISON, SLOW, carry, cases, ends, last_workers
 from tests.losses.runs import COUNT, SEED
 
@@ -85,6 +86,31 @@ def test_a_client_or_a_shard_that_is_killed_loses_nothing_and_makes_nothing_twic
     subprocess.run(command, cwd=ROOT, check=True)
     results = read_results(tmp_path)
     assert results.counts()[Outcome.IDENTIFIED] == results.cases == count
+
+
+@pytest.mark.hostile
+@pytest.mark.skipif(sys.platform != "linux", reason="a server that forks")
+def test_an_end_while_the_first_worker_starts_leaves_no_traceback_and_no_folder(place: Path) -> None:
+    """Ctrl-C of a terminal, which all processes receive, SIGTERM and kill -9 of the client; `JOINTID_ATTACKS=100`."""
+    (place / "campaign.toml").write_text(FLEET)
+    (place / "temporary").mkdir()
+    command = [sys.executable, "-c", "from jointid.apps.cli import main; main()", "campaign", "run", "campaign.toml"]
+    dice = random.Random(f"first worker{SEED}")
+    for turn in range(max(COUNT // 2, 3)):
+        with subprocess.Popen(
+            [*command, "--out", f"out {turn}", "-q"], cwd=place, start_new_session=True, stderr=subprocess.PIPE,
+            env={**os.environ, "TMPDIR": str(place / "temporary")},
+        ) as client:  # fmt: skip
+            while not any((place / "temporary").glob("*/*")) and client.poll() is None:
+                time.sleep(0.01)  # until the server has its socket
+            time.sleep(0.2 + dice.uniform(0.0, 2.0))
+            kill = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)[turn % 3]
+            (os.killpg if kill == signal.SIGINT else os.kill)(client.pid, kill)
+            assert client.stderr is not None
+            said = client.stderr.read().decode()  # which ends with the last process
+        assert "Traceback" not in said, said
+        assert client.returncode in (0, -kill, 128 + kill), said
+        assert not list((place / "temporary").glob("pymp-*"))
 
 
 def wait_for_silence(log: Path) -> None:

@@ -46,7 +46,7 @@ def last_workers(log: Path) -> list[int]:
 
 
 def _lines(log: Path) -> list[str]:
-    return log.read_text().splitlines() if log.exists() else []
+    return log.read_text(encoding="utf-8").splitlines() if log.exists() else []
 
 
 def main(folder: str, log: str, count: str, shard: str = "") -> None:

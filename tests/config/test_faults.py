@@ -94,12 +94,7 @@ FAULTS = [
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "dahl"'),
         'joint.friction: Friction "dahl" is not known; use symmetric, asymmetric, stribeck, asymmetric-stribeck, '
-        "presliding, load-dependent, presliding-load-dependent, drifting.",
-    ),
-    (
-        SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "load-dependent"'),
-        "joint.friction: Load-dependent friction follows the torque through a spring; received a rigid joint, which "
-        'has none: use a flexible one, or friction = "symmetric".',
+        "presliding, load-dependent, asymmetric-load-dependent, presliding-load-dependent, drifting.",
     ),
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nmodel = "flexible"\nfriction = "stribeck"\nspring = "cubic"'),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 import tomllib
 from pathlib import Path
@@ -17,6 +19,7 @@ from jointid.config import (
     loads,
 )
 from jointid.config.loading import deepest_key, load_to_learn, split_sections
+from jointid.config.robot_model import load_robot
 from jointid.models.controllers import (
     StateSpaceController,
 )
@@ -122,12 +125,15 @@ def test_a_text_is_cut_before_headings_and_nowhere_else() -> None:
     assert time.process_time() - begin < 5
 
 
-def test_a_device_without_end_is_no_joint_file(tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
+def test_a_device_or_a_pipe_is_no_joint_file_and_no_model(tmp_path: Path) -> None:
     path = tmp_path / "joint.toml"
     path.symlink_to("/dev/zero")
-    for read in (load, load_to_learn):
-        with pytest.raises(JointFileError, match=r"has \d+ bytes \(a joint file has at most"):
-            read(path)
+    os.mkfifo(tmp_path / "pipe")
+    for read in (load, load_to_learn, load_robot):
+        for one in (path, tmp_path / "pipe"):
+            with pytest.raises(JointFileError, match=r"cannot be opened \(it is a pipe or a device, no file\)"):
+                read(one)
 
 
 def test_a_filter_of_thousands_of_numbers_is_refused() -> None:

@@ -50,7 +50,7 @@ def test_the_record_lies_beside_the_joint_file(run: Path) -> None:
     assert record.name == "run"
     assert saved(folder, SMALLEST).record(run).channels == record.channels
     with pytest.raises(
-        RecordError, match=r"joint.toml names no record; add file to \[record\], or name one by --record"
+        RecordError, match=r"joint.toml names no record in \[record\]; add file to it, or name one by --record"
     ):
         saved(folder, SMALLEST).record()
 
@@ -132,9 +132,18 @@ def test_several_records(run: Path) -> None:
     assert first.record() != file.each([folder / "b.csv", run])[1].record  # names on the command line replace both
     assert file.each([folder / "b.csv", run])[1].source.file == str(run)
     with pytest.raises(JointFileError, match="lists 2 records and 1 are named"):
-        file.each([run])
+        file.each([folder / "other.csv"])
+    assert [one.runs for one in file.each([folder / "runs" / ".." / "b.csv"])] == [file.runs[1:]], "by its path"
     joined = replace(first, source=replace(first.source, files=("q.csv", "tau.csv"), offsets=(0.0, 1.0)))
     assert joined.each()[0].source.files == joined.each()[0].source.offsets == ()  # a named record takes their place
+    assert file.of_record(folder / "b.csv").controller == second.controller
+    assert file.of_record(folder / "other.csv") is file
+    listed = SEVERAL.replace("b.csv", "runs/run.csv").replace("limit = 5.0", "limit = 500.0")
+    loaded = saved(folder, "[record]\ndelimiter = ';'\n" + SMALLEST + listed)
+    (remark,) = loaded.record(run).remarks
+    assert remark.startswith("10 kg were added to the load (records.added_inertia): the inertia that this record alone")
+    assert loaded.each()[1].record().remarks == (), "of several records it is taken off"
+    assert loaded.only_lists
     unlisted = saved(folder, SMALLEST)
     assert [one.source.file for one in unlisted.each([run, folder / "b.csv"])] == [str(run), str(folder / "b.csv")]
 

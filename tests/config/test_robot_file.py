@@ -15,6 +15,7 @@ from jointid.config.schema import keys_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.robots.payload import identify_drive_gains, identify_payload
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.limits import AxisLimits
@@ -179,12 +180,42 @@ def test_joints_that_the_log_lacks_stand_still(folder: Path) -> None:
         loads(both, folder)
 
 
+def test_each_record_has_the_payload_that_is_stated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    payload = "payload_mass = 2.0\npayload_center = [0.1, 0.0, 0.0]\npayload_inertia = [0.01, 0, 0, 0.02, 0, 0.03]\n"
+    empty, loaded = folder / "log.csv", folder / "loaded.csv"
+    loaded.write_bytes(empty.read_bytes())
+    text = TEXT + f'[[records]]\nfile = "log.csv"\n[[records]]\nfile = "loaded.csv"\n{payload}'
+    file = RobotFile.of(parse_toml(text), folder / "robot.toml")
+    stated = pytest.approx((2, 0.2, 0, 0, 0.01, 0, 0, 0.04, 0, 0.05))
+    seen = []
+    monkeypatch.setattr(RobotFile, "identify", lambda _, logs, progress: seen.extend(logs))
+    for paths in ([], [empty, loaded], [loaded, empty]):
+        file.identify_together(paths)
+    assert [log[-1].payload for log in seen] == [(), stated, (), stated, stated, ()]
+    assert file.inputs()[-1] == loaded
+    one = file.record(folder / ".." / folder.name / "loaded.csv")  # every verb reads it so
+    assert [record.payload for record in one] == [(), (), stated]
+    for by in (
+        lambda: identify_payload(file.setup, file.record(empty), one),
+        lambda: identify_drive_gains(file.robot, file.record(empty), one, {"m": 2.0}),
+    ):
+        with pytest.raises(MethodError, match="A record states its payload, which is to be identified here"):
+            by()
+    for change, fault in (
+        (("payload_mass = 2.0\n", ""), r"records\.2\.payload_mass is missing"),
+        (("[0.01, 0", "[-5, 0"), r"records\.2\.payload_inertia is \[-5.* which no body has; expected principal"),
+        (("loaded.csv", "./log.csv"), r'records\.2\.file is "\./log\.csv", listed before with another payload'),
+    ):
+        with pytest.raises(JointFileError, match=fault):
+            RobotFile.of(parse_toml(text.replace(*change)), folder / "robot.toml")
+
+
 def test_every_key_of_its_own_is_on_the_page() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
     tables = RobotFileTable.model_json_schema()["$defs"]
     for method in (IDIM, DIDIM, DriveSideFit):
         assert all(f"`{key}`" in page for key in keys_of(method, "robot"))
-    for name in ("RobotTable", "RobotJointTable", "JointSpringTable"):
+    for name in ("RobotTable", "RobotRunTable", "RobotJointTable", "JointSpringTable"):
         for key in tables[name].get("anyOf", [tables[name]])[-1]["properties"]:
             assert f"`{key}`" in page, key
     for table in RobotFileTable.model_fields:

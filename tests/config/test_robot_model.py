@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+import subprocess
+import sys
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +175,100 @@ def test_files_that_are_no_model(tmp_path: Path) -> None:
             load_robot(tmp_path / name)
     (tmp_path / "two.urdf").write_text(URDF, encoding="utf-8")
     assert load_robot(tmp_path / "two.urdf").names == ("turn", "lift")
+
+
+def of_class(default: str, body: str, inside: str = "") -> str:
+    """Return an arm of 1 kg, whose body is drawn by a shape of a class."""
+    box = '<geom type="box" size="0.1 0.1 0.1" mass="1"/>'
+    return f"""<mujoco><default>{default}</default><worldbody>
+      <body name="b"{body}><joint name="j"/>{inside}{box}</body></worldbody></mujoco>"""
+
+
+MESHES = [
+    of_class('<default class="v"><geom type="mesh" mesh="m"/></default>', "", '<geom class="v"/>'),
+    of_class('<default class="v"><geom type="mesh" mesh="m"/></default>', ' childclass="v"', "<frame><geom/></frame>"),
+    of_class('<default class="v"><geom type="mesh"/><default class="w"/></default>', "", '<geom class="w" mesh="m"/>'),
+    of_class('<geom type="mesh" mesh="m"/>', "", "<geom/>"),
+    of_class('<geom type="hfield"/>', "", "<body><geom/></body>"),
+]
+
+
+@pytest.mark.parametrize("text", MESHES)
+def test_a_shape_whose_class_is_a_mesh_is_no_sphere(text: str) -> None:
+    with pytest.raises(JointFileError, match=r"the mass of <body>.* follows from a mesh, which is not read"):
+        read_robot(text)
+    said = '<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>'
+    assert read_robot(re.sub(r"(<body[^>]*>)", rf"\1{said}", text)).inertials[0][0] in (2.0, 4.0)
+
+
+def test_a_shape_of_such_a_class_with_a_type_of_its_own_keeps_its_mass() -> None:
+    inner = '<default class="w"><geom type="box"/></default>'
+    default = f'<default class="v"><geom type="mesh" density="500"/>{inner}</default>'
+    cubes = '<geom class="v" type="box" size="0.5 0.5 0.5"/><geom class="w" size="0.5 0.5 0.5"/>'
+    assert read_robot(of_class(default, "", cubes)).inertials[0][0] == pytest.approx(1001.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        mjcf("<body/>" * 2001),
+        mjcf('<geom size="1"/>' * 2001),
+        mjcf("<frame/>" * 2001),
+        mjcf("", "<equality>" + '<weld body1="b"/>' * 2001 + "</equality>"),
+        URDF.replace("<robot", "<robot>" + "".join(f'<link name="l{k}"/>' for k in range(2001)) + "<x", 1).replace(
+            "</robot>", "</x></robot>"
+        ),
+        URDF.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/>' + '<mimic joint="lift"/>' * 2001),
+    ],
+)
+def test_a_model_is_counted_before_it_is_compiled(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jointid.config.robot_model.extra", lambda *_: pytest.fail("it would be compiled"))
+    with pytest.raises(JointFileError, match=r"has 200\d elements <.*> \(at most 2000\); expected a robot"):
+        read_robot(text)
+
+
+@pytest.mark.parametrize("text", [URDF.replace('"lift"', '"turn"'), mjcf('<body><joint name="j"/></body>')])
+def test_joints_of_one_name_are_refused(text: str) -> None:
+    with pytest.raises(JointFileError, match=r"has several joints called (turn|j); give each a name of its own"):
+        read_robot(text)
+
+
+ALONE = """
+import sys
+from jointid.common.errors import JointFileError
+from jointid.config import robot_model
+from jointid.config.robot_model import load_robot
+from jointid.records.formats import reader_process
+assert load_robot(sys.argv[1]).names == ("turn", "lift") and "mujoco" not in sys.modules
+reader_process.SECONDS = -1.0  # which is over at once
+try:
+    load_robot(sys.argv[1])
+except JointFileError as error:
+    print(error)
+def run_out(*_, **__):
+    raise MemoryError
+robot_model.call_apart = run_out
+try:
+    load_robot(sys.argv[1])
+except JointFileError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the time of a processor is not bounded there")
+def test_a_model_is_compiled_in_the_process_that_reads_untrusted_files(tmp_path: Path) -> None:
+    (tmp_path / "two.urdf").write_text(URDF, encoding="utf-8")
+    order = [sys.executable, "-c", ALONE, str(tmp_path / "two.urdf")]
+    said = subprocess.run(order, capture_output=True, text=True, check=True).stdout
+    late, large = said.splitlines()
+    assert "MuJoCo does not compile" in late and "is not read within" in late
+    assert late.endswith("for each megabyte); correct or simplify it.")
+    assert large.endswith("two.urdf: it takes too much memory; simplify it.")
+    here, there = read_robot(URDF, "two.urdf"), load_robot(tmp_path / "two.urdf")
+    for one, other in zip(here.links, there.links, strict=True):
+        for part in fields(one):
+            np.testing.assert_array_equal(getattr(one, part.name), getattr(other, part.name))
+    assert (here.joints, here.name, here.remarks) == (there.joints, there.name, there.remarks)
 
 
 def test_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:

@@ -16,11 +16,14 @@ from jointid.config import load
 from jointid.diagnostics.examine_record import Examination, Question, examine
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.methods.idim import IDIM
-from jointid.models.joints import ClosedLoop
+from jointid.models.controllers import Cascade
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json.documents import to_dict
 from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.records.writing import write
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.synthesis import simulated_record
 from tests.estimation.robots.twin import arm, records_of
 from tests.mistakes import MISTAKES, Told, axis, run, varied, without_mistake
 
@@ -112,6 +115,20 @@ def test_nothing_is_wrong_with_a_clean_twin(loop: str, noise: str) -> None:
     assert known["stiffness"].remark == "well"
     assert known["stiffness"].percent == pytest.approx(0.9, abs=0.6)
     assert any(one.startswith("load encoder") for one in found.changes)
+
+
+@pytest.mark.slow
+def test_nothing_is_wrong_with_a_record_at_its_declared_limit() -> None:
+    law = Cascade(position_gain=20.0, velocity_gain=1.0, limit=1.1)
+    loop = ClosedLoop(RigidJoint("revolute"), law)
+    truth = {"inertia": 0.03, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+    reference = trapezoids((4.0, 8.0), 30.0, 3.0, 1e-3, rest=0.1, duration=8.0)
+    noise = 5e-3 * np.random.default_rng(1).standard_normal(reference.size)
+    record = simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise, tap="measured")
+    assert record.torque is not None
+    assert 0.1 < np.mean(np.abs(record.torque.values) > 0.99 * 1.1) < 0.4
+    found = examine(record, loop)
+    assert found.healthy, str(found)
 
 
 def test_the_law_is_seen_in_the_motor_s_position_alone() -> None:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.check_loop import LoopTests, _Proof, has_unstated_delay
 from jointid.diagnostics.diagnose import diagnose_joint
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.other_laws import late_interpolations
+from jointid.diagnostics.find_causes import list_hypotheses
 from jointid.diagnostics.identify import widen_for_faults
+from jointid.diagnostics.law_tests import Proof, has_unstated_delay
 from jointid.diagnostics.model_free import compare_law, excludes
+from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.identify import fit
 from jointid.estimation.result.assemble import FitResult
 from jointid.models.controllers import Cascade
@@ -59,7 +62,9 @@ def test_a_law_that_the_motor_position_proves_is_not_blamed_for_the_mechanics() 
     assert not names
     assert {one.name for one in said.axes[0].faults.excluded} & {"velocity_gain", "log_gain", "period", "position_gain"}
     assert "the motor position excludes that" in said.axes[0].faults.sentences[0]
-    (wider,) = widen_for_faults(said.axes[0].faults)  # what is in the joint, and looks like a gain, moves the inertia
+    (wider,) = widen_for_faults(
+        said.axes[0].faults, {}
+    )  # what is in the joint, and looks like a gain, moves the inertia
     assert wider.by["inertia"] > 0.1
 
 
@@ -128,7 +133,7 @@ def test_a_law_of_setpoints_that_are_filled_in_is_excluded_on_them(declared: boo
     record = simulated_record(loop, held.values if declared else filled.values, PLAIN, sample_time=1e-3)
     record = record.with_channels({"reference": held})
     law = next(one for one in late_interpolations(LAW, record, 1e-3) if 'interpolation = "linear"' in one.remedy)
-    assert _Proof(record, loop).excludes_law(law) is declared
+    assert Proof(record, loop).excludes_law(law) is declared
 
 
 def test_a_delay_is_unstated_only_where_none_is_declared_nor_denied() -> None:
@@ -146,3 +151,35 @@ def test_a_delay_is_unstated_only_where_none_is_declared_nor_denied() -> None:
     assert unstated(LAW)
     assert not unstated(replace(LAW, undeclared="none"))
     assert not unstated(replace(LAW, delay=2e-4))
+
+
+def test_a_gross_cause_must_make_the_torque_of_the_motor_position() -> None:
+    record = logged(RigidJoint("prismatic", SymmetricFriction()), PLAIN)
+    loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
+
+    def names(record: Record) -> set[str]:
+        found = list_hypotheses(record, loop, ji.Filtering().resolve(1e-3, "rigid"))
+        return {one.fault.name for one in found if one.fault is not None}
+
+    gross = {"position_gain", "swapped_gains", "torque_sign"}
+    assert gross | {"delay"} <= names(record.without("motor_position"))
+    assert not gross & names(record)
+    assert "delay" in names(record)  # behind the log
+    assert record.torque is not None
+    wrong = record.with_channels({"torque": replace(record.torque, values=10.0 * record.torque.values)})
+    assert gross <= names(wrong)
+
+
+def test_a_kept_estimate_has_the_delay_that_was_identified(tmp_path: Path) -> None:
+    joint = RigidJoint("prismatic", SymmetricFriction())
+    record, loop = logged(joint, PLAIN, replace(LAW, delay=3e-3)), ClosedLoop(joint, LAW)
+    found = ji.identify(record, loop, ji.DIDIM(free=("delay",)), checks=False)
+    found.save(tmp_path / "estimate.json")
+    kept = ji.load_estimate(tmp_path / "estimate.json", loop)
+    errors = [ji.validate(one, record).filtered_error for one in (found, kept)]
+    assert errors[1] == pytest.approx(errors[0], rel=1e-6)
+    assert errors[0] < 0.01
+    text = (tmp_path / "estimate.json").read_text(encoding="utf-8").replace(str(found["delay"].value), "1e300")
+    (tmp_path / "estimate.json").write_text(text, encoding="utf-8")
+    with pytest.raises(ji.RecordError):
+        ji.validate(ji.load_estimate(tmp_path / "estimate.json", loop), record)

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.check_loop import LoopTests, search_faults
+from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.diagnostics.faults.forces import COGGING, GRAVITY, TORQUE_SATURATION
 from jointid.diagnostics.faults.friction import (
@@ -31,6 +31,7 @@ from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MO
 from jointid.diagnostics.faults.trials import search_stiffer, solve_with_fault, vary_mechanics
 from jointid.diagnostics.identify import widen_for_faults, worst_shift
 from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.descent import descend
 from jointid.estimation.identify import fit
 from jointid.estimation.methods.force_in_loop import find_force
@@ -100,7 +101,7 @@ def identified(fault: str, seed: int, longest: float = 8.0) -> tuple[Spoiled, Es
         ("cubic spring", 3005, CUBIC_SPRING),
         ("load-dependent friction", 3003, LOAD_DEPENDENT_FRICTION),
         ("second mode", 135, SECOND_MODE),
-        ("presliding", 109, WINDING_FRICTION),
+        pytest.param("presliding", 109, WINDING_FRICTION, marks=pytest.mark.slow),
         pytest.param("changing friction", 3003, CHANGING_FRICTION, marks=pytest.mark.slow),
         pytest.param("backlash", 3010, BACKLASH, marks=pytest.mark.slow),
     ],
@@ -137,8 +138,20 @@ def test_a_small_second_mode_is_found_by_a_search() -> None:
     ("fault", "seed", "named", "said"),
     [
         ("saturation", 605, TORQUE_SATURATION, r"makes 1[234]\.?\d* .*% less torque than its current.*data sheet"),
-        ("gravity", 610, GRAVITY, r'the load hangs: its weight turns the joint.*\[gravity\] load = "link"'),
-        ("uneven friction", 622, UNEVEN_FRICTION, "the friction differs along the travel by 5"),
+        pytest.param(
+            "gravity",
+            610,
+            GRAVITY,
+            r'the load hangs: its weight turns the joint.*\[gravity\] load = "link"',
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "uneven friction",
+            622,
+            UNEVEN_FRICTION,
+            "the friction differs along the travel by 5",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_what_adds_a_force_along_the_motion_is_named_with_its_size(
@@ -157,6 +170,7 @@ def test_what_adds_a_force_along_the_motion_is_named_with_its_size(
     assert re.search(said, check.sentences[0])
 
 
+@pytest.mark.slow
 def test_two_faults_at_once_are_both_named_in_the_answer() -> None:
     made = spoiled(632, "cubic spring, cogging", 5.0)
     assert made is not None
@@ -164,7 +178,9 @@ def test_two_faults_at_once_are_both_named_in_the_answer() -> None:
     assert "the spring is not linear" in said and "comes back with the motor's position" in said
 
 
-@pytest.mark.parametrize(("fault", "seed"), [("second mode", 135), ("cubic spring", 164)])
+@pytest.mark.parametrize(
+    ("fault", "seed"), [pytest.param("second mode", 135, marks=pytest.mark.slow), ("cubic spring", 164)]
+)
 def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, seed: int) -> None:
     made, plain = identified(fault, seed)
     found = ji.identify(made.record, made.axis.loop)
@@ -219,7 +235,7 @@ def solve_geared(record: ji.Record) -> tuple[ClosedLoopProblem, FloatArray]:
     return posed, descend(posed, posed.vector(GEARED | {"initial_position": 0.0, "initial_torque": 0.0}), 1e-8).x
 
 
-@pytest.mark.parametrize("seed", [4, 8])
+@pytest.mark.parametrize("seed", [pytest.param(4, marks=pytest.mark.slow), 8])
 def test_noise_on_the_log_does_not_hide_a_friction_that_grows_with_the_load(seed: int) -> None:
     """A little of the noise passes for a force in the loop; scaled to all of it, none of the faults was significant."""
     wrong = replace(GEARED_LOOP, joint=ji.FlexibleJoint("revolute", friction=ji.friction.LoadDependentFriction()))
@@ -231,7 +247,7 @@ def test_noise_on_the_log_does_not_hide_a_friction_that_grows_with_the_load(seed
     assert [one.test.fault.kin for one in check.findings] == ["load friction"]
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_a_load_friction_on_either_side_is_in_the_interval(seed: int) -> None:
     """With the load's friction alone the stiffness changed by 0.2 and 1.2 %; it is 6 and 11 % too large."""
     posed, x = solve_geared(geared(seed, 0.002, gear=0.1))
@@ -270,7 +286,7 @@ def test_a_rigid_joint_has_no_spring() -> None:
     rigid = ji.ClosedLoop(ji.RigidJoint(kind=axis.loop.joint.kind), axis.loop.controller)
     record = axis.record.without("motor_position", "load_position")
     estimate = identify(record, rigid, ji.DIDIM())
-    along = {TORQUE_SATURATION, UNEVEN_FRICTION}  # which need no spring
+    along = {LOAD_DEPENDENT_FRICTION, TORQUE_SATURATION, UNEVEN_FRICTION}  # which need no spring
     assert {one.fault for one in faults_of(estimate, record).tests} & MECHANICS == along
 
 
@@ -293,6 +309,7 @@ def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> N
     assert {CUBIC_SPRING, BACKLASH, *frictions} <= {one.fault for one in theirs}
 
 
+@pytest.mark.slow
 def test_friction_that_winds_up_is_identified_from_all_that_was_tried_of_it() -> None:
     """The search from the nearest trial ends beside it, and leaves 14 % more of the torque."""
     made = spoiled(102, "presliding", 8.0)
@@ -410,6 +427,7 @@ def test_a_fault_of_the_mechanics_that_is_not_excluded_widens_the_intervals() ->
     assert check.suspected is not None
     assert check.suspected.test.fault.mechanical
     assert check.suspected.test.p_value > 0.05
-    (wider,) = widen_for_faults(check)
+    values = found.problem.values(found.x)
+    (wider,) = widen_for_faults(check, values)
     assert wider.by["stiffness"] == abs(check.suspected.changes["stiffness"].by) > 0
-    assert not widen_for_faults(replace(check, suspected=None))
+    assert not widen_for_faults(replace(check, suspected=None), values)

@@ -79,9 +79,9 @@ def logged(file: JointFile, text: str, changed: Mapping[str, float]) -> Record:
 @pytest.mark.parametrize(
     ("text", "changed", "said"),
     [
-        (RIGID, {"integral_gain": 1 / 1.2}, r"the integral time is (\S+)(?: \+- \S+)? ms, declared 50 ms"),
-        (RIGID, {"position_gain": 1.1}, r"the position gain is (\S+)(?: \+- \S+)? 1/s, declared 20 1/s"),
-        (FLEXIBLE, {"integral_gain": 1.2}, r"the integral time is (\S+)(?: \+- \S+)? s, declared 0\.1 s"),
+        (RIGID, {"integral_gain": 1 / 1.2}, r"the integral time is (\S+)(?: ± \S+)? ms, declared 50 ms"),
+        (RIGID, {"position_gain": 1.1}, r"the position gain is (\S+)(?: ± \S+)? 1/s, declared 20 1/s"),
+        (FLEXIBLE, {"integral_gain": 1.2}, r"the integral time is (\S+)(?: ± \S+)? s, declared 0\.1 s"),
     ],
 )
 def test_a_loop_that_is_not_as_declared_is_told_in_the_file_s_own_quantities(
@@ -110,18 +110,18 @@ CUTOFF = DriveNumber("velocity_filter.time_constant", "velocity_filter.cutoff", 
 @pytest.mark.parametrize(
     ("there", "declared", "size", "std", "said"),
     [
-        (TIME, 20.0, -4.0, 0.5, "the integral time is 62.5 +- 4.2 ms, declared 50 ms"),
-        (TIME, 20.0, 4.0, 0.5, "the integral time is 41.7 +- 1.8 ms, declared 50 ms"),
+        (TIME, 20.0, -4.0, 0.5, "the integral time is 62.5 ± 4.2 ms, declared 50 ms"),
+        (TIME, 20.0, 4.0, 0.5, "the integral time is 41.7 ± 1.8 ms, declared 50 ms"),
         (TIME, 20.0, -16.0, 3.0, "the integral time is at least 100 ms, declared 50 ms"),
         (TIME, 20.0, 4.0, 3.0, "the integral time is smaller than declared, by how much this record does not tell"),
         (TIME, 20.0, 60.0, 3.0, "torque, reference, ratio or a gain is wrong by a factor (the integral time alone "
          "would be about 12.5 ms, declared 50 ms)"),
         (TIME, 20.0, -30.0, 3.0, "torque, reference, ratio or a gain is wrong by a large factor (the integral time "
          "alone would have to change its sign)"),
-        (GAIN, 5.5, -1.0, 0.1, "the S-0-0100 velocity gain is 0.450 +- 0.020 A s/rad, declared 0.55 A s/rad"),
-        (GAIN, 5.5, 0.011, 0.002, "the S-0-0100 velocity gain is 0.5511 +- 4.0e-04 A s/rad, declared 0.55 A s/rad"),
+        (GAIN, 5.5, -1.0, 0.1, "the S-0-0100 velocity gain is 0.450 ± 0.020 A s/rad, declared 0.55 A s/rad"),
+        (GAIN, 5.5, 0.011, 0.002, "the S-0-0100 velocity gain is 0.5511 ± 4.0e-04 A s/rad, declared 0.55 A s/rad"),
         (GAIN, 5.5, -5.0, 1.0, "the S-0-0100 velocity gain is at most 0.250 A s/rad, declared 0.55 A s/rad"),
-        (CUTOFF, 1e-3, 2e-4, 1e-5, "the cutoff of the velocity filter is 133 +- 2.2 Hz, declared 159.155 Hz"),
+        (CUTOFF, 1e-3, 2e-4, 1e-5, "the cutoff of the velocity filter is 133 ± 2.2 Hz, declared 159.155 Hz"),
     ],
 )  # fmt: skip
 def test_a_number_is_told_as_the_drive_shows_it(

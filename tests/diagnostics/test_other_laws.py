@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.check_loop import LoopTests
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, ParameterShift
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.faults.other_laws import MEASURED_VELOCITY, PERIOD, PRESENT_SAMPLE, list_other_laws
+from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.result.answer import Trust, moved_by_loop
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import (

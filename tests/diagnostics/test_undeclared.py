@@ -10,6 +10,10 @@ from jointid.controller import FirstOrder
 from jointid.diagnostics.axis_torques import torques_of_loop
 from jointid.diagnostics.undeclared import list_undeclared, widen_for_undeclared
 from jointid.estimation.identify import fit
+from jointid.records.record import Tap
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robot_sensitivities import respond_to_laws
+from jointid.simulation.robots import prepare_robot, run_robot
 from tests.robots_plants import two
 
 LAW = ji.controller.Cascade(position_gain=40.0, velocity_gain=3.0, period=1.25e-4)
@@ -66,6 +70,28 @@ def test_what_the_record_excludes_or_the_controller_denies_widens_nothing():
 def test_what_is_declared_is_not_tried(declared):
     names = {fault.name for fault, _, _ in list_undeclared(replace(LAW, **declared), 1e-3)}
     assert names == {"velocity_filter", "torque_filter", "delay"} - {next(iter(declared)).replace("filters", "filter")}
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"velocity_filter": FirstOrder(4e-4)}, {"torque_filters": (FirstOrder(4e-4),)}, {"delay": 5e-5}],
+    ids=["velocity filter", "torque filter", "delay"],
+)
+@pytest.mark.parametrize("tap", list(Tap))
+def test_a_robot_responds_to_another_law_as_its_simulation_does(other, tap):
+    twin = two()
+    driven = [replace(one, tap=tap) for one in twin.records(1.5)]
+    loop = twin.loop()
+    experiment, numbers = prepare_robot(loop, driven), RobotNumbers.of(twin.robot)
+    run = run_robot(experiment, numbers, keep=True)
+    for joint, own in enumerate(experiment.experiments):
+        law = replace(loop.controllers[joint], **other)
+        laws = [law if k == joint else one for k, one in enumerate(loop.controllers)]
+        changed = run_robot(prepare_robot(replace(loop, controllers=tuple(laws)), driven), numbers).torque - run.torque
+        found, (direct,) = respond_to_laws(run, [(joint, own.with_law(own.law_of(law)))])
+        found = np.column_stack(found)
+        found[:, joint] += direct
+        assert np.all(np.linalg.norm(found - changed, axis=0) < 0.1 * np.linalg.norm(changed, axis=0))
 
 
 def test_intervals_of_a_robot_allow_for_a_hidden_filter():

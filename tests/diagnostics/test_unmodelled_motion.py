@@ -10,9 +10,9 @@ import pytest
 import jointid as ji
 from jointid.common.messages import Message
 from jointid.diagnostics import identify as identifying
-from jointid.diagnostics.check_loop import SearchState
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.search_state import SearchState
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, _responses, predict_residual
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.result.answer import Trust, consequence, spares_answer
@@ -73,6 +73,7 @@ def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> Non
     assert "what the model lacks may move it" in consequence(doubted, follows)
 
 
+@pytest.mark.slow
 def test_it_is_said_where_loop_and_log_pass_their_check(monkeypatch: pytest.MonkeyPatch) -> None:
     case, record = gapped_axis(16_000)
     loop = with_spring(case.loop, LinearSpring())

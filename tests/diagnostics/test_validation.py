@@ -11,7 +11,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.diagnostics.validation import Prediction
+from jointid.diagnostics.validation import Cause, Prediction
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
@@ -21,10 +21,10 @@ LOOP = ji.ClosedLoop(ji.RigidJoint("prismatic"), LAW)
 TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
 
 
-def made(speed: float, seed: int, **other: float) -> ji.Record:
+def made(speed: float, seed: int, loop: ji.ClosedLoop = LOOP, **other: float) -> ji.Record:
     reference = ji.excitation.trapezoids((speed, 2 * speed), 2.0, 0.1, RATE, rest=0.1, duration=4.0)
     noise = 0.5 * np.random.default_rng(seed).standard_normal(reference.size)
-    return ji.simulated_record(LOOP, reference, TRUTH | other, sample_time=RATE, torque_noise=noise, name=f"run{seed}")
+    return ji.simulated_record(loop, reference, TRUTH | other, sample_time=RATE, torque_noise=noise, name=f"run{seed}")
 
 
 @cache
@@ -45,7 +45,55 @@ def test_the_same_axis_is_predicted_and_a_changed_one_is_not() -> None:
     assert words.startswith("The joint predicts run2: it leaves ")
     code, words = answer(made(0.13, 3, inertia=33.0))  # 10 %: far less is left than a right model may leave
     assert code is Prediction.ANOTHER_JOINT
-    assert words.endswith("identify it from this record, too, and compare both estimates.")
+    assert words.endswith("; its load is another there: identify it from this record, too, and compare both estimates.")
+
+
+def test_what_differs_is_named() -> None:
+    assert ji.validate(identified()[0], made(0.13, 3, coulomb=20.0)).causes == (Cause.FRICTION,)
+    soft = ji.ClosedLoop(LOOP.joint, replace(LAW, position_gain=15.0))
+    found = ji.validate(identified()[0], made(0.13, 3, loop=soft))
+    assert found.causes == (Cause.CONTROLLER,)
+    assert "its controller is another there: as declared, it does not make this torque" in found.sentence
+    both = ji.validate(identified()[0], made(0.13, 3, coulomb=20.0, inertia=33.0).without("motor_position"))
+    assert both.causes == ()
+    assert "its load, friction or controller differs there, or an axis that moves it" in both.sentence
+
+
+@pytest.mark.parametrize("amplitude", [20.0, 200.0])
+def test_an_axis_that_moves_beside_it_is_named(amplitude: float) -> None:
+    """Another axis shakes the joint by its acceleration; the joint's own fit cannot have that force either."""
+    record = made(0.13, 3)
+    assert record.torque is not None
+    beside = np.sin(9.0 * record.torque.time) + np.sin(23.0 * record.torque.time)
+    force = amplitude * (9.0**2 * np.sin(9.0 * record.torque.time) + 23.0**2 * np.sin(23.0 * record.torque.time)) / 600
+    moved = record.with_channels({"torque": replace(record.torque, values=record.torque.values + force)})
+    found = ji.validate(identified()[0], replace(moved, other_axes={"q2": ji.Channel(beside, "rad", RATE)}))
+    assert found.causes == (Cause.COUPLED_AXES,)
+    assert "; q2 moved too, and the error follows them, which its model lacks: " in found.sentence
+    assert ji.validate(identified()[0], moved).causes != found.causes
+
+
+def test_a_load_encoder_counts_from_elsewhere_in_any_record() -> None:
+    joint = ji.FlexibleJoint("revolute")
+    loop = ji.ClosedLoop(joint, ji.controller.Cascade(position_gain=40.0, velocity_gain=40.0))
+    values = {"motor_inertia": 0.5, "motor_viscous": 1.0, "motor_coulomb": 0.6, "stiffness": 6e3, "damping": 1.0}
+    values |= {"load_inertia": 0.3, "load_viscous": 0.8, "load_coulomb": 0.5, "offset": 0.2}
+    reference = ji.excitation.trapezoids((1.0, 2.0), 20.0, 1.0, RATE, rest=0.1, duration=4.0)
+    record = ji.simulated_record(loop, reference, values, sample_time=RATE)
+    assert record.load_position is not None
+    other = replace(record.load_position, values=record.load_position.values + 0.3)
+    own, moved = (
+        ji.validate(ji.identify(record, joint), one) for one in (record, record.with_channels({"load_position": other}))
+    )
+    assert moved.filtered_error == pytest.approx(own.filtered_error, rel=1e-3)
+
+
+@pytest.mark.parametrize("inertia", [30.0, 33.0])
+def test_positions_alone_are_predicted(inertia: float) -> None:
+    estimate = ji.identify(made(0.1, 1).without("torque"), LOOP, checks=False)
+    found = ji.validate(estimate, made(0.13, 2, inertia=inertia).without("torque"))
+    assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)
+    assert (found.tracking_error is not None) and "mm rms off" in found.summary()
 
 
 def test_its_own_record_is_no_test_of_it() -> None:
@@ -88,8 +136,10 @@ def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
 @pytest.mark.parametrize("setup", [LOOP.joint, ji.DriveSide(LOOP.joint), ji.OpenLoop(LOOP.joint)])
 def test_by_measured_positions_too(setup: Any, inertia: float) -> None:
     estimate = ji.identify(made(0.1, 1), setup)
-    code = ji.validate(estimate, made(0.13, 2, inertia=inertia)).answer.code
-    assert code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)
+    found = ji.validate(estimate, made(0.13, 2, inertia=inertia))
+    assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)
+    assert found.causes == (() if inertia == 30.0 else (Cause.LOAD,))
+    assert ("mm rms off" in found.summary()) is isinstance(setup, ji.OpenLoop)
 
 
 @pytest.mark.parametrize("by_torques", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -104,8 +154,13 @@ def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
     assert same.answer.code is Prediction.PREDICTED
     assert all(axis.tracking_rms is None or axis.tracking_rms < 1e-3 for axis in same.axes)
     assert (same.tracking_error is not None) is by_torques
+    if by_torques:
+        driven = [one.without("torque") for one in recorded(twin.loop(), other, 0.02)[0]]
+        assert ji.validate(estimate, driven).answer.code is Prediction.PREDICTED, "as the declared controllers make it"
     there = ji.validate(estimate, recorded(replace(twin.loop(), robot=changed), other, 0.02)[0])
     assert there.answer.code is Prediction.ANOTHER_JOINT
     assert "of the filtered torque of joint2, and one identified from it" in there.sentence
     assert there.axes[0].prediction is Prediction.PREDICTED
+    assert there.causes == (Cause.FRICTION,)
+    assert "position off by" in there.summary() or not by_torques
     assert there.axes[1].attainable_error == pytest.approx(same.axes[1].filtered_error, rel=0.3)

@@ -16,7 +16,7 @@ import pytest
 import jointid
 from jointid.config import json_schema
 from jointid.diagnostics.faults.registry import FAULTS
-from tests.docs.blocks import ROOT, pages
+from tests.docs.blocks import ROOT, blocks, pages
 
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))
 
@@ -108,6 +108,26 @@ def test_every_public_name_has_an_entry_and_a_docstring() -> None:
     assert all(f".. automodule:: {modules[name].__name__}\n" in entries for name in modules.keys() - spaces.keys())
     for name in public:
         assert inspect.getdoc(attrgetter(name)(jointid)), name
+
+
+def test_every_public_name_has_an_example_that_runs() -> None:
+    """In a program of the documentation, or in the docstrings, whose examples the next test runs."""
+    programs = [block.text for page in pages() for block in blocks(page) if block.runs and block.language != "sh"]
+    for path in SOURCE.rglob("*.py"):
+        examples = re.findall(r"^ *(?:>>>|\.\.\.) ?(.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+        programs.append("\n".join(examples))
+    shown = set()
+    for program in programs:
+        shown.update(re.findall(r"\b(?:ji|jointid)\.((?:\w+\.)?\w+)", program))
+        for line in re.findall(r"^ *from jointid[\w.]* import (.+)$", program, re.MULTILINE):
+            shown.update(re.findall(r"\w+", line))
+    missing = [name for name in generated.HOMES if not {name, name.rpartition(".")[2]} & (shown | _heads(shown))]
+    assert not missing, "add it to docs/reference/examples.md"
+
+
+def _heads(names: set[str]) -> set[str]:
+    """Return the first words of dotted names: `Estimate` of `Estimate.load`."""
+    return {name.partition(".")[0] for name in names}
 
 
 SOURCE = ROOT / "src"

@@ -12,7 +12,7 @@ from tests.docs.blocks import OTHERS, PROGRAMS, ROOT, blocks, pages
 from tests.docs.running import run_page, shown
 from tests.learned_once import search_once
 
-NOT_RUN = 19
+NOT_RUN = 20
 """Blocks that are marked as not run; one more is a decision."""
 
 RUNNING = [
@@ -72,3 +72,12 @@ def test_what_was_printed_is_told_from_what_was_not() -> None:
     assert not shown("ZZ  inertia  89.9", said)
     assert not shown("Fv  inertia  94.9", said)
     assert not shown("ZZ inertia 94.903 0.92 0.49 kg more", said)
+
+
+def test_dask_serves_http_on_the_loopback_address_alone() -> None:
+    """Its HTTP server listens on every address, with --no-dashboard, too."""
+    text = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
+    commands = [line for line in text.splitlines() if line.startswith(("dask scheduler", "dask worker"))]
+    assert len(commands) == 4
+    assert all("--host" in one or "tls://" in one for one in commands)
+    assert all("--dashboard-address 127.0.0.1:0" in one for one in commands)

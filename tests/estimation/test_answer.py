@@ -46,7 +46,7 @@ RIGID = amended(
 
 def judged(estimate: Estimate, **changes: float) -> Estimate:
     """Return an estimate whose loop has a fault that changes parameters by so much; none without changes."""
-    words, clause = "velocity_gain is 25 +- 3 % smaller than declared (p < 1e-6)", "velocity_gain is 25 % smaller"
+    words, clause = "velocity_gain is 25 ± 3 % smaller than declared (p < 1e-6)", "velocity_gain is 25 % smaller"
     reason = Message(Reason.LOOP_NOT_AS_DECLARED, words, {"changes": changes}, clause)
     if not changes:
         reason = Message(Reason.LOOP_AS_DECLARED, "as declared")
@@ -88,7 +88,7 @@ def test_a_fault_that_moves_the_value_out_of_its_interval_is_named_at_once() -> 
 
 def test_a_fault_that_moves_other_parameters_leaves_the_value() -> None:
     answer = judged(RIGID, inertia=0.9, viscous=-27.0, coulomb=1.19).answer
-    assert str(answer.trust) == "You can rely on it, but not on Fv and Fc: velocity_gain is 25 % smaller"
+    assert str(answer.trust) == "You can rely on it, but not on viscous and coulomb: velocity_gain is 25 % smaller"
     assert answer.trust.values["parameters"] == ["viscous", "coulomb"]
     within = "You can rely on it: what is wrong with loop or log moves it by less than its interval"
     assert str(judged(RIGID, inertia=0.9, viscous=-25.0).answer.trust) == within
@@ -360,7 +360,7 @@ def test_parameters_at_a_bound_make_up_for_a_fault_of_the_loop() -> None:
     bound = amended(rows, params={"rows": (*rows.params.rows[:2], held)})
     answer = judged(bound, damping=1.0).answer
     assert not answer.reliable
-    assert "velocity_gain is 25 % smaller; ZZ2 ends at a bound" in str(answer)
+    assert "velocity_gain is 25 % smaller; load inertia ends at a bound" in str(answer)
 
 
 def correlated(share: float, **stiffness: object) -> Estimate:

@@ -88,6 +88,7 @@ def test_a_period_that_is_not_known_is_found_with_its_deviation(estimator: str) 
     assert np.max(np.abs(found)) > 0.03  # the deviation is no hundred times too large either
 
 
+@pytest.mark.slow
 def test_a_cross_test_evaluates_the_effects(tmp_path: Path) -> None:
     effects = (PositionHarmonics(None, 2), Drift("both"))
     estimate = identify(rippled(1), LOOP, IDIM(effects=effects))
@@ -96,7 +97,7 @@ def test_a_cross_test_evaluates_the_effects(tmp_path: Path) -> None:
     assert other == pytest.approx(estimate.fit.filtered_error, rel=0.1)
     assert validate(estimate, rippled(2, shift=PITCH / 2)).filtered_error > 2 * other
     answers.write(answers.to_dict(estimate), tmp_path / "out.json")
-    back = answers.read_identified(tmp_path / "out.json", LOOP.joint, None)
+    back = answers.load_estimate(tmp_path / "out.json", LOOP.joint).identified
     assert back == estimate.identified
 
 
@@ -139,6 +140,7 @@ def test_effects_that_cannot_be_are_refused() -> None:
         identify(rippled(), LOOP, IDIM(effects=(PositionHarmonics(),)), filtering=Filtering(cutoff=0.2))
 
 
+@pytest.mark.slow
 def test_the_real_axis_has_a_ripple_of_half_a_screw_turn_that_does_not_carry_over(
     emps: Record, emps_pulses: Record
 ) -> None:

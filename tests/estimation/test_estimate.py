@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -116,6 +117,11 @@ def test_parameters_are_a_mapping_of_rows() -> None:
     assert (rows["viscous"].axis, rows["viscous"].side) == ("", None)
     flexible = replace(rows["viscous"], name="elbow.load_viscous", axis="elbow")
     assert (flexible.axis, flexible.side) == ("elbow", "load")
+
+
+def test_a_raw_error_is_left_out_where_none_was_kept() -> None:
+    kept = replace(ESTIMATE, fit=replace(ESTIMATE.fit, relative_error=math.inf))
+    assert "torque error  3.9700 % filtered" in kept.summary()
 
 
 def test_a_records_own_parameters_have_keys_of_their_own() -> None:
@@ -244,7 +250,7 @@ def test_an_estimate_is_read_back(tmp_path: Path) -> None:
         },
     )
     answers.write(answers.to_dict(whole), tmp_path / "out.json")
-    assert answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified
+    assert answers.load_estimate(tmp_path / "out.json", LOOP).identified == whole.identified
 
 
 @pytest.mark.parametrize(
@@ -253,7 +259,7 @@ def test_an_estimate_is_read_back(tmp_path: Path) -> None:
 def test_a_spoiled_answer_is_refused_in_a_sentence(text: str, tmp_path: Path) -> None:
     (tmp_path / "out.json").write_text(text, encoding="utf-8")
     with pytest.raises(RecordError, match=r"is no (JSON file|estimate of schema)"):
-        answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP)
+        answers.load_estimate(tmp_path / "out.json", LOOP)
     with pytest.raises(RecordError, match=r"is no (JSON file|estimate of schema)"):
         answers.read_choices(tmp_path / "out.json")
 

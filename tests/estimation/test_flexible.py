@@ -70,7 +70,8 @@ def test_idim_needs_the_load_position() -> None:
 def test_an_idim_estimate_is_validated_on_both_rows() -> None:
     axis, other = twin(noise="white", seed=1), twin(noise="white", seed=2)
     estimate = identify(axis.record, axis.loop, IDIM())
-    assert validate(estimate, axis.record).filtered_error == pytest.approx(estimate.fit.filtered_error, rel=1e-9)
+    own = validate(estimate, axis.record).filtered_error  # the load encoder's zero is found anew in each record
+    assert own == pytest.approx(estimate.fit.filtered_error, rel=1e-5)
     assert validate(estimate, other.record).filtered_error == pytest.approx(0.08, abs=0.005)
 
 

@@ -119,6 +119,7 @@ def test_intervals_of_several_records_hold_what_their_forces_move() -> None:
     assert "force in the loop" in found.params.basis
 
 
+@pytest.mark.slow
 def test_sums_beside_a_refused_spring_hold_what_a_force_moves() -> None:
     """Without the force they were 6.7 and 3.8 deviations off."""
     axis = servo(5)

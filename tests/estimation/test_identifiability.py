@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.common.parameters import Parameter, Quantity
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.uncertainty.covariance import white
 from jointid.uncertainty.identifiability import identifiability, physical
+from studies.healthy import drive
 
 FRICTIONS = (
     Parameter("motor_viscous", "Fv1", Quantity.VISCOUS, lower=0.0),
@@ -109,6 +111,53 @@ def test_two_of_different_units_are_to_be_used_together() -> None:
     together = np.array([1.0, float(limitation.values["weight"])])
     assert limitation.values["std"] == pytest.approx(covariance.std_of(together))
     assert limitation.values["std"] < 0.2 * covariance.std[0]
+
+
+def test_of_what_has_one_effect_only_the_combination_is_stated() -> None:
+    """Whatever the covariance says of a combination that the torque does not contain."""
+    J = sensitivities(0.0)
+    found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
+    assert found.undetermined == ("motor_viscous", "load_viscous")
+    assert [known.combination.name for known in found.parameters] == ["offset"]
+    assert [known.combination.formula for known in found.physical] == ["Fv1 + Fv2"]
+    assert found.physical[0].verdict == "well"
+    assert all(known.std > 0.0 for known in found.directions)
+    (limitation,) = found.limitations
+    said = "this record does not separate motor viscous and load viscous: their sum is 201.0 ± "
+    assert limitation.words.startswith(said)
+    assert limitation.values["std"] == pytest.approx(found.physical[0].std)
+
+
+def test_combinations_without_an_effect_are_stated_one_by_one() -> None:
+    joint = FlexibleJoint("prismatic")
+    parameters = [p for p in joint.parameters if p.name.endswith(("viscous", "coulomb")) or p.name == "offset"]
+    units = {p.name: joint.unit(p) for p in parameters}
+    columns = dict(
+        zip(("viscous", "coulomb", "offset"), np.random.default_rng(4).standard_normal((3, 500)), strict=True)
+    )
+    J = np.column_stack([columns[p.name.removeprefix("motor_").removeprefix("load_")] for p in parameters])
+    found = identifiability(parameters, units, np.ones(5), J, white(J, residual(500)))
+    pairs = sorted(one.values["parameters"] for one in found.limitations)
+    assert pairs == [["motor_coulomb", "load_coulomb"], ["motor_viscous", "load_viscous"]]
+    assert all("fix one of them" in one.words and "their sum is" in one.words for one in found.limitations)
+
+
+@pytest.mark.slow
+def test_a_motion_in_one_direction_determines_no_coulomb_friction() -> None:
+    """Beside a constant force, that is; fixing the force determines it."""
+    axis = drive(7042, 5.0)
+    found = ji.identify(axis.record, axis.loop, checks=False)
+    names, truth = ("motor_coulomb", "offset"), axis.truth
+    assert [found[name].value for name in names] == [None, None]
+    assert "not identifiable" in found.summary()
+    assert found.checks.known is not None
+    (together,) = [one.values for one in found.checks.known.limitations if one.values.get("parameters") == [*names]]
+    assert together["value"] == pytest.approx(sum(truth[name] for name in names), abs=3 * together["std"])
+    with pytest.raises(ji.MethodError, match="fix one of them"):
+        ji.validate(found, axis.record)
+    fixed = {p.name: p.fix(truth[p.name]) for p in axis.loop.joint.parameters if p.name == "offset"}
+    coulomb = ji.identify(axis.record, axis.loop, parameters=fixed, checks=False)["motor_coulomb"]
+    assert coulomb.value == pytest.approx(truth["motor_coulomb"], abs=3 * (coulomb.stderr or 0.0))
 
 
 def test_the_sums_of_every_joint() -> None:

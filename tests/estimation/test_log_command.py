@@ -48,6 +48,7 @@ def run(*words: object) -> int:
     return end.value.code
 
 
+@pytest.mark.slow
 def test_a_log_is_identified_and_every_key_documented(
     joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,16 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.config import loads
+from jointid.config import JointFile, loads
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.model_free import compare_law
+from jointid.estimation.outputs import _average
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.robots.problem import robot_problem
+from jointid.output.figures.charts import AxisSignals
+from jointid.paper.twin import twin
+from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.synthesis import simulate
 
 SAMPLE_TIME = 2e-3
@@ -54,6 +62,10 @@ def test_a_record_without_torque_is_identified_from_its_position() -> None:
     assert len(deviations(found)) == 4
     assert max(map(abs, deviations(found))) < 3.5
     assert found.data.channels == ("reference", "motor_position")
+    assert found.fit.position_rms[""] == pytest.approx(1e-4, rel=0.1)  # the noise of the encoder
+    assert re.search(r"position error +0\.005\d* deg rms", found.summary())
+    assert "filtered, computed from the position" in " ".join(found.summary().split())
+    assert AxisSignals.of(found).label == "torque computed from the position [N m]"
     assert scale_status(found) == ["unknown"]
     assert "if the scale of the controller's gains is right" in found.sentence
 
@@ -93,7 +105,17 @@ def test_a_free_gain_needs_a_known_parameter() -> None:
     known = {"inertia": ji.RigidJoint("revolute").parameters[0].fix(0.5)}
     found = ji.identify(record, loop, method, parameters=known, checks=False)
     assert found.params["gain"].value == pytest.approx(400.0 / 480.0, rel=1e-3)
+    assert any("which the free gain takes up" in warning for warning in found.checks.warnings)
     assert max(map(abs, deviations(found))) < 3.5
+
+
+def test_the_scale_is_said_where_a_record_is_examined_and_validated() -> None:
+    loop, record = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW), logged().without("torque")
+    computed = ji.compute_controller_torque(record, loop)
+    said = "a common factor of its gains is invisible"
+    assert any(said in warning for warning in ji.validate(identify(record, checks=False), computed).warnings)
+    checks = ji.examine(computed, loop).answers
+    assert any(said in words for check in checks for words in check.said)
 
 
 def test_no_fault_of_a_log_is_tested_where_no_torque_was_logged() -> None:
@@ -112,10 +134,36 @@ def test_outputs_that_contradict_each_other_are_not_averaged() -> None:
         identify(larger, LAW, "torque", "motor_position")
 
 
-def test_outputs_are_of_one_record() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
-    with pytest.raises(ji.MethodError, match="chosen for one record"):
-        ji.identify([logged(), logged()], loop, ji.DIDIM(outputs=("motor_position",)))
+@pytest.mark.parametrize("outputs", [("motor_position",), ("torque", "motor_position")])
+def test_outputs_are_of_several_records_and_of_windows(outputs: tuple[str, ...]) -> None:
+    law = replace(LAW, period=1e-3)
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
+    noise = 0.3 * np.random.default_rng(1).standard_normal((2, 6000))
+    first = logged(law, torque_noise=noise[0])
+    second = logged(law, TRUTH | {"coulomb": 1.8}, noise=-1e-4, torque_noise=noise[1])
+    own = ji.SeveralRecords(own=((), ("coulomb",)))
+    together = ji.identify([first, second], loop, ji.DIDIM(outputs=outputs), several=own)
+    assert together.params["coulomb@2"].value == pytest.approx(1.8, rel=0.01)
+    windows = ji.identify(first, loop, ji.DIDIM(outputs=outputs), windows=ji.Windowing(length=2.0))
+    for found in (together, windows):
+        assert "motor_position" in found.data.channels
+        assert len(deviations(found)) in (3, 4) and max(map(abs, deviations(found))) < 4.0
+        assert scale_status(found) == (["unknown"] if len(outputs) == 1 else [])
+        assert found.params["inertia"].stderr < 2e-3
+
+
+def test_a_log_of_positions_is_read_in_windows(folder: Path) -> None:
+    (folder / "joint.toml").write_text(FILE.format(record="", channels="", method=""))
+    file = ji.load(folder / "joint.toml")
+    assert isinstance(file, JointFile)
+    found = file.identify_log(None, ji.Windowing(length=2.0))
+    assert max(map(abs, deviations(found))) < 4.0 and scale_status(found) == ["unknown"]
+    log, cascade = file.log(), ji.controller.Cascade(position_gain=15.0, velocity_gain=30.0, integral_gain=5.0)
+    windows, loop = ji.Windowing(length=2.0), ji.ClosedLoop(ji.RigidJoint("revolute"), cascade)
+    with pytest.raises(ji.MethodError, match="begins anew in each window of a log from positions alone"):
+        ji.identify(log, loop, windows=windows)
+    with pytest.raises(ji.MethodError, match="name one output, or read the record whole"):
+        ji.identify(log, replace(loop, controller=LAW), ji.DIDIM(outputs=("torque", "motor_position")), windows=windows)
 
 
 def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:
@@ -214,6 +262,29 @@ derivative_gain = 30.0
 """
 
 
+ROBOT = """
+[robot]
+model = "arm.urdf"
+[record]
+file = "x.csv"
+sample_time = 2e-3
+[record.channels]
+reference = {{ column = "ref" }}
+motor_position = {{ column = "q" }}
+{channels}
+[[joints]]
+name = "s"
+[joints.controller]
+law = "pd"
+position_gain = "400 N m/rad"
+derivative_gain = "30 N m s/rad"
+"""
+ARM = """<robot name="arm"><link name="base"><inertial><mass value="5"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+iyz="0"/></inertial></link><link name="a"><inertial><mass value="3"/><inertia ixx="0.5" iyy="0.5" izz="0.5" ixy="0"
+ixz="0" iyz="0"/></inertial></link><joint name="s" type="continuous"><parent link="base"/><child link="a"/>
+<axis xyz="0 0 1"/></joint></robot>"""
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     record = logged()
@@ -221,6 +292,30 @@ def folder(tmp_path: Path) -> Path:
     columns = np.column_stack([record.reference.values, record.motor_position.values, record.torque.values])
     np.savetxt(tmp_path / "x.csv", columns, delimiter=",", header="ref,q,tau", comments="")
     return tmp_path
+
+
+@pytest.mark.parametrize(("text", "place"), [(FILE, "[joint]"), (ROBOT, "[[joints]]")])
+def test_a_bad_log_of_a_joint_and_of_a_robot_is_named(text: str, place: str, folder: Path) -> None:
+    (folder / "arm.urdf").write_text(ARM)
+
+    def records(text: str) -> Any:
+        file = loads(text, folder)
+        return file.record() if isinstance(file, JointFile) else file.records()[0]
+
+    text = text.replace("= 400.0", '= "400 N m/rad"').replace("= 30.0", '= "30 N m s/rad"')
+    amperes = text.format(record="", channels='torque = { column = "tau", unit = "A" }', method="")
+    with pytest.raises(ji.JointFileError, match=re.escape(f"add the torque constant below {place}, as")):
+        records(amperes)
+    positions = text.format(record="", channels="", method="")
+    with pytest.raises(ji.RecordError, match=r"a sample every 0.2 s \(at most 0.1 s expected\): it tells nothing"):
+        records(positions.replace("2e-3", "0.2"))
+    table = np.loadtxt(folder / "x.csv", delimiter=",", skiprows=1)
+    table[:, :2] = np.mod(table[:, :2] + 5.8, 2 * np.pi)
+    np.savetxt(folder / "x.csv", table, delimiter=",", header="ref,q,tau", comments="")
+    assert any("against its motion" in said for said in records(positions).remarks)
+    np.savetxt(folder / "x.csv", table * [1, 180 / np.pi, 1], delimiter=",", header="ref,q,tau", comments="")
+    with pytest.raises(ji.RecordError, match="as if motor_position were in deg and read as rad; check both units"):
+        records(positions)
 
 
 def test_a_joint_file_without_a_torque_channel_computes_it(folder: Path) -> None:
@@ -252,12 +347,15 @@ def test_a_computed_torque_beside_a_logged_one_is_refused() -> None:
     assert "record.channels.motor_position is missing" in str(refused.value)
 
 
-def test_a_robot_without_torques_is_identified_from_its_positions() -> None:
+PDS = tuple(ji.controller.PD(position_gain=p, derivative_gain=d) for p, d in ((6000.0, 400.0), (5000.0, 350.0)))
+CASCADES = tuple(ji.controller.Cascade(position_gain=15.0, velocity_gain=v, integral_gain=5.0) for v in (400.0, 350.0))
+
+
+def log_robot(laws: tuple[Any, ...]) -> tuple[ji.robots.RobotLoop, list[ji.Record]]:
+    """Return a robot under its controllers, and a log of its positions."""
     from tests.estimation.robots.twin import arm, motion
 
-    robot = arm(2)
-    laws = tuple(ji.controller.PD(position_gain=p, derivative_gain=d) for p, d in ((6000.0, 400.0), (5000.0, 350.0)))
-    loop = ji.robots.RobotLoop(robot, laws)
+    loop = ji.robots.RobotLoop(arm(2), laws)
     references = motion(3, 2, 6.0)[0]
     asked = [ji.Record(reference=ji.Channel(one, "rad", SAMPLE_TIME)) for one in (references - references[0]).T]
     random = np.random.default_rng(2)
@@ -266,21 +364,132 @@ def test_a_robot_without_torques_is_identified_from_its_positions() -> None:
         assert record.motor_position is not None
         values = record.motor_position.values + 1e-5 * random.standard_normal(len(record.motor_position))
         records.append(replace(record, torque=None, motor_position=replace(record.motor_position, values=values)))
+    return loop, records
+
+
+@pytest.fixture(scope="module")
+def robot_log() -> tuple[ji.robots.RobotLoop, list[ji.Record]]:
+    return log_robot(PDS)
+
+
+def test_a_robot_under_an_integral_settles_and_has_no_offsets() -> None:
+    loop, records = log_robot(CASCADES)
+    found = ji.identify(records, loop, checks=False)
+    assert found.fit.converged
+    assert found.params["joint1.offset"].value is None is found.params["joint2.offset"].value
+    for name, joint in (("joint1", loop.robot.joints[0]), ("joint2", loop.robot.joints[1])):
+        assert found.params[f"{name}.viscous"].value == pytest.approx(joint.viscous, rel=0.05)
+        assert found.params[f"{name}.coulomb"].value == pytest.approx(joint.coulomb, rel=0.05)
+
+
+def in_degrees(record: ji.Record) -> ji.Record:
+    """Return a record whose positions are in degrees, and read as rad."""
+    return record.with_channels(
+        {name: replace(one, values=np.degrees(one.values)) for name, one in record.items() if name != "torque"}
+    )
+
+
+def test_a_position_of_many_turns_is_relied_on_only_if_it_is_in_rad() -> None:
+    found = identify(in_degrees(logged().without("torque")))
+    assert found.params["coulomb"].value == pytest.approx(np.degrees(1.5), rel=0.01)
+    assert (
+        "if the scale of the controller's gains is right, which positions do not show, and if its position is in rad"
+        in found.sentence
+    )
+    assert any(
+        re.search(r"travels 9\.\d turns: if it is in degrees, Coulomb friction", said) for said in found.checks.warnings
+    )
+
+
+def test_what_to_check_is_said_where_declared_numbers_fit_badly(
+    robot_log: tuple[ji.robots.RobotLoop, list[ji.Record]],
+) -> None:
+    loop, records = robot_log
+    found = ji.identify([in_degrees(record) for record in records], loop, checks=False)
+    assert "are as declared, which was not checked, and if its position is in rad, not degrees" in found.sentence
+    raw = tuple(replace(law, derivative_gain=10.0 * law.derivative_gain) for law in loop.controllers)
+    with pytest.raises(ji.MethodError, match="gains, in SI units and not in a drive's whole numbers,"):
+        ji.identify(records, replace(loop, controllers=raw), checks=False)
+    law = ji.controller.PD(position_gain=400.0, derivative_gain=4914.0)
+    said = identify(logged().without("torque"), law, checks=False).sentence
+    assert "check that gains and positions are in SI units, not in a drive's whole numbers" in said
+
+
+def test_a_robot_without_torques_is_identified_from_its_positions(
+    robot_log: tuple[ji.robots.RobotLoop, list[ji.Record]],
+) -> None:
+    loop, records = robot_log
     found = ji.identify(records, loop, checks=False)
     assert scale_status(found) == ["unknown"]
     assert max(found.fit.axis_errors.values()) < 0.05
-    assert found.params["joint1.viscous"].value == pytest.approx(robot.joints[0].viscous, rel=0.02)
+    assert found.fit.position_rms == pytest.approx(dict.fromkeys(loop.robot.names, 1e-5), rel=0.2)
+    assert re.search(r"position error +joint1 [\d.e-]+ deg, joint2 [\d.e-]+ deg rms", found.summary())
+    assert found.params["joint1.viscous"].value == pytest.approx(loop.robot.joints[0].viscous, rel=0.02)
+
+
+def test_the_noise_of_a_logged_torque_is_no_factor_and_no_offset() -> None:
+    """Beside a computed torque without noise, which tells what is constant unless the law integrates."""
+    random, torque = np.random.default_rng(3), np.sin(0.01 * np.arange(6000.0))
+    noise = 0.3 * random.standard_normal(torque.size) + 0.1
+    record = ji.Record(torque=ji.Channel(torque + noise, "N m", SAMPLE_TIME))
+    errors = noise, np.zeros(torque.size)
+    pid = ji.controller.PID(position_gain=400.0, derivative_gain=30.0, integral_gain=1.0)
+    exact, under_integral = (
+        replace(record, torque=ji.Channel(torque, "N m", SAMPLE_TIME), computed_by=law) for law in (LAW, pid)
+    )
+    found, integrating = (_average(record, other, errors).torque for other in (exact, under_integral))
+    assert found is not None and integrating is not None
+    assert abs(float(np.mean(found.values - torque))) < 1e-3
+    assert float(np.mean(integrating.values - torque)) == pytest.approx(float(noise.mean()))
+    with pytest.raises(ji.MethodError, match="% in size"):
+        _average(record, exact, (noise, 0.05 * torque))
+
+
+def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared() -> None:
+    """The law differentiates the noise, and the filter holds to it at both ends."""
+    from tests.robots_plants import two
+
+    twin = two()
+    loop, asked, random = twin.loop(), twin.records(6.0), np.random.default_rng(3)
+    computed = []
+    for record, law in zip(simulate(loop, asked).records(asked), loop.controllers, strict=True):
+        assert record.motor_position is not None
+        values = record.motor_position.values + 5e-4 * random.standard_normal(len(record.motor_position))
+        noisy = record.with_channels({"motor_position": replace(record.motor_position, values=values)})
+        computed.append(ji.compute_controller_torque(noisy, ji.ClosedLoop(ji.RigidJoint("revolute"), law)))
+    problem = robot_problem(loop, computed, robot_parameters(twin.robot))
+    assert problem.filtering.cutoff is not None and problem.filtering.cutoff < 30.0
+    error = problem.error_of(RobotNumbers.of(twin.robot))
+    assert error is not None
+    rows = problem.by_joint(error)
+    spanned = (rows.shape[1] - 1) * (problem.filtering.decimation or 1)
+    assert spanned < len(problem.measured) - sum(problem.filtering.borders)
+    assert np.max(np.abs(rows)) < 6.0 * np.std(rows)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"])
-def test_torque_and_position_of_the_real_axis_agree(name: str, data_dir: Path) -> None:
-    file = ji.load(Path(__file__).parents[2] / "examples" / "emps" / "joint.toml")
-    record = file.record(data_dir / "emps" / name)
-    assert file.loop is not None
+@pytest.mark.parametrize("noise", ["disturbance", "white"])
+def test_torque_and_position_of_the_twin_agree_within_their_intervals(noise: Any) -> None:
+    made = twin("L19", noise=noise, seed=3)
     torque, position = (
-        ji.identify(record, file.loop, ji.DIDIM(outputs=(output,)), checks=False)
+        ji.identify(
+            made.record,
+            made.loop,
+            ji.DIDIM(outputs=(output,), frequency=30.0),
+            filtering=ji.Filtering(cutoff=60.0),
+            checks=False,
+        )
         for output in ("torque", "motor_position")
     )
-    for row in torque.params.rows[:4]:
-        assert abs((position.params[row.name].value or 0.0) - (row.value or 0.0)) < 0.2 * row.deviation
+    for name, truth in made.truth.items():
+        of_torque, of_position = torque.params[name], position.params[name]
+        width = math.hypot(of_torque.stderr or 0.0, of_position.stderr or 0.0)
+        assert abs((of_position.value or 0.0) - (of_torque.value or 0.0)) < 3.0 * width, name
+        assert abs((of_position.value or 0.0) - truth) < 3.5 * (of_position.stderr or 0.0), name
+
+
+def test_rows_within_the_borders_of_a_computed_torque_are_not_counted() -> None:
+    """A quarter of the record at either end: half of the rows are left, and the residual's variance is theirs."""
+    record, given = logged().without("torque"), [ji.Filtering(borders=(some, some)) for some in (0, 1500)]
+    whole, inside = (identify(record, checks=False, filtering=one).fit.rows for one in given)
+    assert 0.4 * whole < inside < 0.6 * whole

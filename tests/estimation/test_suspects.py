@@ -13,7 +13,7 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.check_loop import LoopTests, search_faults
+from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.fault_tests import compute_signatures, fit_whitener, rank_tests, score_signatures
 from jointid.diagnostics.faults.fault import Fault as KnownFault
@@ -22,6 +22,7 @@ from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterSh
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.faults.registry import FAULTS as KNOWN
 from jointid.diagnostics.model_free import LawOnPosition
+from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -64,6 +65,7 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
         assert first.value == pytest.approx(0.7 * where.peak, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_torque_channel_that_is_late_is_no_late_torque() -> None:
     where = setting("L19")
     made = problem(where, FAULTS["log_delay"], "white", 1)
@@ -73,6 +75,7 @@ def test_a_torque_channel_that_is_late_is_no_late_torque() -> None:
     assert first.changes["motor_inertia"].sigmas < -3
 
 
+@pytest.mark.slow
 def test_several_faults_are_named_one_after_another() -> None:
     where = setting("L19", brief=True)
     made = problem(where, replace(FAULTS["offset"], law=line_7), "disturbance", 1)
@@ -249,39 +252,39 @@ _TAKEN = " (p < 1e-6); correcting it changes Fv1 by -59.0 N s/m (3.1 sigma)"
 @pytest.mark.parametrize(
     ("check", "sentence"),
     [
-        (_check("delay", 4e-4, 2.5e-5), "the torque reacts 0.400 +- 0.050 ms later than declared"),
+        (_check("delay", 4e-4, 2.5e-5), "the torque reacts 0.400 ± 0.050 ms later than declared"),
         (
             _check("delay", -4e-4, 2.5e-5),
-            "the torque reacts 0.400 +- 0.050 ms earlier than declared, as where the controller runs faster than the "
+            "the torque reacts 0.400 ± 0.050 ms earlier than declared, as where the controller runs faster than the "
             "log: declare its period",
         ),
-        (_check("delay", -4e-4, 2.5e-5, 1e-3), "the torque reacts 0.400 +- 0.050 ms earlier than declared"),
-        (_check("log_delay", 1e-3, 2e-5), "the logged torque is 1.00 +- 0.040 ms later than its time stamps say"),
-        (_check("delay", 2e-7, 2.5e-8), "the torque reacts 0.200 +- 0.050 us later than declared"),
+        (_check("delay", -4e-4, 2.5e-5, 1e-3), "the torque reacts 0.400 ± 0.050 ms earlier than declared"),
+        (_check("log_delay", 1e-3, 2e-5), "the logged torque is 1.00 ± 0.040 ms later than its time stamps say"),
+        (_check("delay", 2e-7, 2.5e-8), "the torque reacts 0.200 ± 0.050 us later than declared"),
         (
             _check("velocity_filter.time_constant", 1e-4, 1e-5, 1e-3),
-            "the time constant of the velocity filter is 10 +- 2.0 % larger than declared",
+            "the time constant of the velocity filter is 10 ± 2.0 % larger than declared",
         ),
         (
             _check("torque_filters.0.time_constant", 1e-4, 1e-5, 1e-3),
-            "the time constant of torque filter 0 is 10 +- 2.0 % larger than declared",
+            "the time constant of torque filter 0 is 10 ± 2.0 % larger than declared",
         ),
-        (_check("position_gain", 4.8, 0.8, 160.0), "the position gain is 3.0 +- 1.0 % larger than declared"),
-        (_check("log_gain", -0.03, 0.005, 1.0), "the logged torque is 3.0 +- 1.0 % smaller than declared"),
-        (_check("injected_gain", 0.03, 0.005, 1.0), "the injected signal is 3.0 +- 1.0 % larger than declared"),
-        (_check("offset", -3.16, 0.05), "a constant force of -3.16 +- 0.10 N is not declared"),
+        (_check("position_gain", 4.8, 0.8, 160.0), "the position gain is 3.0 ± 1.0 % larger than declared"),
+        (_check("log_gain", -0.03, 0.005, 1.0), "the logged torque is 3.0 ± 1.0 % smaller than declared"),
+        (_check("injected_gain", 0.03, 0.005, 1.0), "the injected signal is 3.0 ± 1.0 % larger than declared"),
+        (_check("offset", -3.16, 0.05), "a constant force of -3.16 ± 0.10 N is not declared"),
         (_check("limit", 1.0, 0.02, value=195.0), "the controller's output stops at 195.0 N, which is not declared"),
         (
             _check("stribeck", 6.1, 1.0, shape=5e-3),
-            "towards standstill, below some 0.0050 m/s, the friction is 6.10 +- 2.0 N larger than Coulomb's",
+            "towards standstill, below some 0.0050 m/s, the friction is 6.10 ± 2.0 N larger than Coulomb's",
         ),
         (
             _check("presliding", 6.1, 1.0, shape=5e-3),
-            "towards standstill, below some 0.0050 m/s, the friction is 6.10 +- 2.0 N smaller than Coulomb's",
+            "towards standstill, below some 0.0050 m/s, the friction is 6.10 ± 2.0 N smaller than Coulomb's",
         ),
         (
             _check("cubic_spring", 0.2, 0.02),
-            "the spring is not linear: 20.0 +- 4.0 % or more stiffer at the largest torque than near none",
+            "the spring is not linear: 20.0 ± 4.0 % or more stiffer at the largest torque than near none",
         ),
         (
             _check("second_mode", 0.3, 0.05, shape=45.0),
@@ -289,7 +292,7 @@ _TAKEN = " (p < 1e-6); correcting it changes Fv1 by -59.0 N s/m (3.1 sigma)"
         ),
         (
             _check("changing_friction", 0.2, 0.02, shape=0.0),
-            "the Coulomb friction falls over the record, by 20.0 +- 4.0 %",
+            "the Coulomb friction falls over the record, by 20.0 ± 4.0 %",
         ),
     ],
 )
@@ -392,7 +395,7 @@ def test_changes_are_measured_by_the_deviations_of_the_table() -> None:
             _check("limit", 1.0, 0.02, value=195.0),
             "the controller's output stops at 195.0 N on the load side, which",
         ),
-        (_check("offset", -3.16, 0.05), "a constant force of -3.16 +- 0.10 N on the load side is not declared"),
+        (_check("offset", -3.16, 0.05), "a constant force of -3.16 ± 0.10 N on the load side is not declared"),
         (
             _check("stribeck", 6.1, 1.0, shape=5e-3),
             "below some 0.0050 m/s on the load side, the friction is 6.10",
@@ -406,7 +409,7 @@ def test_behind_a_transmission_a_fault_names_its_side(check: AxisFaults, sentenc
 def test_what_turns_has_a_constant_torque() -> None:
     check = _check("offset", -3.16, 0.05)
     turning = replace(check, units=dict(check.units) | {"torque": "N m", "position": "rad", "velocity": "rad/s"})
-    assert turning.sentences[0].startswith("a constant torque of -3.16 +- 0.10 N m is not declared")
+    assert turning.sentences[0].startswith("a constant torque of -3.16 ± 0.10 N m is not declared")
 
 
 def test_a_change_of_thousands_is_said_in_plain_digits() -> None:
@@ -463,6 +466,7 @@ def test_a_check_is_written_to_json() -> None:
     assert answer["suspects"][0]["name"] == "delay"
 
 
+@pytest.mark.slow
 def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) -> None:
     """Both records say the same: less friction towards standstill, and a torque that acts 0.15 to 0.25 ms late."""
     loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
@@ -476,12 +480,13 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
         assert 2 * late.std < 0.13e-3
 
 
+@pytest.mark.slow
 def test_what_forces_in_the_loop_show_by_themselves_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is wrong with this drive; a white force on it looks like less friction near standstill, at p < 1e-4."""
     axis = drive(147, longest=12.0)
     estimate = identify(axis.record, axis.loop)
     assert faults_of(estimate, axis.record).as_declared
-    monkeypatch.setattr("jointid.diagnostics.check_loop.find_force", lambda *_: None)
+    monkeypatch.setattr("jointid.diagnostics.search_state.find_force", lambda *_: None)
     assert faults_of(estimate, axis.record).findings[0].test.p_value < 1e-3
 
 

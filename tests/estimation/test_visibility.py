@@ -12,8 +12,10 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
 from jointid.common.parameters import Parameter
+from jointid.diagnostics.identify import check_without_joint
 from jointid.diagnostics.validation import validate
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.models.joints import ClosedLoop, FlexibleJoint
@@ -23,8 +25,8 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.verdict import POOR_FIT
-from tests.estimates import identify
+from jointid.uncertainty.verdict import POOR_FIT, Status
+from tests.estimates import amended, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faster_drives import CASCADE, drive
 
@@ -73,6 +75,21 @@ def test_an_axis_that_is_as_good_as_rigid_shows_no_spring(stiff_axis: tuple[Reco
     assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
     with pytest.raises(MethodError, match=r"stiffness, .*cannot be determined from this record"):
         validate(estimate, record)
+
+
+def test_the_loop_of_a_refused_spring_is_checked_along_the_motor_position(stiff_axis: tuple[Record, Estimate]) -> None:
+    record, estimate = stiff_axis
+    loop = estimate.settings.loop
+    assert loop is not None
+    wrong = replace(loop, controller=replace(loop.controller, gain=0.8 * loop.controller.gain))
+    assert check_without_joint(record, loop).status is Status.PASSED
+    verdict = check_without_joint(record, wrong)
+    assert verdict.status is Status.FAILED and "the torque is 1.25" in verdict.said
+    assert told_bounds(estimate) == estimate.checks.bounds
+    assert told_bounds(amended(estimate, checks={"verdicts": (*estimate.checks.verdicts[:-1], verdict)})) == ()
+    unchecked = check_without_joint(record.without("motor_position"), wrong)
+    assert unchecked.status is Status.UNKNOWN
+    assert "if the controller is as declared, which was not checked" in str(estimate.answer)
 
 
 @pytest.mark.slow

@@ -33,6 +33,12 @@ WRITERS = {
     "pages": "report joint.toml -q --no-profiles --no-tuning --markdown pages",
     "pictures": "report joint.toml -q --no-profiles --no-tuning --figures pages",
 }
+LONG = {
+    "controller": "learn-controller joint.toml -q --write o.toml",
+    "design": "design joint.toml -q --search-time 1 --out pages",
+    "reproduce": "reproduce -q --out pages",
+}
+WRITERS |= LONG if COUNT >= 20 else {}
 
 
 @pytest.mark.parametrize("writer", WRITERS)
@@ -49,7 +55,7 @@ def test_the_old_result_stays_and_the_new_one_is_not_cut(writer: str, place: Pat
         sizes = [len(made[target])]
         (place / target).write_bytes(OLD)
     before = contents(place)
-    slow = 1 if "report" not in words else 4
+    slow = 4 if writer in LONG or "report" in words else 1
     for turn in range(max(SIZES // slow, 3)):
         most = max(sizes) * turn // max(SIZES // slow, 3)
         ended = run_program(*words, folder=place, most=most)

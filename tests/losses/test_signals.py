@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from jointid.common import files
-from tests.losses.runs import COUNT, SEED, contents, require_calm, run_program
+from tests.losses.runs import COUNT, FIRST, SEED, contents, require_calm, run_program
 
 pytestmark = [pytest.mark.hostile, pytest.mark.skipif(sys.platform != "linux", reason="copies of a process")]
 
@@ -125,14 +125,10 @@ def test_nothing_is_left_at_any_line_of_writing(tmp_path: Path) -> None:
 
 def test_ctrl_c_while_the_program_is_loaded_leaves_no_traceback() -> None:
     """From the first module that `main` loads; of what is Python's own before that, nobody here can tell the end."""
-    program = (
-        "import os, sys; from jointid.apps.cli import main; said = []; "
-        "sys.addaudithook(lambda event, _: event == 'import' and not said and said.append(os.write(2, b'!'))); main()"
-    )
     chance = random.Random(f"loading{SEED}")
     for _ in range(COUNT):
         with subprocess.Popen(
-            [sys.executable, "-c", program, "data", "inspect", "--help"],
+            [sys.executable, "-c", FIRST, "data", "inspect", "--help"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             env={**os.environ, "PYTHONUNBUFFERED": ""},

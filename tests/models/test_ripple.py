@@ -89,10 +89,10 @@ def test_it_is_identified_from_torque_and_reference_written_and_read_back(
     assert answer["ripple"] == {"kind": "harmonics", "period": 0.02, "harmonics": 1, "side": "motor"}
     path = tmp_path / "answer.json"
     answers.write(answer, path)
-    read = answers.read_identified(path, loop.joint, loop)
+    read = answers.load_estimate(path, loop)
     assert read.values["harmonic_1_sine"] == found["harmonic_1_sine"].value
     with pytest.raises(ji.RecordError):
-        answers.read_identified(path, RigidJoint("prismatic", ripple=PositionHarmonics(0.03)), loop)
+        answers.load_estimate(path, RigidJoint("prismatic", ripple=PositionHarmonics(0.03)))
 
 
 def test_a_fixed_point_does_not_take_one(rippled: tuple[ji.Record, ji.ClosedLoop]) -> None:

@@ -15,7 +15,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.estimation.robots.simulated import SimulatedRobot
-from jointid.output.json import read_identified
+from jointid.output.json import load_estimate
 from jointid.records.record import Record
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
@@ -44,7 +44,7 @@ def found(method: str) -> ji.Estimate:
 def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> None:
     estimate, system = found(method), systems()[method]
     path = estimate.save(tmp_path / "out.json")
-    back = read_identified(path, system)
+    back = load_estimate(path, system)
     assert back.to_dict() == estimate.to_dict()
     assert back.summary(details=True) == estimate.summary(details=True)
     np.testing.assert_allclose(back.covariance, estimate.covariance, rtol=1e-12)
@@ -70,18 +70,36 @@ def spoiled(answer: dict[str, Any], change: Callable[[dict[str, Any]], object]) 
     return copy
 
 
+def test_parameters_and_terms_in_another_order_are_the_same(tmp_path: Path) -> None:
+    """As in files of older versions, which have the rotors behind their links."""
+
+    def turn(answer: dict[str, Any]) -> None:
+        answer["parameters"] = dict(reversed(answer["parameters"].items()))
+        for one in answer["parameters"].values():
+            first, *terms = one["formula"].replace(" - ", " + -").split(" + ")
+            one["formula"] = " + ".join([first, *reversed(terms)]).replace("+ -", "- ")
+        answer["free"].reverse()
+        answer["correlation"] = [row[::-1] for row in answer["correlation"][::-1]]
+
+    path = tmp_path / "out.json"
+    path.write_text(json.dumps(spoiled(found("idim").to_dict(), turn)), "utf-8")
+    back = load_estimate(path, systems()["idim"])
+    assert back.values == found("idim").values
+    np.testing.assert_allclose(back.covariance, found("idim").covariance, rtol=1e-12)
+
+
 def test_a_robot_that_is_another_one_is_refused(tmp_path: Path) -> None:
     loop, _ = logged(0)
     path = found("idim").save(tmp_path / "out.json")
     first, second = loop.robot.links
     longer = replace(loop.robot, links=(first, replace(second, origin=1.2 * second.origin)))
     with pytest.raises(RecordError, match=r"does not fit this robot: there \w+ is .*, and of this robot "):
-        read_identified(path, longer)
+        load_estimate(path, longer)
     renamed = replace(loop.robot, joints=tuple(replace(one, name=f"j{k}") for k, one in enumerate(loop.robot.joints)))
     with pytest.raises(RecordError, match="of the joints joint1, joint2, and this robot has j0, j1"):
-        read_identified(path, renamed)
+        load_estimate(path, renamed)
     with pytest.raises(RecordError, match="under controllers, and this robot has none"):
-        read_identified(found("didim").save(tmp_path / "loop.json"), loop.robot)
+        load_estimate(found("didim").save(tmp_path / "loop.json"), loop.robot)
 
 
 @pytest.mark.parametrize(
@@ -94,13 +112,18 @@ def test_a_robot_that_is_another_one_is_refused(tmp_path: Path) -> None:
         lambda a: a["verdicts"][0].update(status="perfect"),
         lambda a: a["free"].pop(),
         lambda a: a.update(parameters=[]),
+        lambda a: a.pop("converged"),
+        lambda a: a.pop("verdicts"),
+        lambda a: a.pop("warnings"),
+        lambda a: a["robot"].update(position_rms={"nobody": 1.0}),
+        lambda a: a["parameters"]["joint1.viscous"].update(std=-1.0),
     ],
 )
 def test_a_damaged_file_is_refused_in_a_sentence(change: Callable[[dict[str, Any]], object], tmp_path: Path) -> None:
     path = tmp_path / "out.json"
     path.write_text(json.dumps(spoiled(found("idim").to_dict(), change)), "utf-8")
     with pytest.raises(RecordError, match="give the file that identify --json wrote"):
-        read_identified(path, logged(0)[0].robot)
+        load_estimate(path, logged(0)[0].robot)
 
 
 @pytest.mark.slow
@@ -111,7 +134,7 @@ def test_a_saved_estimate_of_a_flexible_robot_comes_back(method: str, tmp_path: 
     records = tuple(recorded(loop, twin.records(6.0, multisine=0.004), 0.003)[0])
     system = loop if method == "didim" else RobotDriveSide(loop.robot)
     estimate = ji.identify(records, system, checks=False)
-    back = read_identified(estimate.save(tmp_path / "out.json"), system)
+    back = load_estimate(estimate.save(tmp_path / "out.json"), system)
     assert back.to_dict() == estimate.to_dict()
     one, other = back.require_robot(), estimate.require_robot()
     assert isinstance(one, SimulatedRobot) and isinstance(other, SimulatedRobot)

@@ -105,7 +105,7 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     text = str(designed)
     first = " ".join(text.split())
     assert first.startswith("Peak torque ")
-    assert "The proposed test tells stiffness to +-" in first
+    assert "The proposed test tells stiffness to ±" in first
     assert "no motion within these limits comes below" in text
     assert "Fv1 - Fv2" in text
     answer = json.loads(json.dumps(to_dict(designed), allow_nan=False))
@@ -360,7 +360,7 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
         ])  # fmt: skip
     assert ended.value.code == 0
     printed = capsys.readouterr().out
-    assert "tells stiffness to +-" in printed
+    assert "tells stiffness to ±" in printed
     assert "windup" in printed
     assert (tmp_path / "next" / "test.csv").exists()
     answer = json.loads((tmp_path / "next.json").read_text())
@@ -373,7 +373,7 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
             str(tmp_path / "next" / "test.csv"), "--json", str(tmp_path / "own.json"), "--stroke", "0.01",
         ])  # fmt: skip
     assert ended.value.code == 0
-    assert "Beware: it passes a limit, stroke" in capsys.readouterr().out
+    assert "Beware: it passes a limit, stroke" in " ".join(capsys.readouterr().out.split())
     own = json.loads((tmp_path / "own.json").read_text())
     told, again = (one["tests"]["proposed"]["std"]["stiffness"] for one in (answer, own))
     assert again == pytest.approx(told, rel=1e-6)  # the same test, read back
@@ -428,6 +428,8 @@ def test_the_command_plans_from_rough_values_without_a_record(
     }  # offset is fixed
     assert answer["axes"][0]["limits"]["stroke"] == pytest.approx(math.radians(120))
     assert not answer["passed"]
+    nominal, worst = (answer["tests"][name]["std"] for name in ("proposed", "at worst"))
+    assert all(worst[name] >= std for name, std in nominal.items()) and worst["coulomb"] > 1.05 * nominal["coulomb"]
     out = tmp_path / "out"
     assert planned(tmp_path, ROUGH + KNOWN, *without, "--out", str(out)) == 0
     own = ["--motion", str(out / "test.csv"), "--json", str(told)]
@@ -437,7 +439,7 @@ def test_the_command_plans_from_rough_values_without_a_record(
     assert planned(tmp_path, ROUGH + KNOWN, *without, "--motion", str(tmp_path / "other.csv")) == 2
     assert "a test of your own has the columns t, reference" in unwrapped(capsys.readouterr().err)
     for words, said in (
-        (["--within", "20"], "--within counts where nothing is identified from a record"),
+        (["--sample-time", "0.001"], "--sample-time counts where nothing is identified from a record"),
         (["--noise-log", "0.02", "--duration", "4"], "A test has a duration and a sample time"),
         (["--noise-log", "-1"], "Noise has a standard deviation of 0 or more"),
     ):

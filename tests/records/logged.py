@@ -46,7 +46,9 @@ def npz(path: Path) -> None:
 
 def jsonl(path: Path) -> None:
     records = zip(TIME.tolist(), POSITION.tolist(), TORQUE.tolist(), strict=True)
-    path.write_text("".join(json.dumps({"t": t, "q": [q, 0], "i": {"tau": i}}) + "\n" for t, q, i in records))
+    path.write_text(
+        "".join(json.dumps({"t": t, "q": [q, 0], "i": {"tau": i}}) + "\n" for t, q, i in records), encoding="utf-8"
+    )
 
 
 def hdf5(path: Path) -> None:

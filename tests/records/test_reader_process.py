@@ -124,8 +124,17 @@ def test_a_file_that_ends_what_reads_it_or_keeps_it_busy_is_one_sentence(
     assert not fresh.waiting
 
 
+@pytest.fixture(params=["bounded by the system", "bounded by its own watch"])
+def bounds(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reader has the module of the system's bounds, or as on Windows it has none."""
+    if "watch" in request.param:
+        (tmp_path / "without").mkdir()
+        (tmp_path / "without" / "resource.py").write_text("raise ImportError")
+        monkeypatch.syspath_prepend(tmp_path / "without")
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows bounds no time of the processor")
+@pytest.mark.usefixtures("bounds")
 def test_the_time_of_the_processor_is_bounded(
     tmp_path: Path, fresh: reader_process._Idle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,7 +150,7 @@ def test_the_time_of_the_processor_is_bounded(
     assert not fresh.waiting
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds a process to its memory")
+@pytest.mark.usefixtures("bounds")
 def test_memory_is_bounded(tmp_path: Path, fresh: reader_process._Idle, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reader_process, "MEMORY", 2**20)
     path = tmp_path / "run.h5"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -164,6 +165,40 @@ def test_a_position_tells_whether_its_samples_follow_their_stamps(saved: Saved, 
         np.testing.assert_allclose(found, np.sin(9 * (begin + np.arange(found.size) * every)), atol=6 * noise + 1e-6)
 
 
+@pytest.mark.parametrize("late", [0.0, 3.0])
+@pytest.mark.parametrize("follows", [False, True])
+def test_two_clocks_that_jitter_begin_together_and_each_position_is_judged_by_its_own(
+    tmp_path: Path, late: float, follows: bool
+) -> None:
+    """Two topics at 4 kHz whose stamps jitter by 15 us: the first stamps were apart by more than the tolerance."""
+    pytest.importorskip("rosbags")
+    period, random = 2.5e-4, np.random.default_rng(4)
+    uniform = 1.0 + np.arange(3000) * period
+    first, second = (uniform + 15e-6 * random.uniform(-1.0, 1.0, uniform.size) for _ in range(2))
+    first[0], second[0] = uniform[0] + 15e-6, uniform[0] - 15e-6
+    first, second = (np.round(1e9 * one) / 1e9 for one in (first, second + late * period))
+    columns = {"/q/time": first, "/q": np.sin(9 * (first if follows else uniform)),
+               "/r/time": second, "/r": np.sin(9 * (uniform + late * period))}  # fmt: skip
+    write_table(tmp_path / "run.mcap", Table(columns))
+    channels = {"motor_position": "/q", "reference": "/r"}
+    if late:
+        with pytest.raises(
+            RecordError, match=r"reference begins .*give start = 1\.000.* and stop = 1\.749.*, or resample"
+        ) as refusal:
+            ji.read(tmp_path / "run.mcap", channels, kind="prismatic")
+        start, stop = map(float, re.findall(r"(?:start|stop) = ([\d.]+\d)", str(refusal.value)))
+        record = ji.read(tmp_path / "run.mcap", channels, kind="prismatic", start=start, stop=stop)
+    else:
+        record = ji.read(tmp_path / "run.mcap", channels, kind="prismatic")
+    (remark,) = record.remarks
+    assert ('"/q/time" jitters' in remark and "follows" in remark) if follows else "taken as uniform" in remark
+    assert (record.resampled is not None) is follows
+    apart = values(record)[:2900] - values(record, "reference")[:2900]
+    assert np.abs(apart[10:-10]).max() < 9 * (2e-6 if follows else 1e-12), (
+        "uniform samples are not moved by their stamps"
+    )
+
+
 def test_a_tolerance_leaves_jitter_unsaid(saved: Saved) -> None:
     record = ji.read(saved(t=STAMPS, q=STAMPS), {"motor_position": "q"}, clock_tolerance=0.9)
     assert (record.remarks, record.resampled) == ((), None)
@@ -318,7 +353,7 @@ def _sparse(path: Path, every: int = 4, phase: int = 0, *, drop: tuple[int, ...]
     rows = [row for row in range(phase, t.size, every) if row not in drop]
     cells = [f"{np.sin(5 * t[k]):.9f}" if k in rows else "" for k in range(t.size)]
     lines = [f"{t[k]:.3f},{np.cos(5 * t[k]):.9f},{np.sin(5 * t[k]):.9f},{cells[k]}" for k in range(t.size)]
-    path.write_text("\n".join(["t,tau,q,r", *lines]))
+    path.write_text("\n".join(["t,tau,q,r", *lines]), encoding="utf-8")
 
 
 SPARSE = {"torque": "tau", "motor_position": "q", "reference": "r"}

@@ -15,6 +15,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import jointid as ji
+from jointid.apps.cli import main
 from jointid.common.errors import RecordError
 from jointid.config import loads
 from jointid.config.logged import describe_log
@@ -496,6 +497,11 @@ def test_gains_in_the_drives_whole_numbers_are_refused(profile: str, most: str, 
         said = refusal(tmp_path, text)
         assert f"kp (column \"kp_0\") reaches 16380, more than the drive's {most}: it is in the drive's whole" in said
         assert said.endswith(f"times the number over {65535 if profile == 'robstride' else 4095}.")
+    table(log, with_gain)
+    declared = text.replace("400 N", "16380 N")
+    assert f"controller.position_gain is 16380, more than the drive's {most}: it is in the drive's whole" in refusal(
+        tmp_path, declared
+    )
 
 
 def test_a_large_gain_of_decoded_values_is_read(tmp_path: Path) -> None:
@@ -547,3 +553,20 @@ def test_a_clock_in_another_unit_is_a_rate_that_tells_nothing(tmp_path: Path) ->
     assert said.startswith(
         "The record has a sample every 5e+03 s (at most 0.1 s expected): it tells nothing of a joint's"
     )
+
+
+def test_a_log_without_gains_asks_for_them_and_no_file_is_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table(tmp_path / "run.csv", {"time": TIME, "commanded": COMMAND[:, 0], "measured": MOTION[:, 0]})
+    text = describe_log(ji.inspect(tmp_path / "run.csv"), "run.csv")
+    assert '\n# [controller]\n# law = "pd"\n# position_gain = "? N m/rad"\n' in text
+    given = text.replace("? N m/rad", "40 N m/rad").replace("? N m s/rad", "1.5 N m s/rad")
+    given = re.sub(r"^# (?=\[cont|law|pos|der)", "", given, flags=re.MULTILINE)
+    assert set(loads(given, tmp_path).record().channels) >= {"reference", "motor_position"}
+    (tmp_path / "joint.toml").write_text("mine")
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "inspect", str(tmp_path / "run.csv"), "--write", str(tmp_path / "joint.toml")])
+    assert ended.value.code == 2
+    assert "exists, and may hold what only you know; name another file" in capsys.readouterr().err
+    assert (tmp_path / "joint.toml").read_text() == "mine"

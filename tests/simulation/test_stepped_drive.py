@@ -220,9 +220,6 @@ def test_laws_in_pieces_and_smooth_ones_are_not_simulated_beside_each_other() ->
         MethodError, match=r'"stribeck" and "cubic" of friction and spring are not simulated beside each'
     ):
         FlexibleJoint("prismatic", friction=FRICTIONS["stribeck"](), spring=SPRINGS["cubic"]())
-    with pytest.raises(MethodError, match=r"Load-dependent friction follows the torque through a spring"):
-        RigidJoint("prismatic", friction=FRICTIONS["load-dependent"]())
-    assert FlexibleJoint("prismatic", friction=FRICTIONS["load-dependent"]()).rigid.friction == FRICTIONS["symmetric"]()
     assert "backlash" not in [
         law.name for law in springs_beside(FlexibleJoint("prismatic", friction=FRICTIONS["presliding"]()))
     ]

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.friction import FRICTIONS
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
@@ -37,6 +39,22 @@ def test_derivatives_are_those_of_differences_of_runs(make: Callable[[int], Case
         step = _STEP * (abs(now) or 1e-3)
         own = tuple(column[:, i] for column in columns)
         assert error_beside_differences(own, loop, case.clean, values, name, (step,), begin) <= 2e-3, name
+
+
+@pytest.mark.parametrize("law", ["load-dependent", "asymmetric-load-dependent", "presliding-load-dependent"])
+def test_friction_that_follows_the_torque_of_a_rigid_joint_has_derivatives(law: str) -> None:
+    case = prismatic(1)
+    joint = RigidJoint("prismatic", FRICTIONS[law]())
+    loop = ClosedLoop(joint, with_numbers(case.loop.controller, {"delay": 1.5e-4}))
+    sides = {name.removeprefix("motor_"): value for name, value in case.truth.items()}
+    values = {p.name: sides.get(p.name, sides.get(p.name.rpartition("_")[0], 0.15)) for p in joint.parameters}
+    values |= {"presliding_distance": 1e-3} if law.startswith("presliding") else {}
+    experiment, names = prepare(loop, case.clean), [*values, "position_gain", "delay"]
+    found = simulate_sensitivities(loop, experiment, values, names)
+    for i, name in enumerate(names):
+        step = _STEP * (abs(values.get(name) or numbers_of(loop.controller)[name]))
+        error = error_beside_differences((found.torque[:, i],), loop, case.clean, values, name, (step,))
+        assert error <= 2e-3, name
 
 
 def test_a_delay_moves_no_edge_of_a_torque_that_goes_on() -> None:

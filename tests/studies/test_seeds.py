@@ -17,7 +17,7 @@ class Squared:
 
 
 def square(seed: int, log: str, scale: float) -> Squared | None:
-    with Path(log).open("a") as file:
+    with Path(log).open("a", encoding="utf-8") as file:
         file.write(f"{seed}\n")
     return None if seed == 3 else Squared(seed, scale * seed**2)
 

@@ -15,6 +15,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from jointid.common.errors import ExtraError, RecordError, extra
+from jointid.common.files import open_file
 from jointid.common.messages import either
 
 _REMOTE = ("s3", "s3a", "gs", "gcs", "az", "abfs", "adl", "http", "https", "sftp", "smb", "hdfs", "webhdfs", "file")
@@ -97,7 +98,7 @@ def digest(path: Path) -> str:
     made = hashlib.sha256()
     try:
         for each in sorted(path.iterdir()) if path.is_dir() else [path]:
-            with each.open("rb") as file:
+            with open_file(each) as file:
                 while block := file.read(_BLOCK):
                     made.update(block)
     except OSError as error:

@@ -110,6 +110,7 @@ class Outcome(StrEnum):
     """How a case ended."""
 
     IDENTIFIED = "identified"
+    DOUBTFUL = "not reliable"
     REFUSED = "refused"
     FAILED = "failed"
     SET_ASIDE = "set aside"
@@ -135,7 +136,8 @@ class Row:
 
     Attributes:
         seed: of a run that is simulated, resampled or has a random start; None for another one.
-        outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's.
+        outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's. A
+            search without an end, value or fit is not reliable.
         sentence: the answer in a line, or why there is none.
         found: parameters, and sums that are known where their parts are not, by name.
         trust: whether to rely on the answer, a code.
@@ -182,21 +184,31 @@ class Row:
         return json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
     @classmethod
-    def read(cls, text: str) -> Self:
-        """Parse a row from `text`."""
+    def read(cls, text: str, content_hash: str | None = None) -> Self:
+        """Parse a row; with a hash, only the row of that case.
+
+        Raises:
+            ValueError: it is none.
+        """
         try:
             raw = json.loads(text)
             found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))
                      for name, one in raw["found"].items()}  # fmt: skip
             raw |= {key: tuple(map(str, raw.get(key, ()))) for key in ("changes", "settings")}
-            truth = {str(name): float(value) for name, value in raw.get("truth", {}).items()}
+            truth = {str(name): _number(value) for name, value in raw.get("truth", {}).items()}
             raw |= {"found": found, "outcome": Outcome(raw["outcome"]), "truth": truth}
             row = cls(**raw)
-        except (TypeError, KeyError, AttributeError, RecursionError) as error:
+            _number(row.error_percent)
+            named = (row.joint_file_sha256, *row.versions, *row.versions.values())
+        except (TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
             raise ValueError(f"no row ({error})") from error
         texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256, row.kind)
-        if not all(isinstance(one, str) for one in texts):
+        if not all(isinstance(one, str) for one in (*texts, *named)):
             raise ValueError("no row (a text is none)")
+        if not all(one is None or type(one) is int for one in (row.seed, row.simulations)):
+            raise ValueError("no row (a count is none)")
+        if not isinstance(row.converged, bool | None) or content_hash not in (None, row.content_hash):
+            raise ValueError("no row (it is of another case)")
         return row
 
     @property
@@ -217,7 +229,16 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
+def read_time(stored: object) -> float:
+    """Return when a result was stored, in seconds since 1970."""
+    if isinstance(stored, float) and 0 <= stored < 1e10:
+        return stored
+    raise ValueError("no row (its time is none)")
+
+
 def _number(value: object) -> float | None:
-    if value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
-        return None if value is None else float(value)
+    if value is None:
+        return None
+    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        return float(value)
     raise TypeError("a value is no number")

@@ -28,6 +28,8 @@ import numpy as np
 from jointid.campaigns.cases import Outcome, Row
 from jointid.common.arrays import FloatArray
 
+JointKey = tuple[str, tuple[str, ...]]
+"""Name of a joint, and the changes of its file."""
 FALSE_ALARM = 0.01
 """Chance that any joint of a fleet without drift is named."""
 
@@ -192,6 +194,64 @@ class Series:
         )  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A joint, or a quantity of one, whose last runs give no value.
+
+    Attributes:
+        joint: its name.
+        changes: of the joint file, that its runs have in common.
+        quantity: empty where the joint has no answer at all.
+        last: day or record of the last run with a value; empty where there was none.
+        runs: without one since.
+        sentence: why the last one has none.
+    """
+
+    joint: str
+    changes: tuple[str, ...]
+    quantity: str
+    last: str
+    runs: int
+    sentence: str
+
+
+def losses_of(rows: Sequence[Row]) -> Iterator[Loss]:
+    """Yield the joints and quantities without a value in their last three runs or more."""
+    for (joint, changes), runs in _by_joint(rows).items():
+        answered = [row.outcome is Outcome.IDENTIFIED for row in runs]
+        since = _runs_since(answered)
+        if since >= _SIDE:
+            yield Loss(joint, changes, "", _label(runs[-since - 1]) if any(answered) else "", since, runs[-1].sentence)
+            continue
+        kept = [row for row, done in zip(runs, answered, strict=True) if done]
+        for quantity in select_quantities(list(dict.fromkeys(name for row in kept for name in row.found))):
+            known = [one is not None and one.value is not None for one in (row.found.get(quantity) for row in kept)]
+            if any(known) and (since := _runs_since(known)) >= _SIDE:
+                yield Loss(joint, changes, quantity, _label(kept[-since - 1]), since, kept[-1].sentence)
+
+
+def _runs_since(known: Sequence[bool]) -> int:
+    """Return how many at the end are False."""
+    return next((k for k, one in enumerate(reversed(known)) if one), len(known))
+
+
+def name_series(joint: str, changes: Sequence[str]) -> str:
+    """Return the name of a joint with the changes of its file."""
+    return f"{joint} ({'; '.join(changes)})" if changes else joint
+
+
+def _label(row: Row) -> str:
+    return row.day or row.record
+
+
+def _by_joint(rows: Sequence[Row]) -> dict[JointKey, list[Row]]:
+    """Return runs by joint and settings, in order."""
+    joints: dict[JointKey, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: row.place):
+        joints.setdefault((row.joint, row.changes), []).append(row)
+    return joints
+
+
 def select_quantities(names: Sequence[str]) -> tuple[str, ...]:
     """Quantities monitored for drift: stiffness, and sums of frictions of both sides.
 
@@ -204,7 +264,7 @@ def select_quantities(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(
         name
         for name in names
-        if name == "stiffness"
+        if name.rpartition(".")[2] == "stiffness"
         or (
             any(friction in name for friction in _FRICTIONS)
             and name.removeprefix("motor_").removeprefix("load_") not in summed
@@ -214,12 +274,7 @@ def select_quantities(names: Sequence[str]) -> tuple[str, ...]:
 
 def series_of(rows: Sequence[Row]) -> Iterator[Series]:
     """Yield the monitored series, joint by joint."""
-    joints: dict[tuple[str, tuple[str, ...]], list[Row]] = {}
-    for row in rows:
-        if row.outcome is Outcome.IDENTIFIED:
-            joints.setdefault((row.joint, row.changes), []).append(row)
-    for (joint, changes), runs in joints.items():
-        runs.sort(key=lambda row: row.place)
+    for (joint, changes), runs in _by_joint([row for row in rows if row.outcome is Outcome.IDENTIFIED]).items():
         names = list(dict.fromkeys(name for row in runs for name in row.found))
         for quantity in select_quantities(names):
             known = [(row, one) for row in runs if (one := row.found.get(quantity)) is not None]
@@ -231,5 +286,5 @@ def series_of(rows: Sequence[Row]) -> Iterator[Series]:
             except ValueError:  # a day is missing or invalid
                 days = [float(k) for k in range(len(found))]
             values, stds = np.array([(value, std) for _, value, std, _ in found], np.float64).T
-            labels = tuple(row.day or row.record for row, *_ in found)
+            labels = tuple(_label(row) for row, *_ in found)
             yield Series(joint, changes, quantity, found[0][3], np.array(days, np.float64), values, stds, labels)

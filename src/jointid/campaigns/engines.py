@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import logging
 import multiprocessing
 import os
 import signal
@@ -60,6 +61,7 @@ class Workers:
         batch: cases of a task: one, where handing out a task is cheap.
         ahead: tasks under way for each that it works at, so that no worker waits for the next.
         submitted: tasks of an earlier client, which may be under way still: by the hash of each case those of its task.
+        require_reachable: raises OSError where no result can come any more.
     """
 
     executor: Executor
@@ -67,6 +69,7 @@ class Workers:
     batch: int = 1
     ahead: int = 2
     submitted: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    require_reachable: Callable[[], None] = lambda: None
 
 
 class Engine(Protocol):
@@ -94,13 +97,13 @@ class LocalProcesses:
         """Yield the workers; see `Engine`."""
         # A fork of this process would copy its threads' locks; on Linux a server without threads is forked instead.
         context = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
-        if sys.platform == "linux":
-            context.set_forkserver_preload(["jointid.campaigns.run"])
         for name in BLAS_THREADS:  # a worker's libraries read this when they are loaded, before it can say so
             os.environ.setdefault(name, "1")
+        if sys.platform == "linux":
+            _start_server()
         before = set(multiprocessing.active_children())
         count = workers or self.workers or cores()
-        executor = ProcessPoolExecutor(count, context, _begin)
+        executor = ProcessPoolExecutor(count, context, _Begin())
         try:
             yield Workers(executor, lambda: count)
         except BaseException:
@@ -133,6 +136,12 @@ class DaskCluster:
     def open(self, workers: int | None = None) -> Iterator[Workers]:
         """Yield the workers; see `Engine`. The cluster determines their number."""
         distributed = extra("distributed", "cluster", "A Dask cluster")
+        for name in (
+            "distributed",
+            "distributed.client",
+            "tornado.application",
+        ):  # of a scheduler that is gone they print tracebacks
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             client = distributed.Client(self.address, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -142,19 +151,27 @@ class DaskCluster:
             ) from error
         with client:
             executor = client.get_executor(pure=False)  # a case that is tried again is another task
-            wait = False
+            wait, first = False, client.scheduler_info()["id"]
+
+            def require_reachable() -> None:
+                if client.status != "running" or client.scheduler_info()["id"] != first:
+                    raise OSError  # another scheduler knows none of these tasks, and Dask does not always say so
+
             try:
                 yield Workers(
                     executor,
                     lambda: sum(
                         int(one["nthreads"]) for one in client.scheduler_info(n_workers=-1)["workers"].values()
                     ),
+                    require_reachable=require_reachable,
                 )
                 wait = True
-            except OSError as error:
+            except (OSError, RecordError) as error:  # this of cases that are cancelled when the connection is lost
+                if isinstance(error, RecordError) and client.status == "running":
+                    raise
                 raise RecordError(
-                    f"The Dask scheduler at {self.address} answers no more ({error}); start it again, and give the "
-                    "same command again: what is finished is kept."
+                    f"The Dask scheduler at {self.address} answers no more; start it again, and give the same command "
+                    "again: what is finished is kept."
                 ) from error
             finally:
                 executor.shutdown(wait=wait)
@@ -320,11 +337,38 @@ def on_one_core(carry: Callable[[Any], Any], cases: Sequence[Any]) -> list[Any]:
     return [carry(case) for case in cases]
 
 
-def _begin() -> None:
-    """Initialise a worker: ignore Ctrl-C, and end with the parent."""
+def _start_server() -> None:
+    """Start the server that forks workers, deaf to Ctrl-C until their work arrives; see `fork_server`."""
+    from multiprocessing import forkserver, resource_tracker, util
+
+    from jointid.campaigns.fork_server import SOCKETS
+
+    # The folder for the server to remove; that of a child process is its parent's.
+    os.environ[SOCKETS] = "" if multiprocessing.parent_process() else util.get_temp_dir()
+    forkserver.set_forkserver_preload(["jointid.campaigns.fork_server", "jointid.campaigns.run"])
+    resource_tracker.ensure_running()  # its start unblocks SIGINT
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        forkserver.ensure_running()
+    finally:
+        del os.environ[SOCKETS]
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+class _Begin:
+    """The initialisation of a worker: ignore Ctrl-C as soon as it arrives there, and end with the parent."""
+
+    def __call__(self) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        threading.Thread(target=end_with_parent, daemon=True).start()
+        if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "mallopt"):  # musl has none
+            libc.mallopt(_MMAP, _IN_THE_HEAP)
+            libc.mallopt(_TRIM, _KEPT)
+
+    def __reduce__(self) -> tuple[Callable[[], _Begin], tuple[()]]:
+        return _ignore_interrupts, ()
+
+
+def _ignore_interrupts() -> _Begin:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "mallopt"):  # musl has none
-        libc.mallopt(_MMAP, _IN_THE_HEAP)
-        libc.mallopt(_TRIM, _KEPT)
+    return _Begin()

@@ -23,6 +23,7 @@ import tomli_w
 from jointid.campaigns.addresses import is_remote, list_addresses, stamp_of
 from jointid.campaigns.campaign_tables import PLACEHOLDER, PLACEHOLDERS, FleetTable, unknown_placeholders
 from jointid.common.errors import JointFileError, RecordError, extra
+from jointid.common.files import open_file
 from jointid.common.messages import either, format_value
 from jointid.common.text import join, pluralise
 from jointid.common.text import join as in_a_row
@@ -433,7 +434,7 @@ def _check_header(path: Path, header: Sequence[str]) -> None:
 
 def _read_csv(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             raw = file.read(_LARGEST + 1)
         _require_size(path, len(raw))
         text = raw.decode("utf-8-sig")
@@ -462,7 +463,7 @@ def _read_parquet(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     parquet = extra("pyarrow.parquet", "logs", "A fleet's table in Parquet")
     try:
         _require_size(path, path.stat().st_size)
-        with parquet.ParquetFile(path) as file:
+        with open_file(path) as raw, parquet.ParquetFile(raw) as file:
             about = file.metadata
             _require_cells(path, about.num_rows * about.num_columns)
             _require_size(path, sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups)))

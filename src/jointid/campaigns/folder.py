@@ -48,7 +48,7 @@ class Results:
 
 def read_results(folder: Path) -> Results:
     """Read the results of a client or of shards, also while running."""
-    if (folder / DATABASE).exists():
+    if (folder / DATABASE).is_file():
         name, cases, found = read_database(folder)
     elif has_shards(folder):
         name, cases, found = read_shards(folder)

@@ -14,8 +14,9 @@ from typing import Any, Literal
 import numpy as np
 
 from jointid.campaigns.cases import LOGGED, Outcome, Redrawn, Row, Simulated, Started
-from jointid.campaigns.drift import FALSE_ALARM, Change, Series, judge, series_of
+from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
 from jointid.campaigns.folder import Results, describe_row, read_results
+from jointid.campaigns.pictures import draw_matrix, plot_changes
 from jointid.campaigns.run_groups import (
     AgainstTruth,
     Repeated,
@@ -35,12 +36,13 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError, RecordError, extra
 from jointid.common.files import beside, write_whole
-from jointid.common.text import format_signed, join, number, pluralise
+from jointid.common.text import format_signed, join, number, pluralise, short
 
 ENDINGS = (".csv", ".parquet")
 """Suffixes of the files of an export."""
 
 _SHOWN = 10  # rows of a table without details
+_REASON = 160  # characters of one
 _UNLIKE = 5.0  # robust deviations from the other joints
 _LEAST_JOINTS = 8  # among which one can be unlike the others
 _TO_SIGMA = 1.4826
@@ -63,7 +65,16 @@ class CampaignReport(Documented):
     @cached_property
     def series(self) -> tuple[Series, ...]:
         """Stiffness and frictions of every joint over its dated runs."""
-        return tuple(series_of([row for row in self.results.rows if row.kind == LOGGED]))
+        return tuple(series_of(self._logged))
+
+    @cached_property
+    def losses(self) -> tuple[Loss, ...]:
+        """Joints, and quantities of joints, without a value in their last runs."""
+        return tuple(losses_of(self._logged))
+
+    @property
+    def _logged(self) -> list[Row]:
+        return [row for row in self.results.rows if row.kind == LOGGED]
 
     @cached_property
     def repeats(self) -> tuple[Repeated, ...]:
@@ -92,14 +103,15 @@ class CampaignReport(Documented):
             return f"{said} {more}", good and true
         if kind == Started.kind:
             return summarise_ends(self.ends)
-        if not self.changes:
-            return "Drift was not tested: no joint has eight runs.", None
-        joints = list(dict.fromkeys(one.series.joint for one in self.drifted))
-        if joints:
-            named = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
-            return f"{pluralise(len(joints), 'joint')} drifted: {join(named)}.", False
         watched = pluralise(len({one.series.joint for one in self.changes}), "joint")
-        return f"No stiffness and no friction drifted by more than its scatter ({watched} watched).", True
+        said, good = f"No stiffness and no friction drifted by more than its scatter ({watched} watched).", True
+        if not self.changes:
+            said, good = "Drift was not tested: no joint has eight runs.", None
+        elif self.drifted:
+            said, good = _count_joints([one.series.joint for one in self.drifted], "drifted"), False
+        if not self.losses:
+            return said, good
+        return f"{_count_joints([one.joint for one in self.losses], 'lost a value')} {said}", False
 
     @cached_property
     def changes(self) -> tuple[Change, ...]:
@@ -118,12 +130,20 @@ class CampaignReport(Documented):
 
     def to_document(self, *, details: bool = False) -> Document:
         """The report; with details all rows of every table."""
-        most = None if details else _SHOWN
+        return self._document(None if details else _SHOWN)
+
+    def to_page(self) -> Document:
+        """The whole report with its pictures, quiet rows folded."""
+        return self._document(None, pictures=True)
+
+    def _document(self, most: int | None, *, pictures: bool = False) -> Document:
         results, counts = self.results, self.results.counts()
         ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
         blocks: list[Block] = [
             Paragraph(self.sentence, lead=True, tone=_TONES[self.verdict[1]]),
             Facts((("done", f"{len(results.rows)} of {results.cases} cases{f': {ends}' if ends else ''}"),)),
+            *(self._pictures() if pictures else ()),
+            *self._loss_blocks(most),
             *self._drift_blocks(most),
             *end_blocks(self.ends, most),
             *_distributions([row for row in results.rows if row.kind != Started.kind]),
@@ -136,6 +156,31 @@ class CampaignReport(Documented):
         ]
         return Document(f"Campaign {results.name}", tuple(blocks))
 
+    def _pictures(self) -> Iterator[Block]:
+        """Yield the matrix of joints and days, and the values that changed or were lost."""
+        if not self._logged:
+            return
+        yield Heading("Joints and days")
+        yield draw_matrix(self._logged, self.drifted, self.losses)
+        if (shown := plot_changes(self.drifted, self.series, self.losses)) is not None:
+            yield Heading("Values over the days")
+            yield shown
+
+    def _loss_blocks(self, most: int | None) -> Iterator[Block]:
+        if self.losses:
+            yield Heading("Lost")
+            rows = tuple(
+                (
+                    name_series(one.joint, one.changes),
+                    one.quantity or "all",
+                    one.last or "-",
+                    str(one.runs),
+                    short(one.sentence, _REASON),
+                )
+                for one in self.losses[:most]
+            )
+            yield Table(("joint", "quantity", "last value", "runs without", "why"), rows, "", (0, 1, 2, 4))
+
     def _drift_blocks(self, most: int | None) -> Iterator[Block]:
         if not self.changes:
             return
@@ -146,7 +191,7 @@ class CampaignReport(Documented):
         others = [one for one in self.changes if not one.significant][:most]
         if others:
             yield Heading("Largest changes within scatter")
-            yield Table(header, tuple(map(_drift_row, others)), "", (0, 1, 4, 5))
+            yield Table(header, tuple(map(_drift_row, others)), "", (0, 1, 4, 5), folded=len(others) > _SHOWN)
         yield Paragraph(
             f"{pluralise(len(self.changes), 'quantity', 'quantities')} of joints were watched; the chance that any is "
             f"named without drift is {number(100 * self.false_alarm, 2)} % at most, if the runs of a joint scatter "
@@ -187,6 +232,13 @@ class CampaignReport(Documented):
             yield Table(("joint", "quantity", "value", "others", "unit"), tuple(joints[:most]), "", (0, 1, 4))
 
 
+def _count_joints(names: Sequence[str], what: str) -> str:
+    """Say of how many joints something is, and of which."""
+    joints = list(dict.fromkeys(names))
+    named = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
+    return f"{pluralise(len(joints), 'joint')} {what}: {join(named)}."
+
+
 def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
     """Read the results of a campaign, also while it runs."""
     if not 0 < false_alarm < 1:
@@ -197,13 +249,9 @@ def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
 def _drift_row(one: Change) -> tuple[str, ...]:
     scale = 100 / abs(one.before) if one.before else float("inf")
     return (
-        _name_series(one.series), one.series.quantity, format_signed(one.change_percent, 3),
+        name_series(one.series.joint, one.series.changes), one.series.quantity, format_signed(one.change_percent, 3),
         number(2 * scale * one.std, 2), one.kind, one.since, number(one.p_value, 2),
     )  # fmt: skip
-
-
-def _name_series(series: Series) -> str:
-    return f"{series.joint} ({'; '.join(series.changes)})" if series.changes else series.joint
 
 
 def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
@@ -241,7 +289,7 @@ def _unlike(series: Sequence[Series]) -> Iterator[tuple[str, ...]]:
             continue
         for one, level in zip(members, levels, strict=True):
             if abs(level - middle) > _UNLIKE * spread:
-                yield _name_series(one), quantity, number(float(level)), number(middle), unit
+                yield name_series(one.joint, one.changes), quantity, number(float(level)), number(middle), unit
 
 
 def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:

@@ -30,11 +30,13 @@ from jointid.common.messages import Progress, Work, ignore_progress
 from jointid.common.text import pluralise
 from jointid.config import JointFile, loads, require_joint
 from jointid.config.robot_file import RobotFile
+from jointid.estimation.result.answer import Trust
 from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulate
 from jointid.uncertainty.covariance import bandwidth
 from jointid.uncertainty.identifiability import Kind, Known
 from jointid.uncertainty.resampling import BANDWIDTHS
+from jointid.uncertainty.verdict import POOR_FIT
 
 
 def run_case(case: Case) -> Row:
@@ -119,8 +121,11 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     truth: Iterator[tuple[str, float]] = iter(())
     if isinstance(case.varied, Simulated):
         truth = _robot_truth(estimate) if of_robot else _truth(estimate, case.varied)
+    # That the law as declared does not fit is no reason here: where it never fits, changes are still to be seen.
+    fits = estimate.fit.filtered_error <= POOR_FIT  # not so where it is NaN
+    usable = estimate.fit.converged and fits and estimate.answer.trust.code is not Trust.REFUSED
     return {
-        "outcome": Outcome.IDENTIFIED,
+        "outcome": Outcome.IDENTIFIED if usable else Outcome.DOUBTFUL,
         "sentence": estimate.sentence,
         "found": found,
         "trust": str(estimate.answer.trust.code),
@@ -221,6 +226,7 @@ def _robot_truth(estimate: Estimate) -> Iterator[tuple[str, float]]:
         yield from ((row.name, value) for row, value in named if row.of_joint)
 
 
+_LOOK = 5.0  # s without a result, after which it is seen whether any can come
 _DEATHS = 2  # of workers, after which a case is set aside
 _IDLE_DEATHS = 10  # of workers in a row that had no case, after which it is no use to start others
 
@@ -345,7 +351,9 @@ def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Keep) -
     with engine.open() as workers:
         _fill(under_way, waiting, workers, carry)
         while under_way:
-            done, _ = wait(under_way, return_when=FIRST_COMPLETED)
+            done, _ = wait(under_way, timeout=_LOOK, return_when=FIRST_COMPLETED)
+            if not done:
+                workers.require_reachable()
             for future in done:
                 batch = under_way.pop(future)
                 rows = _result(future, engine)

@@ -225,7 +225,7 @@ def truth_blocks(found: Sequence[AgainstTruth]) -> Iterator[Block]:
     if not found:
         return
     yield Heading("Errors against the truth")
-    header = ("quantity", "truth", "bias", "+-", "scatter", "held %", "95 %", "verdict")
+    header = ("quantity", "truth", "bias", "±", "scatter", "held %", "95 %", "verdict")
     rows = (
         (
             one.name, number(one.truth), format_signed(one.bias, 2), number(2 * one.bias_std, 2),
@@ -236,7 +236,7 @@ def truth_blocks(found: Sequence[AgainstTruth]) -> Iterator[Block]:
     )  # fmt: skip
     yield Table(header, tuple(rows), "", (0, 6, 7))
     yield Paragraph(
-        "The bias is known to +-, two of its standard deviations; units are those of the distribution. "
+        "The bias is known to ±, two of its standard deviations; units are those of the distribution. "
         f"Held: the share of the runs whose two stated deviations have the truth in them, {100 * _STATED:.1f} % "
         f"if they are right. The chance that any of {pluralise(len(found), 'quantity', 'quantities')} is called biased "
         f"without being so is {100 * _CHANCE:.0f} % at most, and that one is called held too seldom the same."
@@ -286,7 +286,7 @@ def ends_of(rows: Sequence[Row]) -> tuple[tuple[SearchEnd, ...], ...]:
     """Optima of every combination of settings, by error."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        if row.outcome is Outcome.IDENTIFIED:
+        if row.outcome in (Outcome.IDENTIFIED, Outcome.DOUBTFUL):  # a search may end where nothing fits
             groups.setdefault(row.changes, []).append(row)
     found = []
     for changes, runs in sorted(groups.items()):

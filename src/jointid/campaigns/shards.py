@@ -16,9 +16,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jointid.campaigns.cases import Row, canonical
+from jointid.campaigns.cases import Row, canonical, read_time
 from jointid.campaigns.store import DATABASE, SHARD_FILES
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.files import open_file
 
 _NAME = "shard-{}-of-{}.jsonl"
 
@@ -66,15 +67,12 @@ class _Contents:
     rows: dict[str, tuple[float, Row]] = field(default_factory=dict)
     deaths: dict[str, int] = field(default_factory=dict)
 
-    def take(self, line: bytes) -> None:
+    def take(self, said: Any) -> None:
         """Take a line in."""
-        said: Any = json.loads(line)
-        if not isinstance(said, dict):
-            raise ValueError("no line of a shard")
         match said:
             case {"row": dict(row), "stored": float(stored)}:
                 made = Row.read(json.dumps(row))
-                self.rows.setdefault(made.content_hash, (stored, made))
+                self.rows.setdefault(made.content_hash, (read_time(stored), made))
             case {"cases": list(cases), "name": str(name)}:
                 self.name, self.cases = name, dict.fromkeys(map(str, cases))
             case {"more": list(more), "fewer": list(fewer), "name": str(name)}:
@@ -136,6 +134,8 @@ def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
     if (folder / DATABASE).exists():
         raise RecordError(f"{folder} has the results of campaign run; name another folder by --out, or go on with run.")
     with _explain(path):
+        if path.exists():
+            open_file(path).close()
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
     try:
         with _explain(path):
@@ -187,10 +187,18 @@ def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
 def _read(path: Path) -> tuple[_Contents, bool]:
     """Contents of a shard's file, and whether it ends with a whole line."""
     contents, line = _Contents(), b"\n"
-    with path.open("rb") as file:
-        for line in file:
-            with contextlib.suppress(ValueError, RecursionError):
-                contents.take(line)
+    with open_file(path) as file:
+        for number, line in enumerate(file, 1):
+            try:
+                said = json.loads(line)
+            except (ValueError, RecursionError):  # torn by a kill: its case is made again
+                continue
+            try:
+                contents.take(said)
+            except ValueError as error:
+                raise RecordError(
+                    f"{path}, line {number} is {error}; delete that line: jointid campaign work makes its case again."
+                ) from error
     return contents, line.endswith(b"\n")
 
 

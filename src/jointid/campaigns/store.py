@@ -14,26 +14,28 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from jointid.campaigns.cases import Outcome, Row
+from jointid.campaigns.cases import Outcome, Row, read_time
 from jointid.common.errors import RecordError
+from jointid.common.text import short
 
 DATABASE = "campaign.sqlite"
 SHARD_FILES = "shard-*-of-*.jsonl"
 """Names of the results of shards, which stand in another folder than a database."""
 _LOCK = "campaign.lock"
 _FORMAT = 1
+_LONGEST = 2**24  # bytes of a result
 _PATIENCE = 60.0  # s that a reader may hold the database
 _NETWORK = (
     "nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "9p", "ceph", "glusterfs", "afs", "ncpfs", "ocfs2", "gfs2",
     "pvfs2", "orangefs", "panfs", "wekafs", "davfs", "fuse.sshfs", "fuse.s3fs", "fuse.gcsfuse", "fuse.rclone",
     "fuse.ceph", "fuse.glusterfs", "fuse.juicefs", "fuse.blobfuse", "fuse.beegfs", "fuse.mount-s3",
 )  # fmt: skip
-_TABLES = """
-CREATE TABLE IF NOT EXISTS listed (hash TEXT PRIMARY KEY) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS results (hash TEXT PRIMARY KEY, stored REAL NOT NULL, row TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS deaths (hash TEXT PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-"""
+_TABLES = (
+    "CREATE TABLE listed (hash TEXT PRIMARY KEY) WITHOUT ROWID",
+    "CREATE TABLE results (hash TEXT PRIMARY KEY, stored REAL NOT NULL, row TEXT NOT NULL)",
+    "CREATE TABLE deaths (hash TEXT PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID",
+    "CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
+)
 
 
 class Results(Protocol):
@@ -113,7 +115,8 @@ def open_database(folder: Path) -> Iterator[Database]:
     ):
         connection.execute("PRAGMA journal_mode=WAL")
         connection.execute("PRAGMA synchronous=FULL")  # a result outlives a power cut, too
-        connection.executescript(_TABLES)
+        there = _require_own_tables(path, connection)
+        connection.executescript(";".join(table for table in _TABLES if table not in there))
         found = dict(connection.execute("SELECT key, value FROM about").fetchall()).get("format", str(_FORMAT))
         if found != str(_FORMAT):
             raise RecordError(
@@ -141,15 +144,27 @@ def read_database(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
     """Campaign name, number of cases, and results with storage time."""
     path = folder / DATABASE
     with _explain(path), contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection:
-        if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'listed'").fetchone():
+        if not _require_own_tables(path, connection):
             return "", 0, []  # it has only just started
         about = dict(connection.execute("SELECT key, value FROM about").fetchall())
         (total,) = connection.execute("SELECT count(*) FROM listed").fetchone()
-        found = connection.execute("SELECT stored, row FROM results JOIN listed USING (hash)")
+        found = connection.execute("SELECT hash, stored, row FROM results JOIN listed USING (hash)")
         try:
-            return about.get("name", ""), int(total), [(float(stored), Row.read(text)) for stored, text in found]
+            rows = [(read_time(stored), Row.read(text, named)) for named, stored, text in found]
         except ValueError as error:
             raise RecordError(f"{path} holds what is no result ({error}); name another folder.") from error
+        return str(about.get("name", "")), int(total), rows
+
+
+def _require_own_tables(path: Path, connection: sqlite3.Connection) -> set[str]:
+    """Return the tables that are there; refuse any other content, such as a view or a trigger, which computes."""
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
+    there = {sql for (sql,) in connection.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+    if foreign := there.difference(_TABLES):
+        raise RecordError(
+            f"{path} holds {short(min(foreign))}, which no campaign has; name the folder of a campaign by --out."
+        )
+    return there
 
 
 @contextlib.contextmanager

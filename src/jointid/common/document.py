@@ -98,12 +98,13 @@ class Verdicts:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows under a header; columns in `words` are text."""
+    """Rows under a header; columns in `words` are text, and a page shows `folded` rows on demand."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
     words: tuple[int, ...] = (0,)
+    folded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -399,7 +400,8 @@ def _table_html(block: Table) -> str:
     label = escape(block.caption or "table")
     start = f'<div class="wide" tabindex="0" role="region" aria-label="{label}"><table>'
     head = [start, *caption, f"<thead><tr>{heads}</tr></thead>", "<tbody>"]
-    return "\n".join([*head, *rows, "</tbody>", "</table></div>"])
+    made = "\n".join([*head, *rows, "</tbody>", "</table></div>"])
+    return f"<details><summary>{len(rows)} rows</summary>\n{made}\n</details>" if block.folded else made
 
 
 def dumps(answer: dict[str, Any]) -> str:
@@ -457,3 +459,19 @@ def _p_value(relation: str, value: float) -> str:
     if value < _SMALL or (relation == "<" and value <= _SMALL):
         return f"< {_SMALL}"
     return f"{relation} {value:.2g}"
+
+
+def optional_number(value: object) -> float | None:
+    """Return a number of a JSON document, None for null; otherwise see `finite`."""
+    return None if value is None else finite(value)
+
+
+def finite(value: object) -> float:
+    """Return a number of a JSON document.
+
+    Raises:
+        ValueError: it is no number, or not finite.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError
+    return float(value)

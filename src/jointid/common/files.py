@@ -1,4 +1,4 @@
-"""Atomic writing of files and folders.
+"""Atomic writing of files and folders, and opening of files that may be anything.
 
 Output is written beside its place and moved there when complete. A link is followed, permissions are kept, and a device
 or pipe such as `/dev/stdout` is written directly. A killed program leaves a folder `.jointid-...` behind.
@@ -14,6 +14,7 @@ import shutil
 import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import IO
 
 from jointid.common.errors import RecordError
 
@@ -105,6 +106,23 @@ def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> 
                 for name in files:
                     _settle(fresh / name, Path(os.path.realpath(place / name)))
     return tuple(folder / name for name in files)
+
+
+def open_file(path: str | os.PathLike[str]) -> IO[bytes]:
+    """Open a regular file for reading.
+
+    Raises:
+        OSError: it cannot be opened, or is a folder, a pipe or a device: these may never answer, or have no end.
+    """
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # a pipe waits for its writer
+    descriptor = os.open(path, flags)
+    kind = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(kind):
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    if stat.S_ISDIR(kind):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), os.fspath(path))
+    raise OSError(errno.EINVAL, "it is a pipe or a device, no file", os.fspath(path))
 
 
 def remove_rooms() -> None:

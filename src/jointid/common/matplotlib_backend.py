@@ -39,6 +39,7 @@ class Charted(ABC):
 
 def draw(chart: Chart) -> Figure:
     """Return a chart as a figure of matplotlib."""
+    import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -50,28 +51,29 @@ def draw(chart: Chart) -> Figure:
             self.savefig(buffer, format="png")
             return buffer.getvalue()
 
-    rows = [chart.panels[i : i + chart.columns] for i in range(0, len(chart.panels), chart.columns)]
-    heights = [max(panel.height for panel in row) for row in rows] or [_EMPTY]
-    square = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
-    width = _WIDTH if chart.columns > 1 or not square else 5.5
-    figure = ShownFigure(figsize=(width, sum(heights) / _INCH), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(len(heights), chart.columns, squeeze=False, height_ratios=heights)
-    if chart.title:
-        figure.suptitle(chart.title, fontsize=10).set_parse_math(False)
-    groups: dict[str, Axes] = {}
-    for i, axes in enumerate(grid.flat):
-        if i >= len(chart.panels):
-            axes.remove()
-            continue
-        panel = chart.panels[i]
-        if panel.group in groups:
-            axes.sharex(groups[panel.group])
-        elif panel.group:
-            groups[panel.group] = axes
-        _draw_panel(axes, panel)
-        if chart.columns > 2 and not panel.log_x:
-            axes.locator_params(axis="x", nbins=4)
+    with mpl.rc_context({"text.parse_math": False}):  # a name is no formula
+        rows = [chart.panels[i : i + chart.columns] for i in range(0, len(chart.panels), chart.columns)]
+        heights = [max(panel.height for panel in row) for row in rows] or [_EMPTY]
+        square = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
+        width = _WIDTH if chart.columns > 1 or not square else 5.5
+        figure = ShownFigure(figsize=(width, sum(heights) / _INCH), layout="constrained")
+        FigureCanvasAgg(figure)
+        grid = figure.subplots(len(heights), chart.columns, squeeze=False, height_ratios=heights)
+        if chart.title:
+            figure.suptitle(chart.title, fontsize=10)
+        groups: dict[str, Axes] = {}
+        for i, axes in enumerate(grid.flat):
+            if i >= len(chart.panels):
+                axes.remove()
+                continue
+            panel = chart.panels[i]
+            if panel.group in groups:
+                axes.sharex(groups[panel.group])
+            elif panel.group:
+                groups[panel.group] = axes
+            _draw_panel(axes, panel)
+            if chart.columns > 2 and not panel.log_x:
+                axes.locator_params(axis="x", nbins=4)
     return figure
 
 
@@ -110,7 +112,7 @@ def _lay_out(chart: Chart) -> Figure:
 def _draw_panel(axes: Axes, panel: Panel) -> None:
     axes.set_xlabel(panel.x_label, fontsize=9)
     axes.set_ylabel(panel.y_label, fontsize=9)
-    axes.set_title(panel.title, fontsize=9, loc="left").set_parse_math(False)  # a name is no formula
+    axes.set_title(panel.title, fontsize=9, loc="left")
     axes.tick_params(labelsize=8)
     axes.grid(color="0.92")
     axes.set_axisbelow(True)

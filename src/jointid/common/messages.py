@@ -64,6 +64,10 @@ class Suspicion(Detail):
         return made
 
 
+class Doubt(Suspicion):
+    """A suspicion that the declared drive is not that of the record."""
+
+
 class Pace(str):
     """A line on how far a piece of work is, beside the stage."""
 
@@ -88,18 +92,20 @@ class Suspicions:
 
     Args:
         progress: the listener that it passes lines to.
+        look: called after each `Doubt`.
 
     Attributes:
         latest: the reason that was told last; empty where none was.
     """
 
-    def __init__(self, progress: Progress) -> None:
-        self._progress, self._told, self.latest = progress, set[str](), ""
+    def __init__(self, progress: Progress, look: Callable[[], object] = tuple) -> None:
+        self._progress, self._look, self._told, self.latest = progress, look, set[str](), ""
         if isinstance(progress, BarListener):
             self.draw = progress.draw
 
     def __call__(self, message: str) -> None:
         """Pass on a line, without a reason that was said before."""
+        doubted = isinstance(message, Doubt)
         if isinstance(message, Suspicion):
             shape = _NUMBERS.sub("", message.why)
             if shape in self._told:
@@ -110,6 +116,8 @@ class Suspicions:
                 self._told.add(shape)
                 self.latest = message.why
         self._progress(message)
+        if doubted:
+            self._look()
 
 
 @runtime_checkable

@@ -40,6 +40,18 @@ def format_signed(value: float, digits: int = 5) -> str:
     return f"{'-' if value < 0 else '+'}{number(abs(value), digits)}"
 
 
+def format_position(value: float, unit: str) -> str:
+    """Format a small position, in m or rad, in mm or degrees.
+
+    Example:
+        >>> from jointid.common.text import format_position
+        >>> format_position(1.63e-6, "m"), format_position(0.01, "rad")
+        ('0.00163 mm', '0.573 deg')
+    """
+    factor, shown = (1e3, "mm") if unit == "m" else (180 / math.pi, "deg")
+    return f"{number(factor * value, 3)} {shown}"
+
+
 def round_to(value: float, digits: int = 3) -> float:
     """Round to significant digits."""
     return float(f"{value:.{digits - 1}e}")

@@ -261,12 +261,26 @@ class File(ABC, Generic[R]):
         Raises:
             JointidError: see `jointid.identify`.
         """
-        return self.identify([self.record(path) for path in paths], progress)
+        return self.identify([self.record(path) for path in paths or self.listed], progress)
 
     @property
     def runs(self) -> tuple[Run, ...]:
         """Records that the file lists: none, as those of a robot are named one by one."""
         return ()
+
+    @property
+    def listed(self) -> list[Path]:
+        """Paths of the records that the file lists."""
+        return [self.path.parent / run.file for run in self.runs]
+
+    @property
+    def only_lists(self) -> bool:
+        """Whether its records are those that it lists, to be identified together."""
+        return bool(self.runs) and self.source.first is None
+
+    def of_record(self, path: str | os.PathLike[str] | None) -> Self:
+        """Return this file as it is for one record: with the controller that it lists for that one."""
+        return self
 
     def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
         """Return the path of the record: that one, or the one this file names.
@@ -277,7 +291,7 @@ class File(ABC, Generic[R]):
         if path is not None:
             return path
         if self.source.first is None:
-            raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
+            raise RecordError(f"{self.path} names no record in [record]; add file to it, or name one by --record.")
         return self.path.parent / self.source.first
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
@@ -288,7 +302,8 @@ class File(ABC, Generic[R]):
     def write(self, record: R, path: str | os.PathLike[str]) -> None:
         """Write a record, on the joints' side of their transmissions, as this file reads it: `record` gives it back.
 
-        Of a robot, a channel without a column is written as JOINT.CHANNEL.
+        Of a robot, a channel without a column is written as JOINT.CHANNEL. Where the file gives the sample time, the
+        time is in a column "t", which reading passes over.
 
         Raises:
             RecordError: the file cannot be written, or would not be read back.
@@ -299,6 +314,10 @@ class File(ABC, Generic[R]):
             for name, values in axis.columns_to_write(one).items():
                 undeclared = name in one.channels and name not in axis.column_names
                 table[f"{axis.name}.{name}" if undeclared and len(self.axes) > 1 else name] = values
+        untimed = self.source.time is None and self.source.sample_time is not None
+        if untimed and not any(name == "t" or name.isdecimal() for name in table):
+            (_, first), *_ = each[0].items()
+            table = {"t": first.time, **table}  # for whoever looks at the file
         write_columns(table, path, **self.source.options)
 
     @abstractmethod
@@ -468,6 +487,11 @@ class JointFile(File[Record]):
         return self.joint.kind if gear is None else gear.motor
 
     @property
+    def _added_unit(self) -> str:
+        gear = self.joint.transmission
+        return "kg" if (self.joint.kind if gear is None else gear.load) == "prismatic" else "kg m2"
+
+    @property
     def _constant_unit(self) -> str:
         return f"{TORQUE_UNIT[self._motor]}/{'V' if self.drive.torque_constant is None else 'A'}"
 
@@ -518,9 +542,17 @@ class JointFile(File[Record]):
         """Return the signals that drive a simulation from a table; see `driving`."""
         seen = ("torque", "motor_position", "load_position")
         columns = {name: replace(c, optional=True) if name in seen else c for name, c in self._columns.items()}
+        added = [one for one in (f"{self.name}.injected", "injected") if one in table.columns]
+        if added and "injected" not in columns and self.drive.traces is None:  # a designed test has it
+            columns["injected"] = self.column_like("torque", added[0])
         record = self._reader(columns, table).build_record(table, name)
         record.require(("reference",), "a simulation")
         return record
+
+    def column_like(self, channel: str, name: str) -> Column:
+        """Return the column of a signal that is not declared, in the unit and on the side of a channel."""
+        like = self.columns.get(channel, Column())
+        return replace(like, column=name, optional=False, timing=None, tap=None, sample_time=None, update_time=None)
 
     def _reader(self, columns: Mapping[str, Column], table: Table) -> RecordReader:
         law = self.controller if isinstance(self.controller, PD) else None
@@ -591,11 +623,6 @@ class JointFile(File[Record]):
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.
         """
-        if self.computes_torque:
-            raise RecordError(
-                "A torque that is computed from the controller needs the whole record; leave --window out, or give the "
-                "torque."
-            )
         if self.source.files and path is None:
             raise RecordError(
                 "A record in several files is not read in chunks; join them to one file, or leave --window out."
@@ -653,20 +680,44 @@ class JointFile(File[Record]):
         factor = 1.0 if gear is None else gear.torque("load") ** 2
         return tuple(factor * run.added_inertia for run in self.runs)
 
+    def _listed_as(self, path: str | os.PathLike[str] | None) -> Run | None:
+        """Return the listed record of a path."""
+        at = None if path is None else resolve_place(Path(path))
+        return next((run for run, one in zip(self.runs, self.listed, strict=True) if resolve_place(one) == at), None)
+
+    def of_record(self, path: str | os.PathLike[str] | None) -> Self:
+        """Return this file as it is for one record: with the controller that it lists for that one."""
+        run = self._listed_as(path)
+        if run is None or self.controller is None:
+            return self
+        return replace(self, controller=with_numbers(self.controller, run.controller))
+
+    def record(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> Record:
+        """Read the record; of a listed one it says what was added to its load. See `File.record`."""
+        found, run = File.record(self, path, judged=judged), self._listed_as(path)
+        if run is None or not run.added_inertia:
+            return found
+        said = f"{run.added_inertia:g} {self._added_unit} were added to the load (records.added_inertia): the inertia "
+        return replace(found, remarks=(*found.remarks, f"{said}that this record alone determines includes them"))
+
     def each(self, paths: Sequence[Path] = ()) -> tuple[JointFile, ...]:
         """Return a copy of this file for each record that is identified together.
 
         Args:
-            paths: of the records, instead of those the file lists, in their order.
+            paths: of the records, instead of those the file lists: some of these, or as many in their order.
 
         Raises:
-            JointFileError: the paths are not as many as the records that are listed.
+            JointFileError: the paths are neither listed nor as many as the records that are.
         """
-        if paths and self.runs and len(paths) != len(self.runs):
+        found = [self._listed_as(path) for path in paths]
+        known = [run for run in found if run is not None]
+        if paths and self.runs and len(paths) not in (len(known), len(self.runs)):
             raise JointFileError(
-                f"{self.path} lists {len(self.runs)} records and {len(paths)} are named; name as many, in their order."
+                f"{self.path} lists {len(self.runs)} records and {len(paths)} are named; name as many, in their order, "
+                "or some of these."
             )
-        runs = self.runs or tuple(Run(str(path)) for path in paths)
+        runs = tuple(known) if paths and len(known) == len(paths) else self.runs
+        runs = runs or tuple(Run(str(path)) for path in paths)
         files = [str(path.absolute()) for path in paths] or [run.file for run in runs]
         return tuple(
             replace(
@@ -722,6 +773,11 @@ class JointFile(File[Record]):
             "limits": serialise.settings(self.limits),
         }
         return serialise.restore_units({name: table for name, table in tables.items() if table}, self.stated)
+
+
+def resolve_place(path: Path) -> Path:
+    """Return the one path of a file by which it is known, whatever folders lead to it."""
+    return path.parent.resolve() / path.name
 
 
 def _size_faults(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:

@@ -16,7 +16,7 @@ import tomli_w
 
 from jointid.common import messages
 from jointid.common.errors import JointFileError, MethodError, RecordError
-from jointid.common.files import write_whole
+from jointid.common.files import open_file, write_whole
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.settings import settings_of
 from jointid.common.text import number
@@ -132,15 +132,13 @@ def _robot_error(path: Path, what: str) -> MethodError:
 def read_text(path: Path) -> str:
     """Return the text of a joint file, or of another file of the user's in TOML.
 
-    No more of it is read than a joint file has, as a device may have no end.
-
     Raises:
         JointFileError: it cannot be read, is too long, or is no text.
     """
     if "\0" in str(path):
         raise JointFileError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             raw = file.read(_LARGEST + 1)
         if len(raw) > _LARGEST:
             size = max(path.stat().st_size, len(raw))

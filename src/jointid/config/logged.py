@@ -13,6 +13,14 @@ from jointid.records.inspection import InspectedChannel, Inspection
 from jointid.records.recognition import LoggedAxis, Recognised
 
 _MODEL = "robot.urdf"
+_PLACES = (("", ""), (", below each [[joints]]", "joints."))
+_ASKED = """
+# The controller's numbers are not in the log: remove the marks, and give law, gains and units of the drive{0}.
+# [{1}controller]
+# law = "{2}"
+# position_gain = "? N m/rad"
+# derivative_gain = "? N m s/rad"
+"""
 
 
 def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
@@ -58,7 +66,9 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
         said.append(f"# {_MODEL} is the robot's model; its joints are named here in the log's order: correct both.")
         joints = [{"name": one.name, **_controller(log, one, columns)} for one in every]
         tables = {"robot": {"model": _MODEL}, "record": record, "drive": drive, "joints": joints}
-    return "\n".join(said) + "\n\n" + tomli_w.dumps(tables)
+    text = "\n".join(said) + "\n\n" + tomli_w.dumps(tables)
+    known = all("controller" in table for table in (tables.get("joints") or [tables]))
+    return text if known else text + _ASKED.format(*_PLACES[chosen is None], log.profile.law or "pd")
 
 
 def _moves(channel: InspectedChannel) -> bool:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -26,7 +27,7 @@ from jointid.common.settings import settings_of
 from jointid.common.text import join
 from jointid.common.units import Kind
 from jointid.config.consistency import foreign_settings
-from jointid.config.contents import FeedForward, File, JointFile, name_axes
+from jointid.config.contents import FeedForward, File, JointFile, name_axes, resolve_place
 from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.schema import (
     ControllerTable,
@@ -40,14 +41,16 @@ from jointid.config.schema import (
     RippleTable,
     TransmissionTable,
 )
-from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Run
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.robots.numbers import name_in_robot
 from jointid.models.joints import FlexibleJoint
 from jointid.models.limits import AxisLimits
+from jointid.models.robots.inertial import MassProperties, is_physical
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
+from jointid.records import formats
 from jointid.records.record import Record
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
@@ -55,7 +58,8 @@ from jointid.simulation.robots import RobotLoop
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
 
-Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
+Vector = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
+Inertia = Annotated[list[Number], Field(min_length=6, max_length=6), Says("a list of six numbers")]
 
 
 def _at_zero(value: object) -> object:
@@ -71,7 +75,7 @@ class RobotTable(Table):
 
     model: Text = Field(description="path of its URDF or MJCF file, from the robot file's folder")
     name: Text | None = Field(None, description="what reports call the robot; without it as the model does")
-    base: Angles = Field(
+    base: Vector = Field(
         default_factory=lambda: [0.0, 0.0, 0.0],
         description="roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
     )
@@ -156,11 +160,47 @@ class RobotJointTable(JointTable):
         return JointTable.model_construct(**said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields})
 
 
+class RobotRunTable(Table):
+    """[[records]]: one of several logs that are identified together, and what the last link carries in it."""
+
+    file: Text = Field(description="path of the record, from the robot file's folder")
+    payload_mass: Positive | None = Field(
+        None, description="of what the last link carries in this record beside the robot's model [kg]"
+    )
+    payload_center: Vector = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0], description="its centre of mass in the frame of the last link [m]"
+    )
+    payload_inertia: Inertia = Field(
+        default_factory=lambda: 6 * [0.0],
+        description="its inertia xx, xy, xz, yy, yz, zz about that centre, along the axes of the last link [kg m2]",
+    )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield the fault of a payload without a mass, or that no body can have."""
+        if self.payload_mass is None and (any(self.payload_center) or any(self.payload_inertia)):
+            yield "payload_mass", self.lacks("payload_mass")
+        elif self.payload and not is_physical(np.array(self.payload)):
+            said = f" is {self.payload_inertia}, which no body has; expected principal moments that are not negative, "
+            yield "payload_inertia", f"{said}none above the sum of the others: correct it."
+
+    @property
+    def payload(self) -> tuple[float, ...]:
+        """The ten inertial parameters of `Record.payload`."""
+        if self.payload_mass is None:
+            return ()
+        inertia = np.zeros((3, 3))
+        inertia[np.triu_indices(3)] = self.payload_inertia
+        whole = inertia + inertia.T - np.diag(np.diag(inertia))
+        body = MassProperties(float(self.payload_mass), np.array(self.payload_center), whole)
+        return tuple(map(float, body.inertial))
+
+
 class RobotFileTable(Table):
     """A robot file."""
 
     robot: RobotTable = Field(description="the robot's model")
     record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
+    records: list[RobotRunTable] = Field(default_factory=list, description="logs that are identified together")
     drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
     filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
     method: MethodTable = Field(default_factory=MethodTable, description="how the robot is identified")
@@ -236,6 +276,8 @@ class RobotFile(File[tuple[Record, ...]]):
         model: the robot, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
         in_motion: whether the records begin while the robot moves.
+        runs: logs that are identified together.
+        payloads: `Record.payload` of those that have one, by their paths.
         unmodelled: sentences on what the joints have and the model of a robot has not, which every verb refuses.
         raw: its tables.
     """
@@ -243,6 +285,8 @@ class RobotFile(File[tuple[Record, ...]]):
     model: Robot
     joints: tuple[JointFile, ...]
     in_motion: bool
+    runs: tuple[Run, ...]
+    payloads: Mapping[Path, tuple[float, ...]]
     unmodelled: tuple[str, ...]
     raw: Mapping[str, Any] = field(repr=False)
 
@@ -288,6 +332,8 @@ class RobotFile(File[tuple[Record, ...]]):
             feed_forward=said.robot.feed_forward,
             name=said.robot.name,
             in_motion=said.robot.in_motion,
+            runs=tuple(Run(one.file) for one in said.records),
+            payloads=_payloads(said.records, path.parent),
             unmodelled=tuple(unmodelled),
             path=path,
             raw=tables,
@@ -301,9 +347,27 @@ class RobotFile(File[tuple[Record, ...]]):
     def _of_axes(self, records: tuple[Record, ...]) -> tuple[Record, ...]:
         return records
 
+    @property
+    def model_path(self) -> Path:
+        """The file of the model."""
+        return Path(self.path.parent / self.raw["robot"]["model"])
+
+    @property
+    def locked(self) -> dict[str, float]:
+        """By name the positions of the model's joints that stand still, rad or m."""
+        return read_robot_tables(self.raw).robot.locked
+
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
         """Return the files that are read: the model, and the record that the file names or that takes its place."""
-        return (self.path.parent / self.raw["robot"]["model"], *self.joints[0].inputs(record))
+        return (self.model_path, *File.inputs(self, record))
+
+    def _cut(
+        self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, formats.Table, str], Record]
+    ) -> tuple[Record, ...]:
+        """Return the records, the last joint's with the listed payload."""
+        *found, last = File._cut(self, path, cut)
+        payload = self.payloads.get(resolve_place(Path(self.record_path(path))), ())
+        return (*found, replace(last, payload=payload))
 
     @property
     def robot(self) -> Robot:
@@ -399,6 +463,16 @@ def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
     if faults:
         raise JointFileError(faults)
     return said
+
+
+def _payloads(runs: Sequence[RobotRunTable], folder: Path) -> dict[Path, tuple[float, ...]]:
+    """Return payloads by the paths of their records."""
+    found = dict[Path, tuple[float, ...]]()
+    for number, run in enumerate(runs):
+        if found.setdefault(resolve_place(folder / run.file), run.payload) != run.payload:
+            rest = f' is "{run.file}", listed before with another payload; expected one: leave one of both out.'
+            raise JointFileError(fault_at(("records", number, "file"), rest))
+    return {path: payload for path, payload in found.items() if payload}
 
 
 def _robot(said: RobotFileTable, folder: Path) -> Robot:

@@ -2,15 +2,18 @@
 
 The file is not trusted. Of its elements and attributes only those that say where joints and masses are reach the
 parser (`_URDF`, `_MJCF`): no shape that is drawn, no mesh, no other file, no plugin. So a model is read without the
-meshes beside it. Links that do not move against each other are one.
+meshes beside it. Elements are counted, and compiled in the process that reads untrusted files. Links that do not move
+against each other are one.
 """
 
 from __future__ import annotations
 
+import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -22,15 +25,18 @@ from scipy.spatial.transform import Rotation
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointFileError, MethodError, extra
+from jointid.common.errors import JointFileError, MethodError, RecordError, extra
+from jointid.common.files import open_file
 from jointid.common.text import short
 from jointid.common.units import Kind
 from jointid.models.robots.inertial import MassProperties, change_frame
 from jointid.models.robots.robot import Link, Robot, RobotJoint
+from jointid.records.formats.reader_process import call_apart
 
 _LARGEST = 2**23  # bytes
 _DEEPEST = 300  # elements in each other: the parser calls itself for each
 _MOST = 100  # joints
+_MOST_PARTS = 2000  # elements of a kind: MuJoCo's time grows with the square of their number
 _MOST_LINKS = 100  # without a mass, in one body
 _NOTHING = 1e-13  # kg and kg m2: a link without a mass is given it, as MuJoCo moves none without, and then freed of it
 _OF_MOTOR = 1e-8  # kg and kg m2: the body of a motor that `output.export` writes has less
@@ -126,18 +132,55 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
         ExtraError: MuJoCo is not installed.
     """
     path = Path(path)
+    raw, function = read_model(path), f"{__name__}:{describe_robot.__name__}"
     try:
-        with path.open("rb") as file:
+        text = raw.decode("utf-8-sig")
+        said = call_apart(
+            path, "a robot", "correct or simplify it", function, text=text, called=path.name, locked=dict(locked)
+        )
+    except UnicodeDecodeError as error:
+        raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
+    except (RecordError, MemoryError) as error:
+        reason = str(error) or "it takes too much memory; simplify it."
+        raise JointFileError(f"MuJoCo does not compile {path}: {reason}") from error
+    arrays = ("axis", "rotation", "origin", "inertial")
+    links = [
+        Link(**one | {key: np.array(one[key]) for key in arrays} | {"limits": one["limits"] and tuple(one["limits"])})
+        for one in said["links"]
+    ]
+    joints = [RobotJoint(*numbers) for numbers in said["joints"]]
+    return Robot(tuple(links), tuple(joints), np.array(said["gravity"]), said["name"], tuple(said["remarks"]))
+
+
+def describe_robot(text: str, called: str, locked: Mapping[str, float]) -> dict[str, Any]:
+    """Return the robot of `read_robot` in types of JSON."""
+    robot = read_robot(text, called, locked)
+    links = [{one.name: getattr(link, one.name) for one in fields(link)} for link in robot.links]
+    return {
+        "links": [{key: getattr(value, "tolist", lambda v=value: v)() for key, value in one.items()} for one in links],
+        "joints": [(one.name, one.rotor_inertia, one.viscous, one.coulomb) for one in robot.joints],
+        "gravity": robot.gravity.tolist(),
+        "name": robot.name,
+        "remarks": robot.remarks,
+    }
+
+
+def read_model(path: str | os.PathLike[str]) -> bytes:
+    """Return the bytes of a model's file.
+
+    Raises:
+        JointFileError: it cannot be opened, or is larger than a model is.
+    """
+    path = Path(path)
+    try:
+        with open_file(path) as file:
             raw = file.read(_LARGEST + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise JointFileError(f"{path} cannot be opened ({reason}); check the path.") from error
     if len(raw) > _LARGEST:
         raise JointFileError(f"{path} has more than {_LARGEST} bytes; expected a URDF or MJCF file: is it a mesh?")
-    try:
-        return read_robot(raw.decode("utf-8-sig"), path.name, locked)
-    except UnicodeDecodeError as error:
-        raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
+    return raw
 
 
 def read_robot(
@@ -154,10 +197,12 @@ def read_robot(
     if root.tag not in ("robot", "mujoco"):
         raise JointFileError(f"{called} holds <{root.tag}>; expected <robot>, URDF, or <mujoco>, MJCF: check the file.")
     kept = _URDF if root.tag == "robot" else _MJCF
+    _state_meshes(root)
     _refuse_elements(root, called)
     springs = tuple(_join_motors(root))
     order = [one.get("name", "") for one in root.iter("joint")]
     stripped = _filter_tree(root, kept)
+    _require_few(root, stripped, called)
     for one in stripped.iter():
         for name, value in one.items():
             if name not in _WORDS and _NO_NUMBER.search(value):
@@ -190,6 +235,79 @@ def read_robot(
         raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], robot.names)}")
     ordered = reorder_joints(lock_joints(robot, still), order)
     return replace(ordered, remarks=tuple(f"{called}: {one}" for one in remarks))
+
+
+def carried_bodies(
+    text: str, called: str, moving: Sequence[str], locked: Mapping[str, float] = MappingProxyType({})
+) -> dict[str, dict[str, tuple[FloatArray, FloatArray]]]:
+    """Return the bodies of the links that each moving joint of a URDF carries rigidly.
+
+    Args:
+        text: XML of the URDF.
+        called: what sentences call it.
+        moving: names of the joints that move; all others are fixed, or stand still.
+        locked: as of `load_robot`.
+
+    Returns:
+        By the names of joint and link the pose of the link in the frame of the joint's own link, (4, 4), and its ten
+        inertial parameters in its own frame, (10,).
+    """
+    whole = _parse(text, called)
+    root = _filter_tree(whole, _URDF)
+    still = _follow_ties(whole, locked, {}, called)
+    [*_drop_repeats(root), *_forget_impossible(root)]  # their remarks were made when the robot was read
+    links = {link.get("name"): link.find("inertial") for link in root.findall("link")}
+    joints = root.findall("joint")
+
+    def enter(link: str, pose: FloatArray) -> Iterator[tuple[str, tuple[FloatArray, FloatArray]]]:
+        if (inertial := links.get(link)) is not None:
+            yield link, (pose, _body_of_urdf(inertial))
+        for joint in joints:
+            if _named(joint, "parent") == link and joint.get("name") not in moving:
+                moved = _pose_of_urdf(joint)
+                if (at := still.get(str(joint.get("name")))) is not None:
+                    axis = _vector(joint.find("axis"), "xyz", "1 0 0")
+                    axis /= np.linalg.norm(axis)
+                    slides = joint.get("type") == "prismatic"
+                    moved = moved @ (_pose(np.eye(3), at * axis) if slides else _pose(_turn(at * axis), np.zeros(3)))
+                yield from enter(_named(joint, "child"), pose @ moved)
+
+    pairs = ((joint.get("name", ""), _named(joint, "child")) for joint in joints)
+    return {name: dict(enter(child, np.eye(4))) for name, child in pairs if name in moving}
+
+
+def _named(joint: ET.Element, end: str) -> str:
+    """Return the name of the link at an end of a joint of a URDF."""
+    found = joint.find(end)
+    return "" if found is None else found.get("link", "")
+
+
+def _vector(element: ET.Element | None, key: str, usual: str = "0 0 0") -> FloatArray:
+    return np.array([float(one) for one in (usual if element is None else element.get(key, usual)).split()])
+
+
+def _turn(vector: FloatArray) -> FloatArray:
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+
+
+def _pose(rotation: FloatArray, origin: FloatArray) -> FloatArray:
+    """Return a pose as a matrix, (4, 4)."""
+    return np.block([[rotation, origin[:, np.newaxis]], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+
+def _pose_of_urdf(element: ET.Element) -> FloatArray:
+    """Return the pose that the <origin> of an element says, (4, 4)."""
+    origin = element.find("origin")
+    return _pose(Rotation.from_euler("xyz", _vector(origin, "rpy")).as_matrix(), _vector(origin, "xyz"))
+
+
+def _body_of_urdf(inertial: ET.Element) -> FloatArray:
+    """Return the ten inertial parameters that an <inertial> says, (10,)."""
+    pose, mass, moments = _pose_of_urdf(inertial), inertial.find("mass"), inertial.find("inertia")
+    assert mass is not None and moments is not None
+    xx, xy, xz, yy, yz, zz = (float(moments.get(k, 0.0)) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    about = pose[:3, :3] @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ pose[:3, :3].T
+    return MassProperties(float(mass.get("value", 0.0)), pose[:3, 3], about).inertial
 
 
 def _join_motors(root: ET.Element) -> Iterator[str]:
@@ -411,10 +529,55 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
             faults.append(
                 f"{called}: the mass of {name} follows from a mesh, which is not read; add <inertial> to it{more}."
             )
-    if len(list(root.iter("joint"))) > 10 * _MOST:
-        faults.append(f"{called} has more than {10 * _MOST} joints; expected a robot of at most {_MOST}.")
     if faults:
         raise JointFileError(dict.fromkeys(faults))
+
+
+def _require_few(root: ET.Element, stripped: ET.Element, called: str) -> None:
+    """Refuse a model of too many elements, ties or equal names of joints, before MuJoCo compiles it."""
+    counts = Counter(one.tag for one in stripped.iter())
+    ties = ("equality", "tendon", "mimic")
+    counts["> or <".join(ties)] = sum(max(len(one), 1) for tag in ties for one in root.iter(tag))
+    names = Counter(one.get("name") for one in stripped.iter("joint") if one.get("name"))
+    faults = [
+        f"{called} has {count} elements <{tag}> (at most {_MOST_PARTS}); expected a robot of at most {_MOST} joints: "
+        "leave out what is not part of it."
+        for tag, count in counts.items()
+        if count > _MOST_PARTS
+    ]
+    twice = [str(name) for name, count in names.items() if count > 1]
+    if twice:
+        faults.append(f"{called} has several joints called {', '.join(twice[:5])}; give each a name of its own.")
+    if faults:
+        raise JointFileError(faults)
+
+
+def _state_meshes(root: ET.Element) -> None:
+    """Write the type `mesh` of default classes into each shape."""
+    classes = dict[str, bool]()
+
+    def read(default: ET.Element, inherited: bool) -> None:
+        own = [one for one in default.findall("geom") if "type" in one.attrib or _is_mesh(one)]
+        name = default.get("class", "main")
+        inherited = classes[name] = any(map(_is_mesh, own)) if own else classes.get(name, inherited)
+        for one in own:
+            for key in ("type", *_SHAPES) if _is_mesh(one) else ():
+                one.attrib.pop(key, None)
+        for inner in default.findall("default"):
+            read(inner, inherited)
+
+    def enter(body: ET.Element, usual: str) -> None:
+        usual = body.get("childclass", usual)
+        for one in body:
+            if one.tag == "geom" and "type" not in one.attrib and classes.get(one.get("class", usual)):
+                one.set("type", _SHAPES[0])
+            elif one.tag in ("body", "frame"):
+                enter(one, usual)
+
+    for default in root.findall("default"):
+        read(default, False)
+    for world in root.findall("worldbody") if any(classes.values()) else ():
+        enter(world, next(iter(classes)))
 
 
 def _geoms(body: ET.Element) -> Iterator[ET.Element]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parallel import one_thread
 from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, covariance, order_rates
 from jointid.controller_id.learned_controller import Alternative, LearnedController, LearnedNumber
@@ -29,6 +30,7 @@ _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
 _LEFT, _LASTING = 0.05, 10  # of the torque, averaged over so many samples: noise leaves less, a wrong law more
 
 
+@one_thread()
 def learn_controller(
     record: Record,
     *,
@@ -110,7 +112,7 @@ def _check_residual(task: Task, best: FittedLaw, most: float) -> None:
 
 def _require_significant(task: Task, best: FittedLaw, known: Covariance) -> None:
     open_ones = [
-        f"{name} {value:.3g} +- {2 * std:.2g}"
+        f"{name} {value:.3g} ± {2 * std:.2g}"
         for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
         if name.rpartition(".")[2] in _GAINS and not 2 * std < value
     ]

@@ -215,7 +215,7 @@ class LearnedController(Documented):
         elsewhere = (LimitationCode.INDISTINGUISHABLE, LimitationCode.ANOTHER_LAW)
         left_open = [one for one in self.limitations if one.code not in elsewhere]
         gain, rows = getattr(self.controller, "gain", 1.0), []
-        explanation = "+- is 2 deviations"
+        explanation = "± is 2 deviations"
         if self.alike:
             others = pluralise(len(self.alike), "other law")
             explanation += f"; it spans {others} that the record does not distinguish from this one"
@@ -230,7 +230,7 @@ class LearnedController(Documented):
                 (("record", self.record), *(([("nearest", str(self.structure))]) if self.another_law else []), *facts)
             ),
             *([drive_table(self.in_drive)] if self.in_drive else []),
-            Table(("parameter in SI", "value", "+-", "unit", "%"), tuple(rows), words=(0, 3)),
+            Table(("parameter in SI", "value", "±", "unit", "%"), tuple(rows), words=(0, 3)),
             Paragraph(explanation),
             Paragraph(residual),
             *self._others(),
@@ -301,7 +301,7 @@ def numbers_in_drive(
 def drive_table(numbers: tuple[NumberInDrive, ...]) -> Table:
     """Table of the drive's numbers beside the declared ones."""
     compared = any(one.declared is not None for one in numbers)
-    header = ("in the drive", "learned", "+-", "unit", *(("declared", "differs by") if compared else ()))
+    header = ("in the drive", "learned", "±", "unit", *(("declared", "differs by") if compared else ()))
     rows = []
     for one in numbers:
         beside: tuple[str, ...] = ()

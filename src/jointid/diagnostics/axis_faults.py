@@ -9,7 +9,7 @@ of a joint's loop (`fault_tests`). The most significant fault is taken, and the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -18,12 +18,14 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.diagnostics.axis_torques import AxisTorques
+from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
 from jointid.diagnostics.fault_tests import score_signatures
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import LOG_GAIN
+from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.faults.record import SWAPPED_CHANNELS, TORQUE_SIGN
+from jointid.diagnostics.faults.springs import COMPLIANCE
 from jointid.uncertainty.position_dependent_error import cells
 from jointid.uncertainty.residual_tests import Coupling, coupling
 from jointid.uncertainty.verdict import POOR_FIT
@@ -60,8 +62,10 @@ class _Shape:
 
 def find_axis_faults(
     torques: AxisTorques, units: Sequence[tuple[str, str]], level: float, laws: Sequence[tuple[str, ...]]
-) -> tuple[tuple[AxisFaults, ...], tuple[Follows, ...]]:
-    """Return the faults of each axis, and what its residual correlates with most.
+) -> tuple[tuple[AxisFaults, ...], tuple[Follows, ...], float]:
+    """Return the faults of each axis, what its residual correlates with most, and what the faults explain.
+
+    The last is the share of the squares of a residual that they explain, summed up over the axes.
 
     Args:
         torques: of all axes, with the columns of their free parameters.
@@ -87,21 +91,15 @@ def find_axis_faults(
         return found
 
     own = _drop_idle(stack(torques.own))
-    shapes = [
-        _Shape(k, one.fault, one.shape, place(k, one.column))
-        for k, all_of in enumerate(torques.shapes)
-        for one in all_of
-    ]
-    shapes += [_Shape(k, LOG_GAIN, None, place(k, torques.predicted[k])) for k in range(n) if n > 1]
-    shapes = [one for one in shapes if np.any(one.column)]
+    simple, shapes = _list_shapes(torques, place, stack)
     found: list[list[Finding]] = [[] for _ in range(n)]
     first: list[tuple[int, FaultTest]] = []
-    where = np.concatenate([3.0 * k + _scale(torques.position[k][seen[k]]) for k in range(n)])
-    speed = np.concatenate([_scale(torques.velocity[k][seen[k]]) for k in range(n)])
+    where, speed = places_of(torques)
     residual, open_ones = stack(torques.error), shapes
     basis = _basis_of(own)
+    before = residual - basis @ (basis.T @ residual)
     follows = tuple(
-        _strongest_coupling(residual, basis, [o for o in shapes if o.axis == k and o.fault != LOG_GAIN], rows[k])
+        _strongest_coupling(residual, basis, [o for o in simple if o.axis == k and o.fault != LOG_GAIN], rows[k])
         for k in range(n)
     )
     if torques.friction is not None and (swapped := _find_swap(torques)):
@@ -122,17 +120,23 @@ def find_axis_faults(
     while np.any(residual) and _has_enough_rows(residual, own, open_ones):
         keys = {one.key: (one.axis, one.fault) for one in open_ones}
         signatures = [FaultSignature(one.key, one.column, one.shape) for one in open_ones]
-        tested = score_signatures(residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed))
+        tested = score_signatures(
+            residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed), blocks=rows
+        )
         tests = [_of_axis(one, keys) for one in tested]
         first = [*first, *tests] if len(first) < n else first
         rest = residual - basis @ (basis.T @ residual)
-        likely = ((_shape_of(one, k, open_ones), one) for k, one in tests if one.p_value <= level)
+        likely = (
+            (_shape_of(one, k, open_ones), one)
+            for k, one in tests
+            if one.p_value <= level and one.fault not in OTHER_LAWS  # these are searched for (`axis_laws`)
+        )
         best = next(
             (
                 (shape, one)
                 for shape, one in likely
                 if len(found[shape.axis]) < _MOST
-                and _gain_of(shape.column, basis, rest) > _MUCH * float(rest[rows[shape.axis]] @ rest[rows[shape.axis]])
+                and _gain_of(shape.column, basis, rest) > _MUCH * _squares(rest[rows[shape.axis]])
             ),
             None,
         )
@@ -144,6 +148,7 @@ def find_axis_faults(
         basis = _basis_of(own)
         kin = {test.name, test.fault.kin} - {""}
         open_ones = [o for o in open_ones if o.axis != axis or not kin & {o.fault.name, o.fault.kin}]
+    explained = _explained(before, residual - basis @ (basis.T @ residual), rows)
     faults = tuple(
         AxisFaults(
             tuple(found[k]), tuple(one for at, one in first if at == k), level, {},
@@ -152,7 +157,42 @@ def find_axis_faults(
         )
         for k in range(n)
     )  # fmt: skip
-    return faults, follows
+    return faults, follows, explained
+
+
+def _explained(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> float:
+    """Return by how much the squares of each axis' residual fell, as a sum of their shares, none below 0."""
+    squares = [[_squares(each[one]) for one in rows] for each in (before, after)]
+    return float(sum(max(1.0 - end / begin, 0.0) for begin, end in zip(*squares, strict=True) if begin > 0.0))
+
+
+def _list_shapes(
+    torques: AxisTorques, place: Callable[[int, FloatArray], FloatArray], stack: Callable[[FloatArray], FloatArray]
+) -> tuple[list[_Shape], list[_Shape]]:
+    """Return the faults of each axis along its own torque alone, and those to be tested.
+
+    A spring is tested by what it makes of all torques, where that is known: rigid axes behind it follow it, too.
+    """
+    n = len(torques.names)
+    shapes = [
+        _Shape(k, one.fault, one.shape, place(k, one.column))
+        for k, all_of in enumerate(torques.shapes)
+        for one in all_of
+    ]
+    shapes += [_Shape(k, LOG_GAIN, None, place(k, torques.predicted[k])) for k in range(n) if n > 1]
+    shapes = [one for one in shapes if np.any(one.column)]
+    if torques.springs is None:
+        return shapes, shapes
+    bends = [
+        _Shape(k, COMPLIANCE, share, stack(column))
+        for k, columns in enumerate(torques.springs)
+        for share, column in zip(ROTORS, columns, strict=True)
+    ]
+    return shapes, [*(one for one in shapes if one.fault != COMPLIANCE), *(one for one in bends if np.any(one.column))]
+
+
+def _squares(values: FloatArray) -> float:
+    return float(values @ values)
 
 
 def _has_enough_rows(residual: FloatArray, own: FloatArray, shapes: Sequence[_Shape]) -> bool:
@@ -293,6 +333,14 @@ def _gain_of(column: FloatArray, basis: FloatArray, rest: FloatArray) -> float:
 
 def _shape_of(test: FaultTest, axis: int, shapes: Sequence[_Shape]) -> _Shape:
     return next(one for one in shapes if (one.axis, one.fault, one.shape) == (axis, test.fault, test.shape))
+
+
+def places_of(torques: AxisTorques) -> tuple[FloatArray, FloatArray]:
+    """Return position and velocity in the rows of all axes that are seen, (rows,), for their cells."""
+    places = zip(torques.position, torques.velocity, torques.seen, strict=True)
+    scaled = [(3.0 * k + _scale(q[seen]), _scale(v[seen])) for k, (q, v, seen) in enumerate(places)]
+    where, speed = zip(*scaled, strict=True)
+    return np.concatenate(where), np.concatenate(speed)
 
 
 def _drop_idle(columns: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from enum import StrEnum
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import KNOWN
 
-_ROUGHLY = 1.0  # relative deviation
+_ROUGHLY = 0.5  # relative deviation, from which the interval of two holds 0
 
 
 class Told(StrEnum):

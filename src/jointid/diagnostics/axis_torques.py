@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +19,26 @@ from jointid.common.arrays import FloatArray
 from jointid.diagnostics.faults.fault import AxisMotion, FaultSignature
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem
 from jointid.estimation.robots.idim import InverseModelRobot
-from jointid.estimation.robots.problem import RobotLoopProblem
-from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.estimation.robots.simulated import SimulatedRobot, problem_of
-from jointid.estimation.unknown_timing import read_as
+from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
+from jointid.estimation.robots.regression import RobotMotion, base_rows, motion_of_robot
+from jointid.estimation.robots.simulated import SimulatedRobot, solve_again
+from jointid.estimation.unknown_timing import read_as_identified
+from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.friction_terms import Friction, friction_terms
+from jointid.models.robots.inertial import SYMBOLS
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.records.signals.position_noise import find_noise_limit
-from jointid.simulation.robots import simulation_of
+from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
+from jointid.simulation.robots import RobotRun, simulation_of
+
+_TURN = 1e-4  # rad or m: step of a derivative
+ROTORS = (0.0, 0.25, 0.5, 0.75)
+"""Shares of a joint's own inertia that its rotor may have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +57,8 @@ class AxisTorques:
         friction: (n, rows) torque of the motors' friction without offsets, where the predicted torque is a sum of these
             columns; else None.
         shapes: what each fault adds to the torque of each axis along its motion, (rows,) each.
+        springs: (n, shares, n, rows) what a spring in each joint adds to all torques, per unit of its compliance, for
+            each share of `ROTORS`, where the predicted torque is a sum of columns; else None.
     """
 
     names: tuple[str, ...]
@@ -63,6 +74,7 @@ class AxisTorques:
     own: FloatArray
     friction: FloatArray | None
     shapes: tuple[tuple[FaultSignature, ...], ...]
+    springs: FloatArray | None = None
 
     @property
     def error(self) -> FloatArray:
@@ -88,21 +100,25 @@ def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
     )  # fmt: skip
 
 
-def torques_of_robot(estimate: EstimateParts, records: Sequence[Record]) -> AxisTorques:
+def torques_of_robot(
+    estimate: EstimateParts, records: Sequence[Record], part: IdentifiedRobot | None = None
+) -> AxisTorques:
     """Return the torques of the record that a robot's estimate is from, beside its own.
 
     Args:
         estimate: of the robot, by any method.
         records: of each joint, that it was identified from.
+        part: in the place of its own.
 
     Raises:
         RecordError, MethodError: as of the identification.
     """
-    part, filtering = estimate.require_robot(), estimate.settings.filtering
+    part, filtering = part or estimate.require_robot(), estimate.settings.filtering
     if isinstance(part, InverseModelRobot):
-        return _by_inverse_model(part, filtering, read_as(records, estimate.settings.timing))
+        return _by_inverse_model(part, filtering, read_as_identified(records, estimate.settings))
     assert isinstance(part, SimulatedRobot)
-    return _by_simulation(part, filtering, records)
+    solved = estimate.solved if isinstance(estimate, FitResult) else None
+    return _by_simulation(part, solved or solve_again(part, records, filtering))
 
 
 def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
@@ -121,29 +137,59 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
     measured = rows.by_equation(rows.Y)
     own = [0.0 if term.number is Friction.OFFSET else 1.0 for term in friction_terms(robot)]
     friction = rows.by_equation(rows.W[:, len(part.base) :] @ (own * part.values[len(part.base) :]))
-    return _torques(
+    found = _torques(
         robot.names, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values), nominal),
         seen, path, (q, v, a), motion.torque, thin,
         rows.W.reshape(len(robot), -1, rows.W.shape[1]), friction=friction, raw=motion.raw,
     )  # fmt: skip
+    bends = np.moveaxis(thin(_bend(part, motion)), 2, 0)
+    return replace(found, springs=bends.reshape(len(robot), len(ROTORS), *bends.shape[1:]))
 
 
-def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
+def _bend(part: InverseModelRobot, motion: RobotMotion) -> FloatArray:
+    """Return the torques of a compliance in each joint, (samples, n, n shares).
+
+    The links behind it turn back by the torque that winds it. That moves them all, and not the motors. What share of
+    the joint's own inertia is its rotor is not known where both are one base parameter: several are tried.
+    """
+    robot, n, size = part.model, len(part.model), len(part.base)
+    of_links = np.any(part.base.grouping[:, : len(SYMBOLS) * n], axis=1)  # a rotor may begin a sum with its link
+    values = np.where(of_links, part.values[:size], 0.0)
+
+    def through(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return np.asarray(inverse_columns(robot, q, v, a)[:, :, part.base.chosen] @ values)
+
+    q, v, a, raw = motion.q, motion.v, motion.a, motion.raw
+    still, found = through(q, v, a), []
+    for k, unit in enumerate(np.eye(n)):
+        limit = find_noise_limit([raw[:, k]], motion.sample_time, derivative=4)
+        own, parts = (through(q, v, a + unit) - still)[:, k], []
+        for torque in (-still[:, k], own * a[:, k]):  # the rotor's own torque does not wind the spring
+            back = [lowpass_below_noise(torque, limit, motion.sample_time)]
+            for _ in range(2):
+                back.append(np.gradient(back[-1], motion.sample_time))
+            by = _TURN / (float(np.max(np.abs(back[0]))) or 1.0)
+            turned, turning, pushed = (by * np.outer(one, unit) for one in back)
+            moved = (through(q + turned, v + turning, a + pushed) - still) / by
+            parts.append((moved, np.outer(own * back[2], unit)))
+        (links, inertial), (more, further) = parts
+        found += [links + share * (more - inertial) - share**2 * further for share in ROTORS]
+    return np.stack(found, axis=2)
+
+
+def _by_simulation(part: SimulatedRobot, solved: SolvedRobot) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
-    problem = problem_of(part.setup, records, part.parameters, filtering)
-    problem = replace(problem, parameters=part.parameters)  # those of the record are among them already
+    problem = cast("RobotLoopProblem | RobotDriveSideProblem", solved.problem)
     measured = problem.by_joint(problem.decimate(problem.measured))
-    values = part.values[: len(part.parameters.places)]
-    error, slopes = problem.linearise(part.parameters.to_search_variables(values))
-    weights = problem.weights(error.size)
-    predicted, slopes = measured - problem.by_joint(error / weights), slopes / weights[:, np.newaxis]
+    predicted = measured - problem.by_joint(solved.problem.error(solved.run))
 
     def thin(columns: FloatArray, of: RobotLoopProblem | RobotDriveSideProblem = problem) -> FloatArray:
         rows = of.decimate_each(list(np.moveaxis(columns, 1, 0)))
         return rows.reshape(len(robot), -1, columns.shape[2])
 
     if isinstance(problem, RobotLoopProblem):
-        moved = simulation_of(problem.simulate(numbers)).motion
+        assert isinstance(solved.run, RobotRun)
+        moved = simulation_of(solved.run).motion
         motion = moved.position, moved.velocity, moved.acceleration
         q, v, a = (one[:, numbers.rotors] for one in motion)
         seen, whole, raw = np.ones(measured.shape, dtype=np.bool_), thin, None
@@ -158,7 +204,7 @@ def _by_simulation(part: SimulatedRobot, filtering: Filtering, records: Sequence
     return _torques(
         robot.names, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
         whole(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
-        -slopes.reshape(len(robot), -1, slopes.shape[1]), raw=raw,
+        solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1]), raw=raw,
     )  # fmt: skip
 
 

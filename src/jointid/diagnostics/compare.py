@@ -22,12 +22,14 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.common.text import in_words, number, pluralise
-from jointid.diagnostics.check_loop import LoopTests, has_unstated_delay, search_faults
+from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, ReportedEstimate, compare_estimates
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
+from jointid.diagnostics.law_tests import has_unstated_delay
 from jointid.diagnostics.model_free import compare_law
+from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method, methods
 from jointid.estimation.result.estimate import Estimate

@@ -143,7 +143,7 @@ class EstimateComparison(Documented):
             assert row.std is not None
             percent = f" ({100 * row.difference / abs(row.before):+.1f} %)" if row.before else ""
             sense = "rose" if row.difference > 0 else "fell"
-            size = f"{number(abs(row.difference), 3)} +- {number(2 * row.std, 2)} {row.unit}"
+            size = f"{number(abs(row.difference), 3)} ± {number(2 * row.std, 2)} {row.unit}"
             changes.append(f"{row.symbol} {sense} by {size}{percent}, {_format_p(row.p_value or 0.0, labelled=True)}")
         return (f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}.", *self.notes)
 
@@ -171,13 +171,14 @@ class EstimateComparison(Documented):
         sources = tuple(
             (name, f"{stated.label}, of {stated.record}") for name, stated in (("A", self.before), ("B", self.after))
         )
-        rows = []
-        for row in self.rows:
+        rows, short = [], [row.name.partition(" with ")[0] for row in self.rows]
+        for row, name in zip(self.rows, short, strict=True):
             p = "-" if row.p_value is None else _format_p(row.p_value)
             mark = "changed" if row in self.changed else row.reason
             spread = "-" if row.std is None else number(2 * row.std, 2)
             values = number(row.before), number(row.after), number(row.difference, 3)
-            rows.append((in_words(row.name), *values, spread, row.unit, p, mark, row.symbol))
+            shown = in_words(name if short.count(name) == 1 else row.name)
+            rows.append((shown, *values, spread, row.unit, p, mark, row.symbol))
         table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
         blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences[1:])
         return Document(self.sentence, blocks)

@@ -12,28 +12,38 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
-from jointid.diagnostics.axis_faults import find_axis_faults, find_follower
+from jointid.diagnostics.axis_faults import Follows, find_axis_faults, find_follower
+from jointid.diagnostics.axis_laws import list_axes, screen_laws, search_laws
 from jointid.diagnostics.axis_parameters import AxisParameter, parameters_by_axis
+from jointid.diagnostics.axis_springs import bound_second_modes
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
-from jointid.diagnostics.check_loop import LoopTests, SearchState, list_laws, search_faults
+from jointid.diagnostics.check_loop import list_laws, search_faults
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.intervals import read_as_identified, rebuild_problem
+from jointid.diagnostics.faults.other_laws import OTHER_LAWS
+from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
 from jointid.diagnostics.law_comparison import order_laws
-from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law
+from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law, compare_robot_laws
+from jointid.diagnostics.robot_causes import describe_tool, find_copied_reference, find_robot_cause, find_springs
+from jointid.diagnostics.search_state import LoopTests, SearchState
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimateParts
-from jointid.estimation.robots.zeros import EncoderZero, find_zeros
+from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
+from jointid.estimation.robots.zeros import EncoderZero
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.controllers.servo_base import require_one_each
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
+from jointid.simulation.controller_torque import SOURCE
 from jointid.simulation.robots import RobotLoop, add_feed_forward
+from jointid.uncertainty.position_dependent_error import cells, repeatable
 from jointid.uncertainty.residual_tests import Coupling, whiteness
+from jointid.uncertainty.verdict import POOR_FIT
 
 _FEWER = 0.67  # times: what a feed-forward must leave of the controllers' rest to be named
 
@@ -43,6 +53,7 @@ Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
 """The closed-loop problem of a joint, and its solution, (free,)."""
 
 
+@one_thread()
 def diagnose(
     estimate: Estimate,
     record: Record | Sequence[Record],
@@ -103,7 +114,7 @@ def diagnose(
             f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
             "record it was identified from."
         )
-        record = read_as_identified(estimate, record)
+        record = take_identified_torque(estimate, record)
         return diagnose_joint(estimate, record, rebuild_problem(estimate, record, another), tests, shown)[0]
     if not isinstance(record, Sequence):
         raise MethodError("The estimate of a robot is diagnosed on the record of each joint; give them in order.")
@@ -171,25 +182,97 @@ def diagnose_robot(
     if not controllers and isinstance(part.setup, RobotLoop):
         controllers = part.setup.controllers
     require_one_each(controllers, len(robot))
-    laws = _laws(robot, records, controllers)
+    laws = compare_robot_laws(robot, records, controllers)
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
     own = [
         list_laws(FlexibleJoint(link.kind, joint.law), linear=True)
         for link, joint in zip(robot.links, robot.joints, strict=True)
     ]
-    faults, follows = find_axis_faults(torques, units, LoopTests().level, own)
+    faults, follows, explained = _find_faults(estimate, records, torques, units, own, laws)
     axes = tuple(
         _diagnose_axis(
             name, k, torques, units[k], parameters, laws[k], faults[k], follows[k],
+            _repeats(torques, k) if _is_seen_through_law(record) else None,
         )
-        for k, name in enumerate(robot.names)
+        for k, (name, record) in enumerate(zip(robot.names, records, strict=True))
     )  # fmt: skip
     better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
     zeros: tuple[EncoderZero, ...] = ()
-    # DIDIM and the drive side take a model with wrong zeros for another robot: their search ends elsewhere.
-    if estimate.settings.method == "idim" and not all(one.is_small for one in axes):
-        zeros = find_zeros(robot, [records], estimate.settings.filtering)
-    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better, zeros)
+    cause, tool = find_copied_reference(robot, records), ""
+    # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
+    if cause is None and estimate.settings.method == "idim" and not all(one.is_small for one in axes):
+        cause = find_robot_cause(robot, records, estimate.settings.filtering)
+    if isinstance(part.setup, RobotLoop) and not any(robot.flexible) and any(one.left > POOR_FIT for one in axes):
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # a robot that cannot be fitted has others
+            cause = find_springs(part.setup, records, estimate.settings.filtering)
+    if cause is not None and cause.explained > explained:
+        axes, zeros = tuple(map(_wait_for_cause, axes)), cause.zeros
+        cause = None if zeros else cause
+    else:
+        cause = None
+        if estimate.settings.method == "idim" and robot.has_masses and all(one.explained for one in axes):
+            tool = describe_tool(robot, records, estimate.settings.filtering)
+    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better, zeros, cause, tool)
+
+
+def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
+    """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
+    laws = tuple(one for one in axis.faults.findings if one.test.fault in OTHER_LAWS)
+    return replace(axis, faults=replace(axis.faults, findings=laws, undecided=None), caused=True)
+
+
+def _find_faults(
+    estimate: EstimateParts,
+    records: Sequence[Record],
+    torques: AxisTorques,
+    units: Sequence[tuple[str, str]],
+    frictions: Sequence[tuple[str, ...]],
+    laws: Sequence[LawOnPosition | None],
+) -> tuple[Sequence[AxisFaults], Sequence[Follows], float]:
+    """Return the faults of each axis, what its residual follows, and what they explain; see `find_axis_faults`.
+
+    Where a reference goes another way than declared, the other faults are searched for beside that.
+    """
+    level, part = LoopTests().level, estimate.require_robot()
+    if not isinstance(part, SimulatedRobot) or not isinstance(part.setup, RobotLoop):
+        return find_axis_faults(torques, units, level, frictions)
+    parameters = part.parameters
+    values = part.values[: len(parameters.places)]
+    x, scales = parameters.to_search_variables(values), np.where(parameters.logarithmic, values, 1.0)
+    axes = list_axes(part, part.setup, records, estimate.settings.filtering, torques)
+    screened = screen_laws(axes, x, torques)
+    faults, follows, explained = find_axis_faults(screened, units, level, frictions)
+    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr}
+    known = {name: std[name] / size for name, size in zip(parameters.names, scales, strict=True) if name in std}
+    other = search_laws(axes, x, screened, faults, known, laws)
+    if any(other.found):
+        first = other.axes[0]
+        there = replace(part, setup=first.setup, values=np.append(parameters.values(other.x), part.values[x.size :]))
+        after = torques_of_robot(estimate, first.records, there)
+        faults, follows, explained = find_axis_faults(after, units, level, frictions)
+    of_springs = {p.name: (p.stderr, p.symbol) for p in estimate.params.rows if p.stderr}
+    assumed = bound_second_modes(part, part.setup, records, estimate.settings.filtering, torques, of_springs)
+    symbols, of_parameters = {p.name: p.symbol for p in parameters.parameters}, parameter_units(part.model, parameters)
+    return [
+        replace(
+            one, findings=(*filter(None, [found]), *one.findings), undecided=undecided, symbols=symbols,
+            units={**one.units, **of_parameters}, assumed=None if found or one.findings else swings,
+        )
+        for one, found, undecided, swings in zip(faults, other.found, other.undecided, assumed, strict=True)
+    ], follows, explained  # fmt: skip
+
+
+def _is_seen_through_law(record: Record) -> bool:
+    """Test whether a torque is computed from the controller, at some frequencies at least: its noise is coloured."""
+    return record.torque is not None and record.torque.source.endswith(SOURCE)
+
+
+def _repeats(torques: AxisTorques, axis: int) -> bool | None:
+    """Test whether the residual of an axis repeats with its motion; None where too little was visited twice."""
+    inside = torques.seen[axis]
+    where = cells(torques.position[axis][inside], torques.velocity[axis][inside])
+    found = repeatable(torques.error[axis][inside], where)
+    return None if found.p_value is None else found.significant
 
 
 def _diagnose_axis(
@@ -221,18 +304,6 @@ def _diagnose_axis(
     )
 
 
-def _laws(
-    robot: Robot, records: Sequence[Record], controllers: Sequence[Controller | None]
-) -> list[LawOnPosition | None]:
-    """Compare each declared controller with its joint's logged torque."""
-    if not controllers:
-        return [None] * len(robot)
-    return [
-        None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
-        for link, record, law in zip(robot.links, records, controllers, strict=True)
-    ]
-
-
 def _better_feed_forward(
     robot: Robot,
     records: Sequence[Record],
@@ -251,7 +322,7 @@ def _better_feed_forward(
             injected = add_feed_forward(RobotLoop(robot, tuple(declared)), records, kind)
         except JointidError:
             return None
-        left = _residual_rms(_laws(robot, injected, controllers))
+        left = _residual_rms(compare_robot_laws(robot, injected, controllers))
         if left is not None and left < least:
             best, least = kind, left
     return best

@@ -17,6 +17,7 @@ from jointid.diagnostics.axis_parameters import AxisParameter, Told
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.model_free import BEYOND_NOISE, OF_LAW, LawOnPosition
+from jointid.diagnostics.robot_causes import RobotCause
 from jointid.estimation.robots.zeros import EncoderZero
 from jointid.uncertainty.residual_tests import Coupling, Whiteness
 
@@ -45,7 +46,8 @@ class AxisDiagnosis:
         law: what the declared controller leaves of the logged torque; None without a controller, a reference or a
             logged motor position.
         faults: that were tested, and those found.
-        repeats: whether what is left repeats with the motion of a joint alone; None where that was not tested.
+        repeats: whether what is left repeats with the axis' motion; None where that was not tested.
+        caused: whether a cause explains what is left that is none of this axis alone.
     """
 
     name: str
@@ -61,6 +63,7 @@ class AxisDiagnosis:
     law: LawOnPosition | None
     faults: AxisFaults
     repeats: bool | None = None
+    caused: bool = False
 
     @property
     def asked(self) -> tuple[AxisParameter, ...]:
@@ -125,6 +128,8 @@ class AxisDiagnosis:
         found = [self._describe_law(), self._describe_rest()]
         if self.faults.findings or self.faults.undecided is not None:
             found += self.faults.sentences
+        elif self.caused:
+            pass
         elif not self.explained:
             found.append(self._describe_unexplained_part())
         elif self.coloured:
@@ -198,6 +203,8 @@ class Diagnosis(Documented):
         torques: of the record, beside the estimate's.
         feed_forward: "gravity" or "inverse-model" where the controllers leave much less with it; None otherwise.
         zeros: encoder zeros that are not the model's, with which the model leaves less.
+        cause: of the whole log or model, that explains more than the faults of single axes.
+        tool: a sentence on a body that the model's own masses lack; "" where they lack none.
     """
 
     name: str
@@ -206,11 +213,13 @@ class Diagnosis(Documented):
     torques: AxisTorques
     feed_forward: str | None = None
     zeros: tuple[EncoderZero, ...] = ()
+    cause: RobotCause | None = None
+    tool: str = ""
 
     @property
     def explained(self) -> bool:
         """True if no axis' torque has a part that the model should have explained."""
-        return all(one.explained for one in self.axes)
+        return self.cause is None and all(one.explained for one in self.axes)
 
     @property
     def as_declared(self) -> bool | None:
@@ -226,11 +235,22 @@ class Diagnosis(Documented):
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
         """Return the faults found of models, or of loops and logs, each with its axis."""
         return tuple(
-            replace(reason, words=f"{axis.subject}{reason}", clause=f"{axis.subject}{reason.brief}")
+            _of_axis(axis, reason)
             for axis in self.axes
             for finding, reason in zip(axis.faults.findings, axis.faults.reasons, strict=False)
             if finding.test.fault.of_model is of_model
         )
+
+    @property
+    def undecided(self) -> tuple[Message, ...]:
+        """Other laws of controllers that the record does not exclude, and that matter, each with its axis."""
+        open_ones = [axis for axis in self.axes if axis.faults.undecided is not None]
+        return tuple(_of_axis(axis, axis.faults.reasons[-1]) for axis in open_ones)
+
+    @property
+    def assumed(self) -> tuple[Message, ...]:
+        """What is assumed of the links behind springs and may matter, each with its axis."""
+        return tuple(_of_axis(axis, axis.faults.assumed) for axis in self.axes if axis.faults.assumed is not None)
 
     @property
     def untested(self) -> tuple[str, ...]:
@@ -268,10 +288,15 @@ class Diagnosis(Documented):
                 f'With robot.feed_forward = "{self.feed_forward}" the controllers leave much less of the torques: '
                 "declare it."
             )
+        if self.cause is not None:
+            found.append(sentence(str(self.cause)))
+        found += [self.tool] if self.tool else []
         found += [
             f"{one.joint}: {one}. Check the encoder's zero, and give zero = {one.zero:.4g} in its table."
             for one in self.zeros
         ]
+        if any(axis.caused for axis in self.axes):
+            found.append("Correct this first, and identify again: other faults of single joints are named only then.")
         found += [*self._other_laws(), *(one for axis in self.axes for one in axis.sentences)]
         unknown = []
         for one in self.axes:
@@ -349,8 +374,8 @@ class Diagnosis(Documented):
         count = sum(len(one.asked) for one in self.axes)
         stated = sum(len(one.names(Told.TOLD)) for one in self.axes)
         known = f"The record determines {stated} of {count} parameters within 10 %."
-        faults = self._faults()
-        before, after = ("", faults) if bad and not self._faulty else (faults, "")
+        faults = self._faults() if self.cause is None else sentence(str(self.cause))
+        before, after = ("", faults) if bad and not self._faulty and self.cause is None else (faults, "")
         return tuple(filter(None, (before, first, after, *self._loops(), known)))
 
     @property
@@ -433,6 +458,10 @@ class Diagnosis(Documented):
         )  # fmt: skip
         header = ("joint", "fault", "more than declared", "2 sigma", "statistic", "p")
         return (Table(header, rows, "faults, each as if nothing else were wrong", (0, 1)),) if rows else ()
+
+
+def _of_axis(axis: AxisDiagnosis, reason: Message) -> Message:
+    return replace(reason, words=f"{axis.subject}{reason}", clause=f"{axis.subject}{reason.brief}")
 
 
 def _row(one: AxisDiagnosis) -> tuple[str, ...]:

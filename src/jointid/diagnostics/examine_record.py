@@ -17,6 +17,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table, Verdicts
 from jointid.common.errors import FaultsError, JointidError, MethodError, require_type
 from jointid.common.messages import Message, Progress, ignore_progress
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import in_words, join, number, pluralise
 from jointid.common.transmission import Transmission
@@ -24,7 +25,7 @@ from jointid.diagnostics.experiment_design import advise
 from jointid.diagnostics.faults.record import find_plain_cause, find_standstill
 from jointid.diagnostics.find_causes import find_causes
 from jointid.diagnostics.identify import identify
-from jointid.diagnostics.model_free import LawOnPosition, compare_law
+from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
@@ -38,18 +39,13 @@ from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.identifiability import Kind
-from jointid.uncertainty.verdict import POOR_FIT, Reason, Status
+from jointid.uncertainty.verdict import POOR_FIT, Reason, Status, Subject
 
 _FAST = 0.3  # of the sampling frequency: what lies above it is noise, or steps
 _FEWEST = 100  # samples
 _RESTS = 1e-3  # of the greatest speed
 _WELL, _ROUGHLY = 0.1, 0.5  # 2 sigma of a parameter over its value
-_LAW_LEAVES = 0.1  # of the torque: more is not what rounding leaves
-_MORE_THAN_NOISE = 1.25  # times what any law leaves of it
-_LAW_GAIN = 0.02  # so near to 1 is its gain
 _NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
-_LATE = 0.25  # samples: a law that is later is not as declared
-_SHIFTED = 2 * _LAW_LEAVES  # what a delay may leave
 
 
 class Question(StrEnum):
@@ -74,16 +70,13 @@ class Fault(StrEnum):
     TORQUE_COARSE = "torque_coarse"
     AT_LIMIT = "at_limit"
     MOTION_POOR = "motion_poor"
-    LAW_DIFFERS = "law_differs"
-    LAW_SCALED = "law_scaled"
-    LAW_LATE = "law_late"
     JOINT_DIFFERS = "joint_differs"
     NOT_IDENTIFIED = "not_identified"
 
 
-_ENOUGH = (Fault.MOTION_POOR, Fault.LAW_SCALED, Fault.LAW_LATE)
+_ENOUGH = (Fault.MOTION_POOR, Agreement.SCALED, Agreement.LATE)
 """Faults after which no joint is identified."""
-_VAGUE = (Fault.LAW_DIFFERS, Fault.JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))
+_VAGUE = (Agreement.DIFFERS, Fault.JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))
 """Faults of unknown cause."""
 
 
@@ -185,6 +178,7 @@ def unreadable(error: FaultsError, record: str) -> Examination:
     return Examination(record, "", checked)
 
 
+@one_thread()
 def examine(
     record: Record | Sequence[Record],
     model: ClosedLoop | DriveSide | OpenLoop | Joint | Robot | RobotLoop | RobotDriveSide,
@@ -289,7 +283,9 @@ def _check_axis(axis: _Axis) -> Iterator[Answer]:
     yield from _check_samples(record, loop)
     law = None if loop is None else compare_law(record, loop)
     if law is not None:
-        yield _check_law(law, record)
+        judged = judge_law(law, record)
+        holds = judged.code is Agreement.HOLDS
+        yield Answer(Question.LAW, holds, (judged.words,), None if holds else str(judged.code))
 
 
 def _check_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Answer]:
@@ -361,34 +357,6 @@ def _check_motion(record: Record, loop: ClosedLoop | None) -> Answer:
     return Answer(Question.MOTION, not hunting, (*hunting, said), Fault.MOTION_POOR if hunting else None)
 
 
-def _check_law(law: LawOnPosition, record: Record) -> Answer:
-    """Return whether the declared law agrees with the logged torque and motor position."""
-    assert record.torque is not None
-    left = f"{number(100 * law.left, 2)} %"
-    late = law.late / record.torque.sample_time
-    if abs(late) > _LATE and law.left_in_time < _SHIFTED:
-        way = "later" if late > 0 else "earlier"
-        said = (
-            f"the torque is {number(1e3 * abs(law.late), 2)} ms {way} than the declared law makes it of the motor's "
-            f"position ({left} of the torque is left as declared, {number(100 * law.left_in_time, 2)} % with that): "
-            "check the delay, and which instant a logged value stands for (timing)"
-        )
-        return Answer(Question.LAW, False, (said,), Fault.LAW_LATE)
-    if law.left > max(_LAW_LEAVES, _MORE_THAN_NOISE * law.noise):
-        said = (
-            f"the declared law and the motor's position leave {left} of the torque: its gains, the torque's unit, or a "
-            "channel's sign or clock are not as declared; jointid learn-controller learns the law from this record"
-        )
-        return Answer(Question.LAW, False, (said,), Fault.LAW_DIFFERS)
-    if abs(law.gain - 1) > max(_LAW_GAIN, law.left):
-        said = (
-            f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
-            f"torque's {'sign' if law.gain < 0 else 'unit or gain'}, or the law's last gain, is not as declared"
-        )
-        return Answer(Question.LAW, False, (said,), Fault.LAW_SCALED)
-    return Answer(Question.LAW, True, (f"the declared law makes all but {left} of the torque of the motor's position",))
-
-
 def _explain(
     error: JointidError, record: Record, loop: ClosedLoop | None, shown: Sequence[DriveNumber], progress: Progress
 ) -> Answer:
@@ -417,9 +385,11 @@ def _check_estimate(estimate: Estimate) -> Iterator[Answer]:
         spoils = loop.status is Status.FAILED and not estimate.answer.reliable
         said = tuple(one.words for one in loop.reasons[:2])
         yield Answer(Question.LOOP, False if spoils else None, said, fault if spoils else None)
+    for scale in (v for v in estimate.checks.verdicts if v.subject is Subject.SCALE):
+        yield Answer(Question.LOOP, True if scale.status is Status.PASSED else None, (scale.said,))
     model = "joint" if estimate.robot is None else "robot"
     for axis, error in (fit.axis_errors or {"": fit.filtered_error}).items():
-        left = f"{number(100 * error, 2)} % of the {fit.compared} is not explained by the {model}"
+        left = f"{number(100 * error, 2)} % of the {estimate.signal} is not explained by the {model}"
         poor = not error <= POOR_FIT
         yield Answer(Question.FIT, not poor, (left,), Fault.JOINT_DIFFERS if poor else None, axis)
 

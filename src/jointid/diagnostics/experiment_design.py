@@ -31,6 +31,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, Work, follow, ignore_progress
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import in_words, number
 from jointid.common.transmission import Transmission, transmission_lines
@@ -140,8 +141,8 @@ class Advice(Documented):
         if after > _WORTH * before:
             return f"{change.name}: {change.description}; narrows no interval by more than a fifth"
         return (
-            f"{change.name}: {change.description}; narrows {self.symbols[name]} most, from +- {number(2 * before, 2)} "
-            f"to +- {number(2 * after, 2)} {self.units[name]}"
+            f"{change.name}: {change.description}; narrows {self.symbols[name]} most, from ± {number(2 * before, 2)} "
+            f"to ± {number(2 * after, 2)} {self.units[name]}"
         )
 
     def to_document(self, *, details: bool = False) -> Document:
@@ -163,6 +164,7 @@ class Advice(Documented):
         return Document(self.sentence, (*blocks, Listing(self.sentences)))
 
 
+@one_thread()
 def advise(
     estimate: Estimate,
     record: Record,

@@ -44,6 +44,7 @@ from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.trials import vary_mechanics
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
+from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.covariance import robust, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, widen
 
@@ -114,6 +115,7 @@ def score_signatures(
     where: Callable[[], Cells],
     by_forces: Callable[[], Sequence[FloatArray]] = tuple,
     widened: float = _WIDENED,
+    blocks: Sequence[slice] = (),
 ) -> tuple[FaultTest, ...]:
     """Test each fault alone, the strongest first of those that are significant.
 
@@ -126,12 +128,13 @@ def score_signatures(
         by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone; called
             only where a test is significant.
         widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
+        blocks: rows of each axis, where each column of a fault is 0 in all of them but one.
     """
-    basis = _find_basis(np.column_stack([own, *(a.column for a in signatures)]))
+    basis = _find_common_basis(own, signatures, blocks)
     whiten = fit_whitener(_give_back(residual - basis @ (basis.T @ residual), _fitted_share(basis)))
     basis, error = _find_basis(whiten(own)), whiten(residual)
     left = error - basis @ (basis.T @ error)
-    steps = [_choose_step([a for a in signatures if a.fault == fault], whiten, basis, left) for fault in declared]
+    steps = _choose_steps(signatures, declared, whiten, basis, left)
     groups = _group_identical(steps)
 
     @cache
@@ -141,10 +144,10 @@ def score_signatures(
     taken = _fitted_share(basis)
     of_mechanics = [group[0].signature.fault.mechanical for group in groups]
     families = [of_mechanics.count(mechanics) * (RARER if mechanics else 1) for mechanics in of_mechanics]
-    found = [
-        _test_group(group, left, taken, family, declared, where, simulate_forces, widened)
-        for group, family in zip(groups, families, strict=True)
-    ]
+    found = in_threads(
+        lambda i: _test_group(groups[i], left, taken, families[i], declared, where, simulate_forces, widened),
+        range(len(groups)),
+    )
     return rank_tests(found, _WIDENED)
 
 
@@ -207,35 +210,67 @@ def _find_basis(columns: FloatArray) -> FloatArray:
     return np.asarray(left[:, sizes > _RANK * sizes[0]])
 
 
-def _choose_step(shapes: Sequence[FaultSignature], whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:
-    """Return the step with the shape of a fault that decreases the residual most.
+def _find_common_basis(own: FloatArray, signatures: Sequence[FaultSignature], blocks: Sequence[slice]) -> FloatArray:
+    """Return an orthonormal basis, (rows, rank), of the free parameters' columns and of those of all faults.
+
+    The basis of what is in one block is that block's, so what all blocks share has only the parameters' columns.
+    """
+    if not blocks:
+        return _find_basis(np.column_stack([own, *(a.column for a in signatures)]))
+    shared, parts = own / column_norms(own), list[FloatArray]()
+    for block in blocks:
+        columns = [a.column[block] for a in signatures if np.any(a.column[block])]
+        part = _find_basis(np.column_stack(columns)) if columns else np.zeros((len(own[block]), 0))
+        for _ in range(2):  # one pass leaves rounding of the size of what it takes
+            shared[block] -= part @ (part.T @ shared[block])
+        parts.append(part)
+    left, sizes, _ = np.linalg.svd(shared, full_matrices=False)
+    left = left[:, sizes > _RANK]
+    found = np.zeros((len(own), left.shape[1] + sum(part.shape[1] for part in parts)))
+    found[:, : left.shape[1]] = left
+    at = left.shape[1]
+    for block, part in zip(blocks, parts, strict=True):
+        found[block, at : at + part.shape[1]] = part
+        at += part.shape[1]
+    return found
+
+
+def _choose_steps(
+    signatures: Sequence[FaultSignature], faults: Iterable[Fault], whiten: Filter, basis: FloatArray, left: FloatArray
+) -> list[_Step]:
+    """Return for each fault the step with the shape that decreases the residual most.
 
     `basis`, (rows, rank), spans the other columns; `left`, (rows,), is the residual orthogonal to them.
     """
-    steps = []
-    for signature in shapes:
-        column = whiten(signature.column)
-        alone = column - basis @ (basis.T @ column)
+    tried = dict.fromkeys(faults, 0)
+    asked = [one for one in signatures if one.fault in tried]
+    for one in asked:
+        tried[one.fault] += one.tried
+    if not asked:
+        return []
+    columns = whiten(np.array([one.column for one in asked]).T)
+    apart = columns - basis @ (basis.T @ columns)
+    steps: dict[Fault, list[_Step]] = {}
+    for signature, column, alone in zip(asked, columns.T, np.ascontiguousarray(apart.T), strict=True):
         square = float(alone @ alone)
         # A column in the span of the joint's parameters is not identifiable.
         size = float(alone @ left) / square if square > _COLLINEAR * float(column @ column) else 0.0
         gain = size * size * square if size > 0 or not signature.fault.one_sided else 0.0
-        steps.append(_Step(signature, sum(one.tried for one in shapes), size, gain, alone))
-    return max(steps, key=lambda step: step.gain)
+        steps.setdefault(signature.fault, []).append(_Step(signature, tried[signature.fault], size, gain, alone))
+    return [max(steps[fault], key=lambda step: step.gain) for fault in tried]
 
 
 def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
-    groups: list[list[_Step]] = []
+    groups, sizes = list[list[_Step]](), list[float]()
     for step in sorted(steps, key=lambda step: step.signature.fault.last):
         size = float(np.linalg.norm(step.alone))
-        for group in groups:
-            other = group[0].alone
-            cosine = float(step.alone @ other) / max(size * float(np.linalg.norm(other)), np.finfo(float).tiny)
-            if not step.signature.fault.one_sided and abs(cosine) > _SAME:
+        for group, other in zip([] if step.signature.fault.one_sided else groups, sizes, strict=False):
+            if abs(float(step.alone @ group[0].alone)) > _SAME * max(size * other, np.finfo(float).tiny):
                 group.append(step)
                 break
         else:
             groups.append([step])
+            sizes.append(size)
     return groups
 
 

@@ -13,7 +13,7 @@ reported as that number.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -25,7 +25,13 @@ from jointid.common.messages import Message, Progress, Suspicion, ignore_progres
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.record import find_lost_motion, find_lost_samples, find_plain_cause, find_standstill
+from jointid.diagnostics.faults.record import (
+    find_lost_motion,
+    find_lost_samples,
+    find_plain_cause,
+    find_standstill,
+    find_torque_scale,
+)
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.hypothesis_fits import (
     ASTRAY,
@@ -38,7 +44,8 @@ from jointid.diagnostics.hypothesis_fits import (
     pose,
     start_at,
 )
-from jointid.diagnostics.model_free import MEMORY, find_unexplained_share
+from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
+from jointid.estimation.identify import plan_windows
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -179,7 +186,7 @@ def find_causes(
     assert record.torque is not None
     if not np.any(record.torque.values):
         raise RecordError("The torque is 0 in every sample, which no cause explains; check which column it is.")
-    plain = find_plain_cause(record) or find_standstill(record, loop)
+    plain = find_plain_cause(record) or find_standstill(record, loop) or find_torque_scale(record, loop)
     if plain is not None:
         return Causes(math.inf if estimate is None else estimate.fit.filtered_error, (), (), plain=plain)
     model = loop.joint.model
@@ -272,13 +279,26 @@ def _suspect(
 def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
     """Return the declared drive, and a hypothesis for every fault that this record and controller can have.
 
-    A torque that is computed from the controller has no faults of its own.
+    A torque that is computed from the controller has no faults of its own. Where the declared law makes the logged
+    torque of the logged motor position, a correction of law or log must make it, too.
     """
     declared = Hypothesis(None, record, (loop,), filtering)
     corrected = (
         replace(one, fault=one.fault or f) for f in FAULTS if f.correct is not None for one in f.correct(declared)
     )
-    return (declared, *(one for one in corrected if not record.computed or one.record.torque is record.torque))
+    possible = (one for one in corrected if not record.computed or one.record.torque is record.torque)
+    law = compare_law(record, loop)
+    if law is not None and law.holds:
+        possible = (one for one in possible if not _is_excluded(one, record, loop))
+    return (declared, *possible)
+
+
+def _is_excluded(corrected: Hypothesis, record: Record, loop: ClosedLoop) -> bool:
+    """Test whether the motor position excludes a correction."""
+    if corrected.record is record:
+        return all(excludes(record, loop, one.controller) for one in corrected.loops)
+    law = compare_law(corrected.record, corrected.loops[0])
+    return law is not None and not law.holds
 
 
 def _judge_faults(declared: Hypothesis, fits: Sequence[Fit], loop: ClosedLoop) -> list[_Found]:
@@ -317,22 +337,23 @@ def find_gross_cause(
     record: Record,
     progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
-    low: Sequence[Fit] = (),
+    screen: Callable[[], Sequence[Fit]] = tuple,
 ) -> Causes | None:
     """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
 
     A refused spring may be refused for the cause that the screening told: then it is searched for, however small the
     misfit is.
 
-    Args: see `find_causes`.
+    Args: see `find_causes`, and `jointid.diagnostics.identify.run_checks`.
     """
     loop = estimate.settings.loop
     assert loop is not None
     refused = any(p.value is None for p in estimate.params.rows)
     if (lost := find_lost_samples(record)) is not None:
         return Causes(estimate.fit.filtered_error, (), (), plain=lost)
-    told = bool(low) and low[0].hypothesis.fault is not None and refused
-    if estimate.fit.filtered_error <= _SUSPICIOUS and not told:
+    poor = estimate.fit.filtered_error > _SUSPICIOUS
+    low = screen() if poor or refused else ()
+    if not (poor or (low and low[0].hypothesis.fault is not None)):
         return None
     return find_causes(record, loop, estimate, shown=shown, progress=progress, low=low)
 
@@ -420,7 +441,8 @@ def explain_failure(
     if loop is None or any(getattr(record, name) is None for name in loop.channels):
         return error
     try:
-        causes = find_causes(record, loop, shown=shown, progress=progress)
+        part, *_ = plan_windows(record, loop, None) or (record,)  # as much of it as the memory holds
+        causes = find_causes(part, loop, shown=shown, progress=progress)
     except (JointidError, np.linalg.LinAlgError):  # the first error counts
         return error
     if not causes.found:

@@ -100,13 +100,16 @@ def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop, low: Sequence[Fi
     `low` are the fits of that rigid joint, if they are known.
     """
     assert isinstance(loop.joint, FlexibleJoint)
-    fits = low or fit_below_resonance(tried, loop.joint)
     wide = {(one.fault, one.factor, one.free): one for one in tried}
-    least = min((fit.error for fit in fits), default=math.inf)
+    fits = low or fit_below_resonance(tried, loop.joint)
+    pairs = ((fit, wide.get((fit.hypothesis.fault, fit.hypothesis.factor, fit.hypothesis.free))) for fit in fits)
+    possible = [
+        (fit, one) for fit, one in pairs if one is not None
+    ]  # the whole record may exclude what its begin shows
+    least = min((fit.error for fit, _ in possible), default=math.inf)
 
-    def begin(rigid: Fit) -> list[Fit]:
-        of = rigid.hypothesis
-        hypothesis = wide[of.fault, of.factor, of.free]
+    def begin(pair: tuple[Fit, Hypothesis]) -> list[Fit]:
+        rigid, hypothesis = pair
         starts = []
         for problem in (pose(hypothesis, one) for one in _loops_near(hypothesis, rigid)):
             if problem is None:
@@ -118,7 +121,7 @@ def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop, low: Sequence[Fi
                     starts.append(start_at(hypothesis, problem, x))
         return _choose_best(starts)
 
-    left = [fit for fit in fits if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
+    left = [pair for pair in possible if pair[0].error <= max(_BEHIND * least, least + _ROUGHLY)]
     return _race(in_threads(begin, left), 0.0)
 
 

@@ -6,16 +6,17 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Message, Progress, Suspicions, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join, number
-from jointid.diagnostics.check_loop import has_unstated_delay
+from jointid.diagnostics.beside_delay import compare_with_delay
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
@@ -23,15 +24,19 @@ from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.faults.record import find_lost_samples, find_too_short
 from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, screen_causes
 from jointid.diagnostics.hypothesis_fits import Fit
+from jointid.diagnostics.law_tests import has_unstated_delay
+from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
+from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.undeclared import widen_for_undeclared
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
+from jointid.estimation.identify import LARGEST, memory_of, plan_windows
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
-from jointid.estimation.result.answer import Trust
+from jointid.estimation.result.answer import SLIGHT, Trust
 from jointid.estimation.result.assemble import CheckResults, FitResult, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import IdentifiedRobot
@@ -83,7 +88,9 @@ def identify(
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
             joint without anything added. Of a robot values and bounds of friction, as "joint1.viscous".
         several: what the records share, and what was added to the load; see `SeveralRecords`.
-        windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too.
+        windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too. A record that
+            may take more than 4 GiB at once is identified in windows without it, and checked in a part; whole where
+            windows do not identify it.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
             long as its identification.
@@ -130,31 +137,69 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    progress, low = Suspicions(progress), list[Fit]()
     tells = method is None or method.tells_of_its_loop
-    if checks and tells and isinstance(record, Record) and isinstance(model, ClosedLoop):
-        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the identification says what is wrong
-            low = screen_causes(record, model, shown, progress)
-    fit = fit_records(
-        record, model, method, filtering=filtering, parameters=parameters, several=several, windows=windows,
-        progress=progress,
-    )  # fmt: skip
-    of_joint = fit.record is not None and fit.problem is not None
-    to_check = fit.robot is not None or (of_joint and tells)
-    if not to_check:
+    planned = plan_windows(record, model, method) if windows is None and several is None else None
+    part, windows, said = planned or (record, windows, "")
+
+    @cache
+    def screen() -> Sequence[Fit]:
+        if checks and tells and isinstance(part, Record) and isinstance(model, ClosedLoop):
+            with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the identification says what is wrong
+                return screen_causes(part, model, shown, progress)
+        return ()
+
+    progress = Suspicions(progress, screen)
+    fit_one = partial(fit_records, filtering=filtering, parameters=parameters, progress=progress)
+    simulated = checks and isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None) and windows is None
+    if said:
+        progress(said)
+    elif isinstance(record, Record) and simulated and (needed := memory_of(record)) > LARGEST:
+        progress(f"this takes up to {needed / 1e9:.1f} GB of memory; a part by start and stop takes less")
+    try:
+        fit = fit_one(record, model, method, several=several, windows=windows)
+    except (MethodError, RecordError) as error:
+        if planned is None:
+            raise
+        planned, part = None, record
+        screen.cache_clear()
+        said = f"the record is identified at once and not in windows: {str(error).partition(';')[0].removesuffix('.')}"
+        progress(said)
+        fit = fit_one(record, model, method)
+    if said:
+        fit = replace(fit, after=(*fit.after, said))
+    of_joint = planned is not None or (fit.record is not None and fit.problem is not None)
+    if not (fit.robot is not None or (of_joint and tells)):
         return assemble(fit, torque_constant=torque_constant)
     if not checks:
         return assemble(fit, _left_out("not checked: the checks were left out"), torque_constant=torque_constant)
     if unchecked is not None:
         unchecked(assemble(fit, _left_out("not checked yet"), torque_constant=torque_constant))
-    found = run_checks(fit, progress, shown, low)
+    checked: FitResult | str = fit
+    if planned is not None:
+        assert isinstance(record, Record)
+        checked = _fit_part(fit, planned[0], record, lambda: fit_one(part, model, method))
+    if isinstance(checked, str):
+        return assemble(fit, _left_out(f"not checked: {checked}"), torque_constant=torque_constant)
+    found = run_checks(checked, progress, shown, screen)
     if (freed := _free_unstated_delay(fit, method, found)) is not None:
         progress("the torque acts within a sample after its log: the delay is identified, too")
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the first estimate stands
-            wider = fit_records(record, model, freed, filtering=filtering, parameters=parameters, progress=progress)
-            wider = replace(wider, after=(*wider.after, _DELAY_SAID))
-            fit, found = wider, run_checks(wider, progress, shown, low)
+            wider = fit_one(record, model, freed)
+            wider = replace(wider, after=(*wider.after, *filter(None, (said, _DELAY_SAID))))
+            fit, found = wider, run_checks(wider, progress, shown, screen)
     return assemble(fit, found, torque_constant=torque_constant)
+
+
+def _fit_part(fit: FitResult, part: Record, record: Record, fit_it: Callable[[], FitResult]) -> FitResult | str:
+    """Return the fit of the checked part of a record, or why there is none."""
+    if fit.fit.interrupted:
+        return "the identification was interrupted"
+    if find_too_short(part) is not None and find_too_short(record) is None:
+        return "no window has enough motion, both ways"
+    try:
+        return fit_it()
+    except (JointidError, np.linalg.LinAlgError) as error:  # without its checks, the estimate stands
+        return f"{error}"
 
 
 def _free_unstated_delay(fit: FitResult, method: Method | None, found: CheckResults) -> Method | None:
@@ -166,7 +211,7 @@ def _free_unstated_delay(fit: FitResult, method: Method | None, found: CheckResu
     doubted = assemble(fit, found).answer.trust.code is not Trust.RELIABLE
     if not (doubted and has_unstated_delay(axis.faults, axis.law, fit.problem)):
         return None
-    return replace(settings, free=(*settings.free, DELAY.name))
+    return replace(settings, free=(*settings.free, DELAY.name), near=True)
 
 
 _DELAY_SAID = (
@@ -183,7 +228,7 @@ def run_checks(
     fit: FitResult,
     progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
-    low: Sequence[Fit] = (),
+    screen: Callable[[], Sequence[Fit]] = tuple,
 ) -> CheckResults:
     """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
@@ -195,7 +240,7 @@ def run_checks(
         fit: the result of a method.
         progress: called with each step in a sentence.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
-        low: fits by `screen_causes`.
+        screen: returns the fits by `screen_causes`, or none.
     """
     if fit.robot is not None:
         return _check_robot(fit, fit.robot, progress)
@@ -204,23 +249,24 @@ def run_checks(
         return CheckResults()
     gross = None
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # nor does a search for a cause end one
-        gross = find_gross_cause(assemble(fit), record, progress, shown, low)
+        gross = find_gross_cause(assemble(fit), record, progress, shown, screen)
     if gross is not None and gross.is_clear:
         return CheckResults((Verdict(Subject.LOOP, Status.FAILED, (gross.message,)),))
     progress("checking loop and log")
     found = check = state = rest = None
-    verdict = skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
     whole = all(p.value is not None for p in fit.params.rows)
-    if whole:
-        try:
+    try:
+        if not whole:
+            verdict = check_without_joint(record, problem.loop)
+        else:
             found, state = diagnose_joint(fit, record, (problem, x), shown=shown)
             check = found.axes[0].faults
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
             if isinstance(state.problem.joint, FlexibleJoint):
                 with contextlib.suppress(np.linalg.LinAlgError):  # the tests stand
                     rest = predict_residual(state.problem, state.x)
-        except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
-            verdict = skip_test(Subject.LOOP, f"not checked: {error}")
+    except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
+        verdict = skip_test(Subject.LOOP, f"not checked: {error}")
     findings = () if check is None else check.findings
     faults = None if check is None else tuple(finding.test for finding in findings)
     left = next((finding.left for finding in findings if finding.left is not None), None)
@@ -233,9 +279,11 @@ def run_checks(
     short = find_too_short(record) if whole else None  # what is refused is not relied on
     if short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
-    widenings = [] if check is None else widen_for_faults(check)
+    widenings = [] if check is None else widen_for_faults(check, problem.values(x))
     if found is not None:
         widenings += _widen_for_undeclared(fit, found)
+    wider, verdict = _compare_with_delay(problem, x, record, verdict)
+    widenings += wider
     if rest is None or not rest.follows or state is None:
         return CheckResults((verdict,), tuple(widenings), found)
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
@@ -245,6 +293,31 @@ def run_checks(
     kept = before.reasons if before is not None and before.status is Status.FAILED else ()
     follows = replace(follows, reasons=(*follows.reasons, *kept))
     return CheckResults((follows, verdict), tuple(widenings), found)
+
+
+def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
+    """Return the verdict on a loop whose joint is not fully identified: that of the motor position, where logged."""
+    law = compare_law(record, loop)
+    if law is None:
+        return skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
+    judged = judge_law(law, record)
+    return Verdict(Subject.LOOP, Status.PASSED if judged.code is Agreement.HOLDS else Status.FAILED, (judged,))
+
+
+def _compare_with_delay(
+    problem: ClosedLoopProblem, x: FloatArray, record: Record, verdict: Verdict
+) -> tuple[list[Widening], Verdict]:
+    """Return the shifts by alternatives to a delay, and the verdict on them."""
+    try:
+        wider, excluded = compare_with_delay(problem, x, record)
+    except (JointidError, np.linalg.LinAlgError):  # no check ends an identification
+        return [], verdict
+    if not excluded or verdict.status is not Status.PASSED:
+        return wider, verdict
+    first, *others = verdict.reasons
+    said = f"{first}; it excludes {join([*excluded.values()])} in the place of the delay"
+    first = replace(first, words=said, values={**first.values, "not_the_delay": [*excluded]})
+    return wider, replace(verdict, reasons=(first, *others))
 
 
 def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> CheckResults:
@@ -259,17 +332,15 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
     residual = Verdict(
         Subject.REPEATABLE,
         Status.PASSED,
-        (Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little"),),
+        (Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little"), *found.assumed),
     )
     bad = [joint.name for joint in found.axes if not joint.explained]
-    if bad or found.zeros:
+    if bad or found.zeros or found.cause:
+        causes = [Message(Reason.CAUSE_FOUND, str(one)) for one in (found.cause, *found.zeros) if one]
         rest = [f"what the model leaves of the torque of {join(bad)} is no noise"] if bad else []
-        said = "; ".join([*rest, *map(str, found.zeros)])
-        residual = Verdict(
-            Subject.REPEATABLE,
-            Status.FAILED,
-            (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said), *found.name_faults(of_model=True)),
-        )
+        follows = [Message(Reason.RESIDUAL_FOLLOWS_MOTION, one) for one in rest]
+        of_model = found.name_faults(of_model=True)
+        residual = Verdict(Subject.REPEATABLE, Status.FAILED, (*causes, *follows, *of_model))
     none = "no motor position and reference of a declared controller were logged"
     if any(record.computed for record in fit.records):
         none = "the torque is that of the declared controllers"
@@ -282,6 +353,10 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
+    elif possible := found.undecided:
+        loop = Verdict(
+            Subject.LOOP, loop.status if loop.status is Status.FAILED else Status.UNKNOWN, (*possible, *loop.reasons)
+        )
     lost = next(filter(None, map(find_lost_samples, fit.records)), None)
     if lost is not None:
         loop = Verdict(Subject.LOOP, Status.FAILED, (lost,))
@@ -302,11 +377,15 @@ def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
         return []
 
 
-def widen_for_faults(check: AxisFaults) -> list[Widening]:
-    """Return the shifts of parameters by the faults of the mechanics that a check found or suspects; none without any.
+def widen_for_faults(check: AxisFaults, values: Mapping[str, float]) -> list[Widening]:
+    """Return the shifts of parameters by the faults that a check found or suspects; none without any.
 
-    Faults of loop and log widen no interval: they are corrected, or not. Where they are excluded, the joint has what
-    looks like them.
+    Faults of loop and log that move a parameter by more than a thousandth widen no interval: they are corrected, or
+    not. Where they are excluded, the joint has what looks like them.
+
+    Args:
+        check: of loop and log.
+        values: of the parameters, by name.
     """
     found = [one for one in check.findings if one.test.fault.mechanical]
     moved: dict[str, float] = {}
@@ -315,6 +394,14 @@ def widen_for_faults(check: AxisFaults) -> list[Widening]:
             moved[name] = math.hypot(moved.get(name, 0.0), change.by)
     moved |= {name: 0.5 * by for name, by in check.lacking.items()}  # two deviations hold it
     wider = [Widening(moved, "what the joint has and its model has not")] if moved else []
+    slight: dict[str, float] = {}
+    for finding in filter(None, (*check.findings, check.undecided)):
+        for name, change in finding.changes.items():
+            out = not finding.test.fault.mechanical and abs(change.sigmas) > INTERVAL
+            if out and abs(change.by) < SLIGHT * abs(values.get(name, 0.0)):
+                slight[name] = math.hypot(slight.get(name, 0.0), 0.5 * change.by)
+    if slight:
+        wider.append(Widening(slight, "what is wrong with loop or log by less than a thousandth"))
     if (suspect := check.suspected) is not None:
         title, shifts = suspect.test.title, {name: abs(one.by) for name, one in suspect.changes.items()}
         off = [

@@ -23,7 +23,7 @@ from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate, fingerprint
-from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.result.parts import IN_WINDOWS, EstimateParts
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import compute_controller_torque
@@ -117,7 +117,7 @@ def intervals(
             f"Profiles and bootstraps are of DIDIM, whose criterion can be followed; this estimate is by "
             f"{estimate.settings.method.upper()}: identify with the controller known."
         )
-    record = read_as_identified(estimate, record)
+    record = take_identified_torque(estimate, record)
     record.require(("torque",), "A profile")
     other = (
         f"This record is not the one the estimate came from ({estimate.data.record}); give that one, or identify this."
@@ -173,9 +173,9 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
         MethodError: the record is another one.
     """
     assert estimate.settings.loop is not None
-    record = read_as_identified(estimate, record)
+    record = take_identified_torque(estimate, record)
     if record.torque is not None and fingerprint(record.torque.values) != estimate.data.fingerprint:
-        raise MethodError(another)
+        raise MethodError(another if estimate.data.windows is None else IN_WINDOWS)
     values = {p.name: p.value or 0.0 for p in estimate.params.rows}
     problem = torque_problem(
         record, estimate.settings.loop, estimate.settings.filtering, estimate.settings.joint.parameters
@@ -185,7 +185,7 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
     return problem, problem.vector(values)
 
 
-def read_as_identified(estimate: EstimateParts, record: Record) -> Record:
+def take_identified_torque(estimate: EstimateParts, record: Record) -> Record:
     """Return a record with the torque that an estimate was identified from: logged, or computed from the position.
 
     Raises:

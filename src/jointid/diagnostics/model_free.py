@@ -13,17 +13,21 @@ law, delay and the gain of the log are tested before a joint is identified. Wher
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import partial
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
+from jointid.common.messages import Message
+from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import INJECTED, Controller
-from jointid.models.joints import ClosedLoop
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
@@ -46,6 +50,9 @@ OF_LAW = 0.03
 BEYOND_NOISE = 2.0
 """Times what any law leaves: the declared one is not what the drive runs."""
 _GAIN = 0.03  # off 1
+_LEAVES = 0.1  # of the torque: more is not what rounding leaves
+_MORE_THAN_NOISE = 1.25  # times what any law leaves of it
+_LATE = 0.25  # samples: a law that is later is not as declared
 _A_QUARTER, _SURELY = 0.25, 3.0  # of a change, with so many deviations: a record that has less of it excludes it
 
 
@@ -164,6 +171,59 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     late = _interpolate_minimum(shifts, shares**2, best) * record.torque.sample_time
     in_time, weights = _regress(logged[inside], delay(float(shifts[best])))
     return LawOnPosition(left, float(weights[0]), late, in_time, noise)
+
+
+class Agreement(StrEnum):
+    """How a declared law agrees with logged torque and motor position."""
+
+    HOLDS = "loop_as_declared"
+    DIFFERS = "law_differs"
+    SCALED = "law_scaled"
+    LATE = "law_late"
+
+
+def judge_law(law: LawOnPosition, record: Record) -> Message:
+    """Return whether the declared law makes the logged torque of the motor's position, of code `Agreement`.
+
+    Args:
+        law: by `compare_law`.
+        record: that it was compared with.
+    """
+    assert record.torque is not None
+    left = f"{number(100 * law.left, 2)} %"
+    if abs(law.late) > _LATE * record.torque.sample_time and law.left_in_time < 2 * _LEAVES:
+        way = "later" if law.late > 0 else "earlier"
+        return Message(
+            Agreement.LATE,
+            f"the torque is {number(1e3 * abs(law.late), 2)} ms {way} than the declared law makes it of the motor's "
+            f"position ({left} of the torque is left as declared, {number(100 * law.left_in_time, 2)} % with that): "
+            "check the delay, and which instant a logged value stands for (timing)",
+        )
+    if law.left > max(_LEAVES, _MORE_THAN_NOISE * law.noise):
+        return Message(
+            Agreement.DIFFERS,
+            f"the declared law and the motor's position leave {left} of the torque: its gains, the torque's unit, or a "
+            "channel's sign or clock are not as declared; jointid learn-controller learns the law from this record",
+        )
+    if abs(law.gain - 1) > max(_GAIN, law.left):
+        return Message(
+            Agreement.SCALED,
+            f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
+            f"torque's {'sign' if law.gain < 0 else 'unit or gain'}, or the law's last gain, is not as declared",
+        )
+    return Message(Agreement.HOLDS, f"the declared law makes all but {left} of the torque of the motor's position")
+
+
+def compare_robot_laws(
+    robot: Robot, records: Sequence[Record], controllers: Sequence[Controller | None]
+) -> list[LawOnPosition | None]:
+    """Compare each declared controller of a robot with its joint's logged torque; see `compare_law`."""
+    if not controllers:
+        return [None] * len(robot)
+    return [
+        None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
+        for link, record, law in zip(robot.links, records, controllers, strict=True)
+    ]
 
 
 def excludes(

@@ -10,7 +10,7 @@ logarithm of the response, so that it never passes 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -24,7 +24,7 @@ from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_st
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import intervals
 from jointid.diagnostics.validation import Validation, validate
-from jointid.estimation.result.answer import loop_verdict
+from jointid.estimation.result.answer import loop_verdict, told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
 from jointid.models.position_forces import Motion
@@ -163,7 +163,7 @@ def collect_report_data(
         progress: called with each step.
     """
     absent: dict[str, str] = {}
-    work = Work(progress, "collecting the report", 3 + bool(estimate.checks.bounds), "parts")
+    work = Work(progress, "collecting the report", 3 + bool(told_bounds(estimate)), "parts")
 
     def attempt(name: str, step: str, compute: Callable[[], _Part]) -> _Part | None:
         progress(Detail(step))
@@ -176,6 +176,10 @@ def collect_report_data(
             work.add()
 
     validation = attempt("validation", "simulating the direct test", lambda: validate(estimate, record))
+    if validation is not None and not estimate.fit.measured.size:  # of an estimate from a file
+        (axis,) = validation.axes
+        fit = replace(estimate.fit, measured=axis.measured, predicted=axis.predicted)
+        estimate = replace(estimate, fit=fit)
     motion, motion_source = _find_motion(estimate, record, validation)
     inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
     measured, predicted = estimate.fit.measured[inside], estimate.fit.predicted[inside]
@@ -193,7 +197,7 @@ def collect_report_data(
         lambda: intervals(estimate, record, profiles, curved_only=curved_only, progress=progress),
     )  # fmt: skip
     stiffness_test, check = None, estimate.checks.diagnosis
-    if estimate.checks.bounds:
+    if told_bounds(estimate):
         stiffness_test = attempt(
             "revealing",
             "designing a test that identifies the stiffness",

@@ -20,13 +20,14 @@ from jointid.diagnostics.fault_tests import score_signatures
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.diagnostics.faults.numbers import DELAY, TORQUE_FILTER, VELOCITY_FILTER
 from jointid.estimation.result.assemble import FitResult, Widening
-from jointid.estimation.robots.problem import RobotLoopProblem
-from jointid.estimation.robots.simulated import SimulatedRobot, problem_of
+from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
+from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.simulation.closed_loop import Outcome, in_threads
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.robots import RobotLoop, RobotOutcome
+from jointid.simulation.robot_sensitivities import respond_to_laws
+from jointid.simulation.robots import RobotLoop, RobotRun
 from jointid.solvers.regression import projection
 from jointid.uncertainty.position_dependent_error import cells
 
@@ -75,8 +76,9 @@ def widen_for_undeclared(fit: FitResult, torques: AxisTorques, named: Sequence[C
     solve = projection(own, own)
     moved: dict[str, float] = {}
     elements: dict[str, float] = {}
-    for axis, fault, half, column in columns:
-        largest = min(_largest_size(torques, axis, fault, column), 2.0 * half)
+    sizes = in_threads(lambda one: _largest_size(torques, one[0], one[1], one[3]), columns)
+    for (_, fault, half, column), size in zip(columns, sizes, strict=True):
+        largest = min(size, 2.0 * half)
         by = np.abs(scales * (solve @ (column / sigma[:, np.newaxis]).ravel())) * max(largest, 0.0)
         off = {name: float(one) for name, one in zip(names, by, strict=True) if name in known}
         if any(one > 2 * _MATTERS * (known[name].stderr or 0.0) for name, one in off.items()):
@@ -110,40 +112,53 @@ def _columns(
 ) -> list[tuple[int, Fault, float, FloatArray]]:
     """Return the axis of each undeclared element, its fault, half its size, and the torque per second of it, (n, rows).
 
-    An element under which the loop cannot be simulated is not that of the record.
+    Of a robot to first order in what it changes of the motion. An element under which a joint's loop cannot be
+    simulated is not that of the record.
     """
     part, problem, x = fit.robot, fit.problem, fit.x
-    if isinstance(part, SimulatedRobot) and isinstance(part.setup, RobotLoop):
-        setup, numbers = part.setup, part.numbers()
-        of_axes = setup.controllers
-
-        def predict(controllers: tuple[Controller, ...]) -> FloatArray | None:
-            loops = replace(setup, controllers=controllers)
-            other = problem_of(loops, fit.records, part.parameters, fit.settings.filtering)
-            assert isinstance(other, RobotLoopProblem)
-            run = other.simulate(numbers, keep=False)
-            finished = run.outcome is RobotOutcome.FINISHED
-            return other.by_joint(other.decimate(other.predict(run))) if finished else None
-    elif problem is not None and x is not None and fit.record is not None:
-        record, loop = fit.record, problem.loop
-        of_axes = (loop.controller,)
-
-        def predict(controllers: tuple[Controller, ...]) -> FloatArray | None:
-            changed = replace(loop, controller=controllers[0])
-            run = replace(problem, loop=changed, experiment=prepare(changed, record)).simulate(x)
-            return problem.filter(run.torque)[np.newaxis] if run.outcome is Outcome.FINISHED else None
+    if isinstance(part, SimulatedRobot) and isinstance(part.setup, RobotLoop) and fit.solved is not None:
+        of_axes = part.setup.controllers
+    elif problem is not None:
+        of_axes = (problem.loop.controller,)
     else:
         return []
     taken = () if problem is None else tuple(p.name for p in problem.free)
     tried = [
-        (axis, fault, half, (*of_axes[:axis], other, *of_axes[axis + 1 :]))
+        (axis, fault, half, other)
         for axis, one in enumerate(of_axes)
         for fault, half, other in list_undeclared(one, fit.data.sample_time)
         if fault.name not in taken and fault.name not in named[axis]
     ]
+    if not tried:
+        return []
+    if fit.solved is not None:
+        changes = _respond(fit.solved, [(axis, other) for axis, _, _, other in tried])
+        return [(a, fault, half, one / half) for (a, fault, half, _), one in zip(tried, changes, strict=True)]
+    record = fit.record
+    if problem is None or x is None or record is None:
+        return []
+
+    def predict(controller: Controller) -> FloatArray | None:
+        changed = replace(problem.loop, controller=controller)
+        run = replace(problem, loop=changed, experiment=prepare(changed, record)).simulate(x)
+        return problem.filter(run.torque)[np.newaxis] if run.outcome is Outcome.FINISHED else None
+
     found = in_threads(lambda one: predict(one[3]), tried)
     pairs = zip(tried, found, strict=True)
     return [(a, fault, half, (p - torques.predicted) / half) for (a, fault, half, _), p in pairs if p is not None]
+
+
+def _respond(solved: SolvedRobot, others: Sequence[tuple[int, Controller]]) -> FloatArray:
+    """Return the changes of a robot's filtered torques by other controllers of axes, (changes, n, rows)."""
+    problem, run = solved.problem, solved.run
+    assert isinstance(problem, RobotLoopProblem) and isinstance(run, RobotRun)
+    each = problem.experiment.experiments
+    found, direct = respond_to_laws(run, [(j, each[j].with_law(each[j].law_of(other))) for j, other in others])
+    for c, ((j, _), own) in enumerate(zip(others, direct, strict=True)):
+        if not any(problem.seen) or problem.seen[j] is None:  # else the declared law shows the position
+            found[j][:, c] += own
+    rows = problem.decimate_each(found)
+    return np.moveaxis(rows.reshape(len(each), -1, len(others)), 2, 0)
 
 
 def _largest_size(torques: AxisTorques, axis: int, fault: Fault, column: FloatArray) -> float:

@@ -1,8 +1,7 @@
 """Validation as the paper does it: the direct test on the same record, the cross test on another one.
 
-The identified joint or robot is simulated, or its inverse model evaluated, and the torque of each axis compared with
-the measured one, ``||Y - Ys|| / ||Y||``; in open loop the motor position. Only what belongs to the record is estimated
-anew: the state at its first sample, and a load encoder's zero.
+The torque of each axis is predicted (`record_prediction`) and compared with the measured one, ``||Y - Ys|| / ||Y||``;
+in open loop the motor position.
 
 What noise allows is what the same model leaves of another record when its parameters are free there. It predicts the
 record where it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
@@ -14,52 +13,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Paragraph, Table, common_facts
-from jointid.common.errors import JointidError, MethodError, extra
+from jointid.common.errors import MethodError, extra
 from jointid.common.messages import Message
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import join, number
+from jointid.common.text import format_position, join, number
 from jointid.common.transmission import Transmission
-from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
-from jointid.estimation.problems.inverse_model import idim_channels, motion_of
-from jointid.estimation.problems.prescribed import (
-    CURRENT_LAG,
-    DriveSideProblem,
-    OpenLoopProblem,
-    motion_problem,
-    position_problem,
-)
-from jointid.estimation.result.estimate import (
-    Estimate,
-    IdentifiedJoint,
-    fingerprint,
-    law_fingerprint,
-    relative_error,
-)
-from jointid.estimation.starts.rigid_joint import fit_initial_state
-from jointid.estimation.unknown_timing import read_as
-from jointid.models.disturbances import EncoderOffset, effect_parameters
+from jointid.diagnostics.model_free import compare_law, compare_robot_laws
+from jointid.diagnostics.record_prediction import Predicted, Refit, predict_joint, predict_robot
+from jointid.estimation.record_warnings import find_coupling
+from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, fingerprint, relative_error
+from jointid.estimation.unknown_timing import read_as, read_as_identified
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
-from jointid.models.robots.robot import Robot
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
-from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.loop_input import prepare
-from jointid.simulation.prescribed import PARTS, DriveSide, OpenLoop
-from jointid.simulation.simulated import require_success
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.verdict import POOR_FIT
+from jointid.simulation.controller_torque import compute_controller_torque
+from jointid.uncertainty.verdict import POOR_FIT, scale_verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,7 +46,6 @@ if TYPE_CHECKING:
 
 _LAGS = 40  # of the residual's autocorrelation
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
-_SEARCH = LevenbergMarquardt(1e-5, 40)  # of the attainable error: far below its reported digits
 _ALIKE = 0.02  # of an error: two models whose errors differ by less are as good as each other
 
 
@@ -79,6 +57,24 @@ class Prediction(StrEnum):
     NOT_COMPARED = "not_compared"
     OWN_RECORD = "own_record"
     PREDICTED = "predicted"
+
+
+class Cause(StrEnum):
+    """Differences that let an estimate not predict a record, as codes."""
+
+    CONTROLLER = "controller"
+    COUPLED_AXES = "coupled_axes"
+    LOAD = "load"
+    FRICTION = "friction"
+    SPRING = "spring"
+
+
+_NAMES: Mapping[Cause, tuple[str, ...]] = {
+    Cause.SPRING: ("stiffness", "damping", "gap", "torque_", "hysteresis", "swinging"),
+    Cause.FRICTION: ("viscous", "coulomb", "offset", "stribeck", "presliding", "friction", "drift"),
+}
+"""Parts of parameters' names; all others but those of a motor are of the load."""
+_FOLLOWS = 0.5  # of a residual: what follows other axes so far is theirs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +94,7 @@ class ValidatedAxis:
         transmission: on whose `side` signal and motion are.
         tracking_error: ``||e - es|| / ||e||`` of the tracking error reference - position, where a controller was
             simulated and the record has a motor position to compare with; a ratio.
-        tracking_rms: root mean square of ``e - es``, m or rad; None where `tracking_error` is.
+        tracking_rms: root mean square of the simulated motor position's error, m or rad; None without one.
         attainable_error: `filtered_error` of the same model identified from this record; None in a direct test, and
             where none could be found.
         nominal_error: that of the nominal robot; infinite where it cannot be simulated, None where it says no masses.
@@ -141,9 +137,14 @@ class ValidatedAxis:
             return Prediction.NOT_AS_DECLARED
         if least is None:
             return Prediction.NOT_COMPARED
-        if math.sqrt(max(left**2 - least**2, 0.0)) <= max(least, _NEGLIGIBLE):
+        if _adds_little(left, least):
             return Prediction.PREDICTED
         return Prediction.ANOTHER_JOINT
+
+    @property
+    def position_error(self) -> str | None:
+        """Error of the simulated motor position, rms, in mm or degrees."""
+        return None if self.tracking_rms is None else format_position(self.tracking_rms, self.position_unit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,6 +166,8 @@ class Validation(Documented):
         simulations: of a joint that were run for the prediction.
         warnings: limits of the result, one sentence each.
         resampled: resampling of the record to a uniform clock; None where it was logged so.
+        causes: what alone explains that the record is not predicted, the likeliest; none where nothing does.
+        other_axes: that moved beside a joint alone, by their columns.
     """
 
     test: Literal["direct", "cross"]
@@ -180,6 +183,8 @@ class Validation(Documented):
     simulations: int = 0
     warnings: tuple[str, ...] = ()
     resampled: Resampled | None = None
+    causes: tuple[Cause, ...] = ()
+    other_axes: tuple[str, ...] = ()
 
     @property
     def relative_error(self) -> float:
@@ -242,16 +247,30 @@ class Validation(Documented):
             words = f"The {who} was identified from {self.record} and {share}; validate it on another record"
         elif code is Prediction.NOT_AS_DECLARED:
             wrong = "controller, channels or scales are" if self.method == "didim" else "channels or scales are"
-            words = f"The {who} does not predict {self.record}: it {share}{allowed}; {wrong} not as declared there"
+            wrong = self._reason if self.causes else f"{wrong} not as declared there"
+            words = f"The {who} does not predict {self.record}: it {share}{allowed}; {wrong}"
             words += f": {again} see what is said of the fit"
         elif code is Prediction.NOT_COMPARED:
             words = f"The {who} {share} on {self.record}; how little a {who} can leave there could not be found"
         elif code is Prediction.PREDICTED:
             words = f"The {who} predicts {self.record}: it {share}{allowed}"
         else:
-            words = f"The {who} does not predict {self.record} within its noise: it {share}{allowed}; the axis or its "
-            words += f"controller is another one there: {again} compare both estimates"
+            words = f"The {who} does not predict {self.record} within its noise: it {share}{allowed}; {self._reason}: "
+            words += f"{again} compare both estimates"
         return Message(code, words, {"filtered_error": left, "attainable_error": least})
+
+    @property
+    def _reason(self) -> str:
+        """Why the record is not predicted, in words."""
+        if Cause.COUPLED_AXES in self.causes:
+            return f"{join(self.other_axes)} moved too, and the error follows them, which its model lacks"
+        if Cause.CONTROLLER in self.causes:
+            return "its controller is another there: as declared, it does not make this torque of the motor position"
+        if self.causes:
+            return f"its {' or its '.join(self.causes)} is another there"
+        beside = "" if self.axes[0].name else ", or an axis that moves it moves otherwise"
+        could = "load, friction or controller" if self.method == "didim" else "load or friction"
+        return f"its {could} differs there{beside}"
 
     @property
     def sentence(self) -> str:
@@ -324,26 +343,26 @@ class Validation(Documented):
             (f"{self.compared} error", error),
         ]
         if self.tracking_error is not None:
-            off = f"{100 * self.tracking_error:.4f} % away from the measured tracking error"
-            each = (f"{number(a.tracking_rms, 3)} {a.position_unit}" for a in self.axes if a.tracking_rms is not None)
-            off += f", {', '.join(each)} rms"
-            facts.append(("tracking error", off))
+            facts.append(("tracking error", f"{100 * self.tracking_error:.4f} % away from the measured tracking error"))
+        if positions := [f"{a.name} {a.position_error}".strip() for a in self.axes if a.position_error is not None]:
+            facts.append(("motor position", f"{', '.join(positions)} rms off"))
         said = (
             f"{100 * np.mean([axis.outside_band for axis in self.axes]):.0f} % of {first.autocorrelation.size - 1} "
-            f"autocorrelations of the filtered error outside +-{first.white_band:.3f} (5 % if it were white)"
+            f"autocorrelations of the filtered error outside ±{first.white_band:.3f} (5 % if it were white)"
         )
         facts += [("whiteness", said), *(("warning", warning) for warning in self.warnings)]
         blocks: list[Block] = [] if self.comparison is None else [self.comparison]
         return Document(self.sentence, (*blocks, Facts(tuple(facts)), *([axes_table([self])] if first.name else [])))
 
 
-_COLUMNS: Mapping[str, Callable[[ValidatedAxis], float | None]] = {
+_COLUMNS: Mapping[str, Callable[[ValidatedAxis], float | str | None]] = {
     "raw, %": lambda axis: axis.relative_error,
     "filtered, %": lambda axis: axis.filtered_error,
     "attainable, %": lambda axis: axis.attainable_error,
     "nominal, %": lambda axis: axis.nominal_error,
     "bodies, %": lambda axis: axis.body_error,
     "tracking error off by, %": lambda axis: axis.tracking_error,
+    "position off by": lambda axis: axis.position_error,
     "not white, % of lags": lambda axis: axis.outside_band,
 }
 """The columns of a table of axes, each left out where no axis has it."""
@@ -361,9 +380,9 @@ def axes_table(checks: Sequence[Validation]) -> Table:
     return Table(header, tuple((name.strip(), *row) for name, row in zip(named, cells, strict=True)), title)
 
 
-def _format_cell(share: float | None) -> str:
-    if share is None:
-        return "-"
+def _format_cell(share: float | str | None) -> str:
+    if share is None or isinstance(share, str):
+        return share or "-"
     return f"{100 * share:.3g}" if math.isfinite(share) else "runs away"
 
 
@@ -371,7 +390,12 @@ def _format_share(share: float) -> str:
     return f"{number(100 * share, 3)} %"
 
 
-def _rms(shares: Sequence[float]) -> float:
+def _adds_little(left: float, least: float) -> bool:
+    """Whether an estimate adds less to the error of an axis than noise allows."""
+    return math.sqrt(max(left**2 - least**2, 0.0)) <= max(least, _NEGLIGIBLE)
+
+
+def _rms(shares: Sequence[float] | FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(shares))))
 
 
@@ -380,35 +404,7 @@ def _rms_of_all(shares: Sequence[float | None]) -> float | None:
     return _rms(known) if len(known) == len(shares) else None
 
 
-class _Predicted(NamedTuple):
-    """A record beside its prediction: raw signals (samples, n), filtered ones (n, rows).
-
-    The rows of a flexible joint's inverse model are those of two `equations`, one after the other.
-
-    Attributes:
-        motion: positions, velocities and accelerations of the motors, (samples, n).
-        with_free: makes the filtered error, (n, rows), of the model with free parameters; None if that fails.
-        compared: (samples, n) 0 where a motor's rest or reversal is left out; all ones when None.
-        errors_of: makes the errors, (n,), of a robot near the nominal one, or of that; None of a joint.
-    """
-
-    channels: tuple[str, ...]
-    sample_time: float
-    borders: tuple[int, int]
-    measured: FloatArray
-    predicted: FloatArray
-    error: FloatArray
-    whole: FloatArray
-    motion: Sequence[FloatArray]
-    with_free: Callable[[], FloatArray | None]
-    compared: FloatArray | None = None
-    equations: int = 1
-    errors_of: Callable[[Robot | None], FloatArray] | None = None
-    initial: Initial | None = None
-    simulations: int = 0
-    warnings: tuple[str, ...] = ()
-
-
+@one_thread()
 def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Record]) -> Validation:
     """Compare an identified joint or robot with a record.
 
@@ -422,28 +418,32 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
         MethodError: the joint or robot cannot be simulated on this record.
     """
     if isinstance(estimate, Estimate) and estimate.robot is not None:
-        if not isinstance(record, Sequence):
-            raise MethodError("The estimate of a robot is validated on a record of each joint; give them in order.")
-        robot, records = estimate.robot.model, read_as(record, estimate.settings.timing)
-        found = _predict_robot(estimate, records)
+        if not (isinstance(record, Sequence) and all(isinstance(one, Record) for one in record)):
+            raise MethodError("The estimate of a robot is validated on one log: give a record of each joint, in order.")
+        robot, setup = estimate.robot.model, getattr(estimate.robot, "setup", None)
+        given = _with_torques(record, getattr(setup, "loops", [None] * len(robot)))
+        records = read_as_identified(given, estimate.settings)
+        found = predict_robot(estimate, records)
         method, source, prints = estimate.settings.method, estimate.data.record, estimate.data.fingerprints
         gear: Transmission | None = None
         axes = [(robot.names[k], robot.torque_unit(k), robot.position_unit(k), gear) for k in range(len(robot))]
     else:
         if isinstance(record, Sequence):
             raise MethodError("The estimate of a joint is validated on one record; validate it on each alone.")
+        identified = estimate.identified if isinstance(estimate, Estimate) else estimate
+        (record,) = _with_torques([record], [identified.loop])
         record.require(("torque",), "Validation")
         check_record(record)
-        identified = estimate.identified if isinstance(estimate, Estimate) else estimate
         records, joint = read_as([record], identified.timing), identified.joint
-        found = _predict_joint(identified, records[0])
+        found = predict_joint(identified, records[0])
         method, source, prints = identified.method, identified.record, identified.fingerprints
         length = POSITION_UNIT[joint.kind]
         assert record.torque is not None
         axes = [("", length if method == "open_loop" else record.torque.unit, length, joint.transmission)]
     torques = [one.torque.values for one in records if one.torque is not None]
     own = fingerprint(np.concatenate(torques)) in prints
-    anew, nominal, bodies = None if own else found.with_free(), None, None
+    refit = None if own else found.with_free()
+    anew, nominal, bodies = None if refit is None else refit.error, None, None
     if not own and isinstance(estimate, Estimate) and found.errors_of is not None:
         from jointid.estimation.robots.consistent import can_be_near, consistent_robot
 
@@ -459,6 +459,7 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     for k, (name, unit, length, gear) in enumerate(axes):
         measured, predicted = found.measured[:, k], found.predicted[:, k]
         off, off_rms = _compare_tracking(records[k], found, k) if loop else (None, None)
+        off_rms = _rms((measured - predicted)[compared[:, k] > 0]) if method == "open_loop" else off_rms
         made.append(
             ValidatedAxis(
                 name, unit, length, measured, predicted, compared[:, k],
@@ -471,16 +472,82 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
                 ),
             )
         )  # fmt: skip
+    first = records[0]
+    causes = () if refit is None else _find_causes(estimate, records, found, refit, made)
     warnings = found.warnings
     if isinstance(estimate, Estimate) and not estimate.fit.converged:
         warnings += ("the search for the estimate did not settle: do not rely on it",)
-    first = records[0]
+    warnings += (scale_verdict(()).said,) if any(one.computed for one in records) else ()
     return Validation(
         "direct" if own else "cross", method, first.name, source,
         (*found.channels, *(("injected",) if first.injected is not None else ())), found.sample_time,
         "position" if method == "open_loop" else "torque", found.borders, tuple(made), found.initial,
-        found.simulations, warnings, first.resampled,
+        found.simulations, warnings, first.resampled, causes, tuple(first.other_axes),
     )  # fmt: skip
+
+
+def _with_torques(records: Sequence[Record], loops: Sequence[ClosedLoop | None]) -> list[Record]:
+    """Return records whose torques, where none was logged, are those of the declared controllers."""
+    return [
+        one if one.torque is not None or one.motor_position is None or loop is None
+        else compute_controller_torque(one, loop)
+        for one, loop in zip(records, loops, strict=True)
+    ]  # fmt: skip
+
+
+def _find_causes(
+    estimate: Estimate | IdentifiedJoint,
+    records: Sequence[Record],
+    found: Predicted,
+    refit: Refit,
+    axes: Sequence[ValidatedAxis],
+) -> tuple[Cause, ...]:
+    """Return the causes that each explain the unpredicted axes.
+
+    Each part of the parameters in turn is free beside the estimate's others. The derivatives are those at the fit to
+    the record, so that a part which alone is another one may differ as far as it does.
+    """
+    missed = [axis.prediction in (Prediction.NOT_AS_DECLARED, Prediction.ANOTHER_JOINT) for axis in axes]
+    if not any(missed):
+        return ()
+    robot = estimate.robot if isinstance(estimate, Estimate) else None
+    if robot is not None:
+        laws = compare_robot_laws(robot.model, records, getattr(getattr(robot, "setup", None), "controllers", ()))
+    else:
+        identified = estimate.identified if isinstance(estimate, Estimate) else estimate
+        left, filtering = found.measured[:, 0] - found.predicted[:, 0], identified.filtering
+        beside = find_coupling(records[0], left, found.borders, filtering, found.sample_time)
+        if beside is not None and beside.seen and beside.explained > _FOLLOWS:
+            return (Cause.COUPLED_AXES,)
+        laws = [None if identified.loop is None else compare_law(records[0], identified.loop)]
+    if any(bad and law is not None and not law.holds for bad, law in zip(missed, laws, strict=True)):
+        return (Cause.CONTROLLER,)
+    if any(axis.prediction is Prediction.NOT_AS_DECLARED for axis in axes):
+        return ()
+    size, level = (np.linalg.norm(one, axis=1) for one in (found.whole, refit.error))
+    weights = np.repeat(1.0 / np.maximum(level, np.finfo(float).tiny), refit.error.shape[1])
+    parts = np.array([_find_part(name) for name in refit.names])
+    causes = list[Cause]()
+    for cause in (Cause.LOAD, Cause.FRICTION, Cause.SPRING):
+        free = np.isin(parts, (cause, ""))
+        kept = (refit.error.ravel() + refit.columns[:, ~free] @ refit.moved[~free]) * weights
+        columns = refit.columns[:, free] * weights[:, np.newaxis]
+        left = (kept - columns @ np.linalg.lstsq(columns, kept, rcond=None)[0]) / weights
+        shares = np.linalg.norm(left.reshape(refit.error.shape), axis=1) / size
+        if cause in parts and all(map(_adds_little, shares, level / size)):
+            causes.append(cause)
+    return tuple(causes)
+
+
+def _find_part(name: str) -> str:
+    """Return the cause that a parameter belongs to; an empty text for one of the record, "motor" for one of it."""
+    last = name.rpartition(".")[2]
+    if not last:
+        return ""
+    for cause, words in _NAMES.items():
+        if any(word in last for word in words):
+            return cause
+    return "motor" if last in ("motor_inertia", "rotor_inertia") else Cause.LOAD
 
 
 def _autocorrelate(error: FloatArray) -> FloatArray:
@@ -490,7 +557,7 @@ def _autocorrelate(error: FloatArray) -> FloatArray:
     return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in lags])
 
 
-def _compare_tracking(record: Record, found: _Predicted, k: int) -> tuple[float | None, float | None]:
+def _compare_tracking(record: Record, found: Predicted, k: int) -> tuple[float | None, float | None]:
     """Return the relative error of an axis's simulated tracking error and its rms; None without a measured one."""
     reference, position, simulated = record.reference, record.motor_position, found.motion[0][:, k]
     if reference is None or position is None or {reference.sample_time, position.sample_time} != {found.sample_time}:
@@ -498,185 +565,3 @@ def _compare_tracking(record: Record, found: _Predicted, k: int) -> tuple[float 
     size = min(len(reference), len(position), simulated.size)
     asked, was, is_ = reference.values[:size], position.values[:size], simulated[:size]
     return relative_error(asked - was, asked - is_, found.borders), float(np.sqrt(np.mean((was - is_) ** 2)))
-
-
-def _predict_joint(identified: IdentifiedJoint, record: Record) -> _Predicted:
-    if identified.loop is not None:
-        return _simulate_loop(identified, identified.loop, record)
-    if identified.method in ("drive_side", "open_loop"):
-        return _simulate_along_motion(identified, record)
-    assert record.torque is not None
-    joint, filtering, effects = identified.joint, identified.filtering, identified.effects
-    if joint.model == "flexible" and not any(isinstance(one, EncoderOffset) for one in effects):
-        effects = (*effects, EncoderOffset())
-    names = [p.name for p in (*joint.parameters, *effect_parameters(effects))]
-    model = motion_of(record, identified.delay, filtering, joint, effects)
-    values = np.array([identified.values.get(name, 0.0) for name in names])
-    error, columns = model.decimate(filtering, record.torque.sample_time, values)
-    whole = error + columns @ values
-    own = fingerprint(record.torque.values) in identified.fingerprints
-    zero = np.array([name == "encoder_offset" and not own for name in names])  # counted from elsewhere in each record
-    step = np.linalg.lstsq(columns[:, zero], error, rcond=None)[0]
-    values[zero] += step
-    motor = model.motor
-    return _Predicted(
-        idim_channels(joint.model), record.torque.sample_time, filtering.borders, model.torque[0][:, np.newaxis],
-        (model.columns[0] @ values)[:, np.newaxis], (error - columns[:, zero] @ step)[np.newaxis], whole[np.newaxis],
-        [one[:, np.newaxis] for one in (motor.position, motor.velocity, motor.acceleration)],
-        lambda: _fit_columns(columns, whole[np.newaxis]), equations=len(model.torque),
-    )  # fmt: skip
-
-
-def _fit_columns(columns: FloatArray, whole: FloatArray) -> FloatArray:
-    """Residual of a weighted fit of columns, (n, rows); weights come from a first fit."""
-    left = whole
-    for _ in range(min(len(whole), 2)):
-        weights = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), whole.shape[1])
-        fitted = np.linalg.lstsq(columns * weights[:, np.newaxis], whole.ravel() * weights, rcond=None)[0]
-        left = whole - (columns @ fitted).reshape(whole.shape)
-    return left
-
-
-def _simulate_loop(identified: IdentifiedJoint, loop: ClosedLoop, record: Record) -> _Predicted:
-    assert record.torque is not None
-    record.require(loop.channels, "Validation of a DIDIM estimate")
-    experiment = prepare(loop, record)
-    measured = record.torque.values[: experiment.samples]
-    around = with_torque(INITIAL_STATE, experiment, measured)
-    free = ClosedLoopProblem((*loop.joint.parameters, *around), measured, identified.filtering, loop, experiment)
-    problem = free.keeping({p.name: identified.values[p.name] for p in loop.joint.parameters})
-    x, runs = fit_initial_state(problem)
-    run = require_success(problem.simulate(x))
-    other_law = (
-        "the controller is not the one the joint was identified under; that is right only if its gains were changed"
-    )
-    return _predict_by(
-        problem, free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]}), x, run.torque,
-        [run.motor_position, run.motor_velocity, run.motor.acceleration], loop.channels,
-    )._replace(
-        initial=initial_of(problem.values(x)), simulations=runs + 1,
-        warnings=() if identified.controller in ("", law_fingerprint(loop)) else (other_law,),
-    )  # fmt: skip
-
-
-def _simulate_along_motion(identified: IdentifiedJoint, record: Record) -> _Predicted:
-    """Predict the torque along the motor's motion, or the motor's motion under the torque, with the log's own delay."""
-    joint, filtering, values = identified.joint, identified.filtering, identified.values
-    free: DriveSideProblem | OpenLoopProblem
-    if identified.method == "drive_side":
-        log = LOG_DELAY.fix(-identified.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
-        free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, log)
-    else:
-        free = position_problem(record, OpenLoop(joint), filtering, joint.parameters, LOG_DELAY.fix(-identified.delay))
-    problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
-    found = solve(problem, _SEARCH, problem.vector({})) if problem.free else None
-    x = np.zeros(0) if found is None else found.x
-    predicted, _, finished = problem.simulate(x, ())
-    if not finished:
-        raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
-    if isinstance(problem, DriveSideProblem):
-        position, velocity = problem.motion.position[::PARTS], problem.motion.velocity[::PARTS]
-    else:
-        assert record.motor_position is not None and filtering.position_cutoff is not None
-        position = lowpass(record.motor_position.values, filtering.position_cutoff, problem.sample_time)
-        velocity = differentiate(position, problem.sample_time)
-    size, moving = problem.measured.size, getattr(problem, "weights", None)
-    motion = [one[:size] for one in (position, velocity, differentiate(velocity, problem.sample_time))]
-    return _predict_by(problem, free, x, predicted, motion, DriveSide(joint).channels)._replace(
-        compared=None if moving is None else moving[:, np.newaxis],
-        simulations=1 + (0 if found is None else found.evaluations),
-    )
-
-
-def _predict_by(
-    problem: ClosedLoopProblem | DriveSideProblem | OpenLoopProblem,
-    free: ClosedLoopProblem | DriveSideProblem | OpenLoopProblem,
-    x: FloatArray,
-    predicted: FloatArray,
-    motion: Sequence[FloatArray],
-    channels: tuple[str, ...],
-) -> _Predicted:
-    """Return the prediction of a problem whose joint is known, beside the same problem with a `free` one."""
-    measured = problem.measured
-    error, whole = problem.filter(np.column_stack([measured - predicted, measured])).T
-
-    def fit_anew() -> FloatArray | None:
-        found = _search(free, free.vector(problem.values(x)))
-        return None if found is None else found.residual[np.newaxis]
-
-    return _Predicted(
-        channels, problem.sample_time, problem.filtering.borders, measured[:, np.newaxis], predicted[:, np.newaxis],
-        error[np.newaxis], whole[np.newaxis], [one[:, np.newaxis] for one in motion], fit_anew,
-    )  # fmt: skip
-
-
-def _search(problem: Any, start: FloatArray) -> Solution | None:
-    """Return the solution of a search; None if it fails."""
-    try:
-        with np.errstate(all="ignore"):  # a loop that runs away
-            return solve(problem, _SEARCH, start)
-    except (JointidError, np.linalg.LinAlgError):
-        return None
-
-
-def _predict_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
-    from jointid.estimation.robots.idim import InverseModelRobot
-    from jointid.estimation.robots.numbers import robot_parameters
-    from jointid.estimation.robots.regression import base_columns, base_rows, motion_of_robot, relative_errors
-    from jointid.estimation.robots.simulated import SimulatedRobot, errors_of, nominal_numbers, problem_of
-    from jointid.simulation.robot_numbers import RobotNumbers
-    from jointid.simulation.robots import motion_at
-
-    part, filtering = estimate.require_robot(), estimate.settings.filtering
-    robot, coupling = part.model, part.model.coupling.T
-    if isinstance(part, InverseModelRobot):
-        motion = motion_of_robot(robot, records, filtering)
-        columns = base_columns(robot, part.base, motion)
-        rows = base_rows(robot, part.base, motion, columns)
-
-        return _Predicted(
-            ("torque", "motor_position"), motion.sample_time, motion.filtering.borders, motion.torque,
-            columns @ part.values, rows.by_equation(rows.Y - rows.W @ part.values), rows.by_equation(rows.Y),
-            [one @ coupling for one in (motion.q, motion.v, motion.a)],
-            lambda: _fit_columns(rows.W, rows.by_equation(rows.Y)), motion.moving,
-            errors_of=lambda near: relative_errors(
-                rows, part.nominal if near is None else part.base.with_friction(near)
-            ),
-        )  # fmt: skip
-    assert isinstance(part, SimulatedRobot)
-    numbers = part.numbers()
-    problem: Any = problem_of(part.setup, records, robot_parameters(robot), filtering)
-    run = problem.run_of(numbers)
-    if run is None:
-        what = "references" if part.has_controllers else "motor positions"
-        raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
-    if part.has_controllers:
-        moved, channels = motion_at(run, problem.experiment.clock.log_index), ("torque", "reference")
-        path = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
-    else:
-        channels = "torque", "motor_position"
-        path = [one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a)]
-    error = problem.error(run)
-
-    def fit_anew() -> FloatArray | None:
-        parameters = problem.parameters
-        base = replace(parameters.base, log=numbers.log)
-        free, left = replace(problem, parameters=replace(parameters, base=base)), error
-        x = parameters.to_search_variables(parameters.group(run.numbers))
-        for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
-            free = free.reweight(left, 0)
-            found = _search(free, x)
-            if found is None:
-                return None
-            x, left = found.x, found.residual / free.weights(error.size)
-        return np.asarray(problem.by_joint(left))
-
-    return _Predicted(
-        channels, problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
-        problem.by_joint(error), problem.by_joint(problem.filtered_torque), path, fit_anew,
-        None if part.has_controllers else problem.motion.moving,
-        errors_of=lambda near: errors_of(
-            problem,
-            nominal_numbers(robot, numbers) if near is None else replace(RobotNumbers.of(near), log=numbers.log),
-        ),
-    )  # fmt: skip

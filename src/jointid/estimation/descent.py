@@ -19,7 +19,7 @@ from jointid.solvers.bounded_least_squares import TrustRegion
 from jointid.solvers.solve import Counted, Solution, Solver, Step, Tally, solve
 from jointid.uncertainty.position_dependent_error import uncertainty
 
-_ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a rough descent
+_ROUGHLY, _FEW, _GLANCES = 1e-5, 30, 8  # tolerance and evaluations of a rough descent; of a look
 _CLEARLY = 25.0  # times the residual's variance: the first rows of a filter without a lag vary more than the others ...
 _SURELY = 2.0  # ... and robust standard deviations of that velocity
 
@@ -144,6 +144,11 @@ def least_squares(problem: Sized, tolerance: float) -> TrustRegion:
 def roughly(problem: Sized) -> TrustRegion:
     """Return the solver of a rough descent."""
     return replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
+
+
+def glancing(problem: Sized) -> TrustRegion:
+    """Return the solver of a first look, which only tells good starts from bad ones."""
+    return replace(roughly(problem), evaluations=_GLANCES)
 
 
 def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history: History) -> Solved:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import cast
+
+import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
@@ -16,9 +18,9 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.outputs import fit_outputs, state_scale
-from jointid.estimation.problems.log_windows import Windowing
-from jointid.estimation.problems.several_records import SeveralRecords
+from jointid.estimation.outputs import fit_log, fit_outputs, state_position, state_scale
+from jointid.estimation.problems.log_windows import Windowing, moves
+from jointid.estimation.problems.several_records import RecordLayout, SeveralRecords
 from jointid.estimation.record_warnings import ask_about_gains, check_robot_records, robot_record_warnings
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.robots.idim import identify_robot
@@ -26,7 +28,7 @@ from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.regression import Records, each_log, in_logs
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.unknown_timing import fit_unstated_timing
-from jointid.models.joints import ClosedLoop, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
@@ -34,6 +36,55 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
+
+LARGEST = 2**32
+"""Bytes that the identification of one record and its checks may take at once; a longer record goes in windows."""
+
+_PER_SAMPLE = 7000  # bytes of each joint, where the checks search for a cause; without a misfit 1000
+
+
+def memory_of(record: Record) -> int:
+    """Return the bytes that the identification of a record by simulation and its checks may take."""
+    return _PER_SAMPLE * max(len(channel) for _, channel in record.items())
+
+
+def plan_windows(record: object, model: object, method: Method | None) -> tuple[Record, Windowing, str] | None:
+    """Return for a record above `LARGEST` the part to check, the windows, and a sentence on what it takes.
+
+    The part is the first with half the most travel or more. None of a record below, of one that moves in less than two
+    windows, and of what is not identified in windows.
+    """
+    if not (isinstance(record, Record) and isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None)):
+        return None
+    sizes = {len(channel) for _, channel in record.items()}
+    needed = memory_of(record)
+    both = method is not None and len(method.outputs) > 1  # weighted beside a fit of the whole
+    if needed <= LARGEST or both or len(sizes) > 1 or record.reference is None or model.joint.friction.follows_time:
+        return None
+    source = InMemory(record)
+    # The checks take several times as much as a fit.
+    longest, checked = (source.sample_time * LARGEST / (share * _PER_SAMPLE) for share in (3, 8))
+    windows = Windowing(min(Windowing().length, longest))
+    length = min(checked, windows.length)
+
+    def divide(seconds: float) -> Iterator[Record]:
+        return (piece.record for piece in source.chunks(round(seconds / source.sample_time), 0))
+
+    if sum(map(moves, divide(windows.length))) < 2:
+        return None
+    enough = 0.5 * max(map(_travel, divide(length)))
+    part = next(part for part in divide(length) if _travel(part) >= enough)
+    said = (
+        f"at once, the {max(sizes)} samples of the record would take up to {needed / 1e9:.1f} GB of memory: they are "
+        f"identified in windows of {windows.length:.3g} s, and checked in {length:.3g} s from {part.begin:.3g} s on"
+    )
+    return part, windows, said
+
+
+def _travel(record: Record) -> float:
+    asked = record.reference if record.injected is None else record.injected.channel
+    assert asked is not None
+    return float(np.sum(np.abs(np.diff(asked.values))))
 
 
 def fit(
@@ -61,12 +112,7 @@ def fit(
         found = fit_robot(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
         robot = model if isinstance(model, Robot) else model.robot
         return replace(found, after=robot_record_warnings(record, robot))
-    single = isinstance(record, Record) and windows is None
-    if isinstance(method, DIDIM) and method.outputs and not single:
-        raise MethodError(
-            "The outputs of DIDIM are chosen for one record; received several, or windows: leave outputs out, or "
-            "compute the torques by compute_controller_torque."
-        )
+    outputs = method.outputs if isinstance(method, DIDIM) else ()
     if isinstance(record, Sequence):
         if not all(isinstance(one, Record) for one in record):
             raise MethodError("Several records of a joint are a list of records; received something else in it.")
@@ -78,7 +124,18 @@ def fit(
                 "Several records are identified by simulating their loop; give a ClosedLoop, with the controller."
             )
         settings = several or SeveralRecords()
-        return state_scale(identify_several(record, model, settings, method, filtering, parameters, progress), record)
+        layout = RecordLayout.of(len(record), model, settings)
+
+        def fit_together(each: Sequence[Record]) -> FitResult:
+            return state_scale(identify_several(each, model, settings, method, filtering, parameters, progress), each)
+
+        def fit_alone(number: int, each: Sequence[Record]) -> FitResult:
+            known = layout.changes(parameters or {}, number, acting=False)
+            return identify_record(
+                each[0], layout.loops[number], method, filtering=filtering, parameters=known, progress=progress
+            )
+
+        return fit_outputs(record, layout.loops, outputs, fit_together, fit_alone)
     if several is not None:
         raise MethodError("SeveralRecords is about a list of records; received one record: give a list of them.")
     if isinstance(record, Record) and windows is None:
@@ -87,8 +144,18 @@ def fit(
         return _fit_single(record, model, method, filtering, parameters, progress)
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
-    source = InMemory(record) if isinstance(record, Record) else record
-    return identify_log(source, model, windows or Windowing(), method, filtering, parameters, progress)
+
+    def fit_windows(source: LongRecord) -> FitResult:
+        return identify_log(source, model, windows or Windowing(), method, filtering, parameters, progress)
+
+    def fit_whole(_: int, records: Sequence[Record]) -> FitResult:
+        return identify_record(records[0], model, method, filtering=filtering, parameters=parameters, progress=progress)
+
+    if isinstance(record, Record):
+        return fit_outputs(
+            [record], [model], outputs, lambda one: state_scale(fit_windows(InMemory(one[0])), one), fit_whole
+        )
+    return fit_log(record, model, outputs, fit_windows)
 
 
 def _fit_single(
@@ -111,7 +178,7 @@ def _fit_single(
         return state_scale(fit_unstated_timing(records, fit_single), records)
 
     if isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None):
-        found = fit_outputs([record], [model], () if method is None else method.outputs, fit_timed)
+        found = state_position(fit_outputs([record], [model], () if method is None else method.outputs, fit_timed))
     else:
         found = fit_timed([record])
     return found if asked is None else replace(found, before=(asked, *found.before))
@@ -140,7 +207,7 @@ def fit_robot(
         raise MethodError("IDIM.effects are of a joint, and this is a robot; leave them out.")
 
     def of_logs(read: Sequence[Record]) -> FitResult:
-        logs = in_logs(read, records)
+        logs = in_logs(read, records) if len(read) == len(every) else read
         if isinstance(model, RobotDriveSide) and isinstance(method, DriveSideFit | None):
             return identify_simulated_robot(model, logs, method, filtering=filtering, known=known, progress=progress)
         if isinstance(model, RobotLoop) and isinstance(method, DIDIM | None):
@@ -159,6 +226,6 @@ def fit_robot(
 
     if not isinstance(model, RobotLoop) or not isinstance(method, DIDIM | None):
         return fit_timed(every)
-    axes = zip(robot.links, model.controllers, strict=True)
-    loops = [ClosedLoop(RigidJoint(link.kind), law) for link, law in axes] * (len(every) // len(robot.links))
-    return fit_outputs(every, loops, () if method is None else method.outputs, fit_timed)
+    loops = model.loops * (len(every) // len(robot.links))
+    outputs = () if method is None else method.outputs
+    return fit_outputs(every, loops, outputs, fit_timed, of_log=len(robot.links))

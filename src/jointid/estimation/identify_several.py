@@ -70,6 +70,7 @@ from jointid.solvers.bounded_least_squares import TrustRegion
 from jointid.solvers.regression import projection
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Covariance, bandwidth, covariance_of
+from jointid.uncertainty.identifiability import find_separable
 from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty
 
 SOLVER = TrustRegion(1e-10, evaluations=100)
@@ -203,6 +204,12 @@ class BySelf:
         """Residual share of the filtered torque."""
         return self.problem.filtered_error(self.error)
 
+    @property
+    def together(self) -> tuple[str, ...]:
+        """Parameters that this record shows only together; see `find_separable`."""
+        apart = find_separable(self.end.jacobian)
+        return tuple(p.name for p, separable in zip(self.problem.free, apart, strict=True) if not separable)
+
     def acting(self, gain: float) -> dict[str, float]:
         """Return the values in terms of the acting torque, `gain` times the logged one."""
         own = {p.name for p in self.problem.joint.parameters}
@@ -305,7 +312,7 @@ class _Solved:
         free, acting, more = one.problem.free, one.acting(gain), layout.added[number]
         values = {p.name: acting[p.name] - more.get(p.name, 0.0) for p in free}
         std = np.array([gain if p.name in own else 1.0 for p in free]) * one.uncertainty.covariance.std
-        lost = find_lost(free, np.array(list(values.values())), std)
+        lost = {*find_lost(free, np.array(list(values.values())), std), *one.together}
         return build_rows(free, values, dict(zip(values, map(float, std), strict=True)), layout.unit, own, lost)
 
 
@@ -408,7 +415,7 @@ def _compare(solved: _Solved) -> Agreement:
     for k, one in enumerate(solved.alone):
         known, free = one.uncertainty.covariance, one.problem.free
         held = find_active_bounds(free, one.end.x, one.end.residual, one.end.jacobian)
-        compared = units.keys() & {p.name for p in solved.problem.of_record(k)} - {*held}
+        compared = units.keys() & {p.name for p in solved.problem.of_record(k)} - {*held, *one.together}
         kept = [i for i, p in enumerate(free) if p.name in compared and known.std[i] > 0]
         rows = solved.by_itself(k)
         values = {rows[i].name: rows[i].value or 0.0 for i in kept}

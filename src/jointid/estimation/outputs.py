@@ -8,7 +8,7 @@ simulated torque: their mean, weighted by the noise of each, holds all that they
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -17,25 +17,29 @@ from scipy.ndimage import uniform_filter1d
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import format_signed, join, number
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.assemble import FitResult
 from jointid.models.joints import ClosedLoop
+from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import CHANNELS, Record
 from jointid.simulation.controller_torque import SOURCE, compute_controller_torque, seen_position
 from jointid.uncertainty.covariance import robust
-from jointid.uncertainty.verdict import scale_verdict
+from jointid.uncertainty.verdict import CHECK_DECLARED, Status, Subject, Verdict, scale_verdict
 
 Logs: TypeAlias = Sequence[Record]
 
 OUTPUTS = ("torque", "motor_position")
 
 _ONE_WAY = ("coulomb_forwards", "coulomb_backwards")
-_CONSTANT = (  # what includes a constant torque
+CONSTANT = (  # what includes a constant torque
     "offset", "gravity_constant", *(f"{side}{name}" for side in ("", "motor_", "load_") for name in _ONE_WAY),
 )  # fmt: skip
 _OF_TORQUE = ("N", "kg", "A", "V")  # units of what is a part of the torque begin so
 _ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
 _SURE, _SAME = 4.0, 0.02  # deviations, and size or samples: what two torques must differ by to be two
+_MOST_TURNS = 1.0  # that a joint in rad makes, as a rule; from there to as many degrees, its positions may be degrees
 _BANDS = 64  # of the spectrum, in each of which the shares of both outputs are one
+_LOOK = 1000  # samples of a log that tell its channels
 _FEWEST = 8  # frequencies in one
 
 
@@ -53,15 +57,22 @@ def check_outputs(outputs: Sequence[str]) -> None:
 
 
 def fit_outputs(
-    records: Logs, loops: Sequence[ClosedLoop], outputs: Sequence[str], fit: Callable[[Logs], FitResult]
+    records: Logs,
+    loops: Sequence[ClosedLoop],
+    outputs: Sequence[str],
+    fit: Callable[[Logs], FitResult],
+    alone: Callable[[int, Logs], FitResult] | None = None,
+    of_log: int = 1,
 ) -> FitResult:
     """Return the fit of the outputs that are asked for; of what the records have where none are.
 
     Args:
-        records: of a joint, or of the joints of a robot.
+        records: of a joint, or of the joints of a robot; of several logs one after the other.
         loops: joint and controller of each.
         outputs: "torque", "motor_position" or both; empty for the torque where it is logged, else the position.
         fit: of records that have a torque.
+        alone: fit of one log by itself, whose first record has that number; `fit` without it.
+        of_log: records of one log.
 
     Raises:
         RecordError: a record lacks an output that is asked for.
@@ -74,14 +85,64 @@ def fit_outputs(
         return fit(computed)
     for record in records:
         record.require(("torque",), "An identification from torque and motor position")
-    first = fit(records)
-    if first.robot is not None and len(records) > len(first.robot.model):
-        raise MethodError(
-            "Both outputs of a robot are fitted from one log; received several: name one output, or one log."
-        )
-    found = fit([_average(*one) for one in zip(records, _errors(first, records, computed), strict=True)])
+    averages, earlier = list[Record](), 0
+    for begin in range(0, len(records), of_log):
+        log, other = (each[begin : begin + of_log] for each in (records, computed))
+        first = fit(log) if alone is None else alone(begin, log)
+        averages += [_average(*one) for one in zip(log, other, _errors(first, log, other), strict=True)]
+        earlier += first.simulations
+    found = fit(averages)
     channels = ("torque", "motor_position", *(name for name in found.data.channels if name not in OUTPUTS))
-    return replace(found, data=replace(found.data, channels=channels), earlier=found.earlier + first.simulations)
+    return replace(found, data=replace(found.data, channels=channels), earlier=found.earlier + earlier)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComputedLog:
+    """A long log whose chunks have the torque computed from their motor position."""
+
+    source: LongRecord
+    loop: ClosedLoop
+
+    def __post_init__(self) -> None:
+        if self.loop.controller.law(self.sample_time).integrates:
+            raise MethodError(
+                "An integral begins anew in each window of a log from positions alone; expected a controller without "
+                "an integral, or a record that is read whole."
+            )
+
+    @property
+    def name(self) -> str:
+        """Of the log."""
+        return self.source.name
+
+    @property
+    def sample_time(self) -> float:
+        """Of its channels, in seconds."""
+        return self.source.sample_time
+
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        """See `LongRecord.chunks`."""
+        for chunk in self.source.chunks(length, overlap, every):
+            yield replace(chunk, record=compute_controller_torque(chunk.record, self.loop))
+
+
+def fit_log(
+    source: LongRecord, loop: ClosedLoop, outputs: Sequence[str], fit: Callable[[LongRecord], FitResult]
+) -> FitResult:
+    """Return the fit of a log that is read in chunks; see `fit_outputs`.
+
+    Raises:
+        MethodError: both outputs are asked for, or the controller integrates.
+    """
+    if len(outputs) > 1:
+        raise MethodError(
+            "Both outputs are weighted beside a fit of the whole record; received a log that is read in windows: name "
+            "one output, or read the record whole."
+        )
+    first = next(source.chunks(_LOOK, 0)).record
+    if tuple(outputs) == ("torque",) or (not outputs and first.torque is not None):
+        return fit(source)
+    return state_scale(fit(ComputedLog(source, loop)), [compute_controller_torque(first, loop)])
 
 
 def _errors(fit: FitResult, records: Logs, computed: Logs) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -106,18 +167,24 @@ def _errors(fit: FitResult, records: Logs, computed: Logs) -> Iterator[tuple[Flo
         yield logged, law
 
 
-def _average(record: Record, errors: tuple[FloatArray, FloatArray]) -> Record:
+def _average(record: Record, other: Record, errors: tuple[FloatArray, FloatArray]) -> Record:
     """Return the record with the mean of both torques whose error is least at each frequency.
 
     Both errors e are seen beside one prediction. The share w of the computed torque makes the power of
-    ``(1 - w) e1 + w e2`` least, averaged over neighbouring frequencies, which allows for what they have in common. What
-    is constant is taken from the log: the content of an integral is unknown.
+    ``(1 - w) e1 + w e2`` least, averaged over neighbouring frequencies, which allows for what they have in common.
+    Under an integral, whose content is unknown, what is constant is taken from the log.
+
+    Args:
+        record: with the logged torque.
+        other: the same with the computed torque.
+        errors: of both, (samples,) each.
 
     Raises:
         MethodError: the torques differ by a factor or by a delay, so one of them is wrong.
     """
     assert record.torque is not None
-    torque, difference = record.torque.values[: errors[0].size], errors[1] - errors[0]
+    # The noise of the logged torque is in the difference, too: beside it a factor would look smaller than it is.
+    torque, difference = record.torque.values[: errors[0].size] - errors[0], errors[1] - errors[0]
     columns = np.column_stack([torque, np.gradient(torque), np.ones(torque.size)])
     weights = np.linalg.lstsq(columns, difference, rcond=None)[0]
     std = robust(columns, columns, difference - columns @ weights).std
@@ -129,13 +196,43 @@ def _average(record: Record, errors: tuple[FloatArray, FloatArray]) -> Record:
             f"The controller's torque for the logged motor position differs from the logged torque by {apart_by}; "
             "expected one torque: identify from one output, which tests the other, and correct gains, units or delay."
         )
-    logged, apart = np.fft.rfft(errors[0]), np.fft.rfft(difference - difference.mean())
+    assert other.computed_by is not None
+    unknown = difference.mean() if other.computed_by.law(_sample_time(record)).integrates else 0.0
+    logged, apart = np.fft.rfft(errors[0]), np.fft.rfft(difference - unknown)
     width = max(logged.size // _BANDS, _FEWEST)
     common, size = (uniform_filter1d(one, width) for one in (-(logged * apart.conj()).real, np.abs(apart) ** 2))
     share = np.clip(np.divide(common, size, out=np.full_like(size, 0.5), where=size > 0.0), 0.0, 1.0)
     values = record.torque.values.copy()
     values[: errors[0].size] += np.fft.irfft(share * apart, errors[0].size)
     return replace(record, torque=replace(record.torque, values=values, source=f"logged, and {SOURCE}"))
+
+
+def position_rms(names: Sequence[str], records: Logs, simulated: FloatArray) -> dict[str, float]:
+    """Return the rms error of simulated motor positions, by name, of those that were logged at the same instants.
+
+    Args:
+        names: of the joints.
+        records: of each.
+        simulated: (samples, joints).
+    """
+    found = {}
+    for name, record, values in zip(names, records, simulated.T, strict=True):
+        position, torque = record.motor_position, record.torque
+        if position is not None and torque is not None and position.sample_time == torque.sample_time:
+            size = min(len(position), values.size)
+            found[name] = float(np.sqrt(np.mean((position.values[:size] - values[:size]) ** 2)))
+    return found
+
+
+def state_position(fit: FitResult) -> FitResult:
+    """Return the fit of a joint under its controller with the error of the position; any other as it is."""
+    if fit.record is None or not isinstance(fit.problem, ClosedLoopProblem) or fit.x is None:
+        return fit
+    if fit.record.motor_position is None:
+        return fit
+    simulated = fit.problem.simulate(fit.x).motor_position[:, np.newaxis]
+    rms = position_rms([""], [fit.record], simulated)
+    return replace(fit, fit=replace(fit.fit, position_rms=rms, simulations=fit.fit.simulations + 1))
 
 
 def state_scale(fit: FitResult, records: Logs) -> FitResult:
@@ -155,17 +252,19 @@ def state_scale(fit: FitResult, records: Logs) -> FitResult:
     known += ["the injected signal"] if any(_tells_scale(record) for record, _ in computed) else []
     integral = any(law.law(_sample_time(record)).integrates for record, law in computed)
     lost = tuple(
-        row.name for row in rows if integral and row.of_joint and row.free and row.name.rpartition(".")[2] in _CONSTANT
+        row.name for row in rows if integral and row.of_joint and row.free and row.name.rpartition(".")[2] in CONSTANT
     )
-    freed = [row.name for row in rows if not row.of_joint and row.free and row.name == "gain"]
+    freed = any(not row.of_joint and row.free and row.name == "gain" for row in rows)
     if freed and not known:
         raise MethodError(
             "From positions alone the controller's gain is one with the scale of the joint; expected a known inertia, "
             "friction or stiffness, or an injected torque: fix one of them, or keep the gain."
         )
-    verdict = scale_verdict(known, lost)
+    verdict = scale_verdict(known, lost, max(_turns_of(fit, record) for record, _ in computed), identified=freed)
     checks = replace(
-        fit.checks, verdicts=(*fit.checks.verdicts, verdict), warnings=(*fit.checks.warnings, verdict.said)
+        fit.checks,
+        verdicts=(*map(_doubt_declared, fit.checks.verdicts), verdict),
+        warnings=(*fit.checks.warnings, verdict.said),
     )
     read = {*fit.data.channels, "motor_position", *(name for _, law in computed for name in law.channels)}
     data = replace(fit.data, channels=tuple(name for name in CHANNELS if name in read - {"torque"}))
@@ -177,6 +276,23 @@ def _tells_scale(record: Record) -> bool:
     if record.injected is None or record.torque is None:
         return False
     return float(np.std(record.injected.channel.values)) > _ENOUGH * float(np.std(record.torque.values))
+
+
+def _turns_of(fit: FitResult, record: Record) -> float:
+    """Return the turns of a position that may be in degrees; else 0."""
+    position = record.motor_position
+    if position is None or position.unit != "rad":
+        return 0.0
+    gear = None if fit.robot is not None else fit.settings.joint.transmission
+    turns = float(np.ptp(position.values)) / (2 * np.pi * (1.0 if gear is None else gear.ratio or 1.0))
+    return turns if _MOST_TURNS < turns < _MOST_TURNS * 180 / np.pi else 0.0
+
+
+def _doubt_declared(verdict: Verdict) -> Verdict:
+    """Add to the verdict on a bad fit the declared numbers to check."""
+    if verdict.subject is not Subject.FIT or verdict.status is not Status.FAILED:
+        return verdict
+    return replace(verdict, reasons=tuple(replace(one, words=f"{one}: {CHECK_DECLARED}") for one in verdict.reasons))
 
 
 def _sample_time(record: Record) -> float:

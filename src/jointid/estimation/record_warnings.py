@@ -15,8 +15,8 @@ from jointid.models.controllers import Cascade, Controller
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, range_faults, scale_faults
 from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import differentiate_twice, lowpass
-from jointid.uncertainty.residual_tests import coupling
+from jointid.records.signals.filtering import Filtering, differentiate_twice, lowpass
+from jointid.uncertainty.residual_tests import Coupling, coupling
 
 _FEWEST = 4  # rows to a column of the regression
 
@@ -69,31 +69,41 @@ def coupling_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...
         f"other axes moved too ({', '.join(record.other_axes)}), and their coupling (inertia, Coriolis, gravity) is "
         "not in the model of a single joint: the parameters are those of this motion and these poses"
     )
-    motion = None if estimate.fit.compared == "position" else _residual_and_motion(record, estimate)
-    if motion is None:
+    fit, filtering = estimate.fit, estimate.settings.filtering
+    found = None
+    if fit.compared != "position":
+        residual = fit.measured - fit.predicted
+        found = find_coupling(record, residual, fit.borders, filtering, estimate.data.sample_time)
+    if found is None:
         return (said,)
-    found = coupling(*motion)
     share = f"{100 * found.explained:.0f} % of what it leaves follows their accelerations and positions"
     chance = f"up to {100 * found.by_chance:.0f} % would by chance"
     return (f"{said}; {share}, {chance}{'' if found.seen else ', so this record cannot tell how much is theirs'}",)
 
 
-def _residual_and_motion(record: Record, estimate: EstimateParts) -> tuple[FloatArray, FloatArray] | None:
-    """Return the residual, (rows,), and the motion of other axes, (rows, columns); None of too few rows."""
-    filtering, T = estimate.settings.filtering, estimate.data.sample_time
-    residual = estimate.fit.measured - estimate.fit.predicted
-    at = np.arange(residual.size) * T
-    cutoff = filtering.position_cutoff
-    assert cutoff is not None
+def find_coupling(
+    record: Record, residual: FloatArray, borders: tuple[int, int], filtering: Filtering, sample_time: float
+) -> Coupling | None:
+    """Return the share of a residual that follows other axes; None without these, or of too few rows.
+
+    Args:
+        record: with the positions of the other axes.
+        residual: (samples,) of the torque, raw.
+        borders: samples at each end that are left out.
+        filtering: resolved.
+        sample_time: of the residual, seconds.
+    """
+    at, cutoff = np.arange(residual.size) * sample_time, filtering.position_cutoff
+    if not record.other_axes or cutoff is None:
+        return None
     columns = []
     for channel in record.other_axes.values():
-        position = lowpass(np.interp(at, channel.time, channel.values), cutoff, T)
-        columns += [differentiate_twice(position, T)[1], position]
-    first, last = estimate.fit.borders
-    inside = slice(first, residual.size - last)
-    both = np.column_stack([residual, *columns])[inside]
-    rows = filtering.decimate(both, T)
-    return (rows[:, 0], rows[:, 1:]) if len(rows) > _FEWEST * len(columns) else None
+        position = lowpass(np.interp(at, channel.time, channel.values), cutoff, sample_time)
+        columns += [differentiate_twice(position, sample_time)[1], position]
+    first, last = borders
+    both = np.column_stack([residual, *columns])[first : residual.size - last]
+    rows = filtering.decimate(both, sample_time)
+    return coupling(rows[:, 0], rows[:, 1:]) if len(rows) > _FEWEST * len(columns) else None
 
 
 _EVERY = 0.01  # s: a rounded reference is accelerated in every one of its own samples

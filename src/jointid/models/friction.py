@@ -38,7 +38,7 @@ DIRECTIONS: tuple[Direction, ...] = ("forwards", "backwards")
 _QUANTITY: Mapping[Part, Quantity] = {"viscous": Quantity.VISCOUS, "coulomb": Quantity.FORCE}
 
 # exp(-x^2) by straight lines between these points, and 0 above: within 0.0042 of it (found by linear programming).
-_KNOTS = (
+KNOTS = (
     (0.0, 1.0), (0.148, 0.9822), (0.338, 0.8961), (0.575, 0.7206), (0.982, 0.3774), (1.247, 0.207), (1.514, 0.0973),
     (1.836, 0.0308), (2.375, 0.0),
 )  # fmt: skip
@@ -54,7 +54,7 @@ _WARMED = 0.2  # of the friction, lost at the end: where a search for a change w
 
 def low_speed_share(ratio: FloatArray) -> FloatArray:
     """Return ``exp(-x^2)`` by its straight lines, at speeds over that of Stribeck's law, of any shape."""
-    at, share = np.array(_KNOTS).T
+    at, share = np.array(KNOTS).T
     return np.asarray(np.interp(np.abs(ratio), at, share))
 
 
@@ -184,11 +184,6 @@ class Friction:
         """True if the law is one line in each direction, and so linear in its parameters."""
         return not self.adds
 
-    @property
-    def of_whole(self) -> Friction:
-        """The corresponding law of a rigid joint."""
-        return self
-
     def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
         """Return the numbers of the smooth law beside the lines."""
         return SmoothFriction()
@@ -284,7 +279,7 @@ class StribeckFriction(Friction):
         change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
         speed = speed or (math.nan if change else 1.0)  # below no speed there is no change
         found = []
-        for (low, more), (high, less) in pairwise(_KNOTS):
+        for (low, more), (high, less) in pairwise(KNOTS):
             slope = (less - more) / (high - low)
             steeper, higher = change * slope / speed, change * (more - slope * low)
             line = viscous + steeper, viscous_back + steeper, coulomb + higher, coulomb_back + higher
@@ -341,30 +336,28 @@ class PreslidingFriction(Friction):
 
 @dataclass(frozen=True, slots=True)
 class LoadDependentFriction(Friction):
-    """Symmetric friction, that of the load larger by a share of the torque through the spring: ``Fc2 + mu |T12|``.
+    """Symmetric friction that grows with the torque through the gear: ``(Fc + mu |T|) sign(v) + Fv v``.
 
-    A gear loses so the more, the more torque goes through it; T12 is the torque of spring and damper. Valid where the
-    share is well below 1.
+    Of a flexible joint T is the torque of spring and damper, and the friction is the load's, ``Fc2 + mu |T12|``. Of a
+    rigid one T is the motor's torque, since no motion tells its rotor from what the gear drives. A gear that drives
+    passes on ``1 - mu`` of the torque, one that brakes takes ``1 + mu`` of it (P. Hamon, M. Gautier and P. Garrec:
+    Dynamic identification of robots with a dry friction model depending on load and velocity, IROS 2010). Valid where
+    the share is well below 1.
     """
 
     name = "load-dependent"
     stepped = True
     label = "the same, more under load"
-    adds, instead = "the friction that grows with the spring's torque", "what it is without one"
-
-    @property
-    def of_whole(self) -> Friction:
-        """Its lines, since a rigid joint has no torque through a spring."""
-        return SymmetricFriction()
+    adds, instead = "the friction that grows with the gear's torque", "what it is without one"
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return Fv and Fc, on the load side then the share of the spring's torque."""
+        """Return Fv and Fc, and the share of the torque; of a flexible joint on the load side."""
         own = Friction.parameters(self, prefix, index)
         share = Parameter(f"{prefix}friction_per_torque", f"mu{index}", Quantity.RATIO, lower=0.0, upper=_MOST)
         return own if prefix == "motor_" else (*own, share)
 
     def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
-        """Return the share, on the load side."""
+        """Return the share; of a flexible joint on the load side."""
         return SmoothFriction(per_torque=0.0 if prefix == "motor_" else values[f"{prefix}friction_per_torque"])
 
     def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
@@ -381,12 +374,22 @@ class LoadDependentFriction(Friction):
 
 
 @dataclass(frozen=True, slots=True)
+class AsymmetricLoadDependentFriction(LoadDependentFriction):
+    """Friction that differs between the directions, and in both grows alike with the torque through the gear."""
+
+    name = "asymmetric-load-dependent"
+    label = "different, more under load"
+    contrast = "asymmetric"
+    coefficients = AsymmetricFriction.coefficients
+
+
+@dataclass(frozen=True, slots=True)
 class WoundLoadDependentFriction(PreslidingFriction):
-    """Friction of both kinds: ``(Fc + mu |T12|) z`` on the load side, where z winds up over a displacement.
+    """Friction of both kinds: ``(Fc + mu |T|) z``, where z winds up over a displacement.
 
     The efficiency of a gear in P. R. Dahl's form: what is lost of the torque builds up behind a reversal as friction
-    does. Of such an efficiency that differs by the direction of power the difference, ``mu' T12 z^2``, is a torque in
-    proportion to the spring's wherever the load slides: as a load of other inertia and friction, from which no torque
+    does. Of such an efficiency that differs by the direction of power the difference, ``mu' T z^2``, is a torque in
+    proportion to the gear's wherever the load slides: as a load of other inertia and friction, from which no torque
     tells it.
     """
 
@@ -395,19 +398,14 @@ class WoundLoadDependentFriction(PreslidingFriction):
     adds = f"{PreslidingFriction.adds}, and {LoadDependentFriction.adds}"
     instead = f"{PreslidingFriction.instead}, {LoadDependentFriction.instead}"
 
-    @property
-    def of_whole(self) -> Friction:
-        """Presliding friction alone, since a rigid joint has no torque through a spring."""
-        return PreslidingFriction()
-
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return Fv, Fc and the displacement over which it winds up, on the load side then the share of the torque."""
+        """Return Fv, Fc and the displacement over which it winds up, then the share of `LoadDependentFriction`."""
         own = Friction.parameters(self, prefix, index)
         wound, loaded = PreslidingFriction(), LoadDependentFriction()
         return (*wound.parameters(prefix, index), *loaded.parameters(prefix, index)[len(own) :])
 
     def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
-        """Return the displacement and, on the load side, the share."""
+        """Return the displacement, and the share of `LoadDependentFriction`."""
         loaded = LoadDependentFriction().smooth(values, prefix)
         return PreslidingFriction().smooth(values, prefix)._replace(per_torque=loaded.per_torque)
 
@@ -456,7 +454,7 @@ FRICTIONS: Mapping[str, type[Friction]] = {
     law.name: law
     for law in (
         SymmetricFriction, AsymmetricFriction, StribeckFriction, AsymmetricStribeckFriction, PreslidingFriction,
-        LoadDependentFriction, WoundLoadDependentFriction, DriftingFriction,
+        LoadDependentFriction, AsymmetricLoadDependentFriction, WoundLoadDependentFriction, DriftingFriction,
     )
 }  # fmt: skip
 """Every friction law by its name in the joint file."""

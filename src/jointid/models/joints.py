@@ -67,11 +67,6 @@ class _JointBase:
         if self.gravity is not None:
             self.gravity.require(self.kind if gear is None else gear.load, self.friction)
 
-        if self.model == "rigid" and self.friction.of_whole != self.friction:
-            raise MethodError(
-                f"{self.friction.name.capitalize()} friction follows the torque through a spring; received a rigid "
-                'joint, which has none: use a flexible one, or friction = "symmetric".'
-            )
         in_pieces = not (self.friction.linear or self.friction.stepped)
         if self.ripple is not None:
             self.ripple.require(self.model)
@@ -305,7 +300,7 @@ class FlexibleJoint(_JointBase):
     def rigid(self) -> RigidJoint:
         """The joint whose spring does not give: what this one is far below its resonance."""
         ripple = None if self.ripple is None else replace(self.ripple, side="motor")
-        return RigidJoint(self.kind, self.friction.of_whole, self.torque_unit, self.transmission, self.gravity, ripple)
+        return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, ripple)
 
     @property
     def linear(self) -> FlexibleJoint:

@@ -16,7 +16,8 @@ class SmoothFriction(NamedTuple):
         presliding: the displacement over which the Coulomb force winds up, m or rad; 0 of one that sticks.
         viscous_drift: by how much the viscous coefficient grows per second.
         coulomb_drift: by how much the Coulomb force grows per second.
-        per_torque: the share of the spring's torque that the Coulomb force grows by.
+        per_torque: the share of a torque that the Coulomb force grows by: on the load's side of the spring's, on the
+            motor's of the motor's.
     """
 
     presliding: float = 0.0

@@ -28,7 +28,8 @@ from jointid.models.smooth import SmoothSpring
 
 _STIFFNESS = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
 _DAMPING = Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0)
-_SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for half the gap begins
+_SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for another piece begins
+_GAPS = (0.1, 0.3, 0.6, 0.8)  # of it, for half the gap
 _NEWTON = 50  # steps to the deflection of a smooth spring
 _LEAST = 1e-12  # torque at which a slider slips
 _PARTS, _TIMES = (0.2, 0.5), (1.7, 3.0)  # of the load that swings at so many times the first mode, at a start
@@ -211,7 +212,7 @@ class Backlash(Spring):
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield gaps of a part of the deflection; the spring alone is stiffer by that."""
-        for share in _SHARES:
+        for share in _GAPS:
             yield {"stiffness": linear["stiffness"] / (1 - share), "gap": 2 * share * windup}
 
     def describe(self, shown: Mapping[str, str]) -> str:

@@ -57,9 +57,8 @@ class FileLayout:
         columns = dict(file.columns)
         for name in record.channels:
             if name not in columns and file.drive.traces is None:
-                like = columns.get(_LIKE.get(name, ""), Column())
                 own = f"{file.name}.{name}" if len(self.files) > 1 else name
-                columns[name] = replace(like, column=own, timing=None, tap=None, sample_time=None, update_time=None)
+                columns[name] = file.column_like(_LIKE.get(name, ""), own)
         own_clock = file.source.sample_time in (None, next(iter(record.items()))[1].sample_time)
         source = file.source if own_clock else replace(file.source, sample_time=None)
         return replace(file, columns=columns, source=source)

@@ -12,6 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
@@ -19,9 +20,9 @@ from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.planning.designed import Design
 from jointid.planning.joint_tests import JointTests, joint_tests
-from jointid.planning.predict import Noise
+from jointid.planning.predict import Noise, PredictedTest
 from jointid.planning.robot_tests import FirstRecord, RobotTests, combine_with_nominal, first_record, robot_tests
-from jointid.planning.search import choose, look
+from jointid.planning.search import Tried, choose, look
 from jointid.records.record import Record, Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop
@@ -31,6 +32,7 @@ _DURATION, _SAMPLE_TIME = 10.0, 1e-3  # s, of a robot's test where nothing state
 _DOUBTFUL = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
 
 
+@one_thread()
 def design(
     model: Estimate | ClosedLoop | Robot | RobotLoop,
     record: Record | Sequence[Record] | None = None,
@@ -41,6 +43,7 @@ def design(
     limits: AxisLimits | Sequence[AxisLimits] | None = None,
     motion: Record | Sequence[Record] | None = None,
     covariance: FloatArray | None = None,
+    within: float | None = None,
     duration: float | None = None,
     sample_time: float | None = None,
     tap: Tap | str = Tap.COMMAND,
@@ -48,6 +51,7 @@ def design(
     parameters: Mapping[str, Parameter] | None = None,
     encoder: float | None = None,
     injection: bool = True,
+    time_scale: float = 1.0,
     loop: RobotLoop | None = None,
     feed_forward: Literal["none", "gravity", "inverse-model"] = "none",
     search_time: float = 60.0,
@@ -74,6 +78,8 @@ def design(
         motion: a test of your own, or a past record, which is predicted instead of a search; of a robot one for each
             joint.
         covariance: (free, free) of the joint's free parameters, in their order: other joints are drawn from it.
+        within: percent of each value, by which it may be off, 2 sigma: limits are kept, and intervals predicted, for
+            joints or robots drawn from it. By default the covariance of a joint, and a robot exactly as it is known.
         duration: of the test, s; that of the record by default.
         sample_time: of its log, s; likewise.
         tap: where the torque of a joint will be logged.
@@ -82,6 +88,8 @@ def design(
         encoder: steps of the encoders that are predicted beside a joint's test, m or rad; those of the record by
             default, or a millionth of the stroke.
         injection: whether the drive can add a signal to the torque; a robot's test adds none.
+        time_scale: by how much slower the test is played than it was searched for, 1 or more: it takes as many times as
+            long. The test at full speed is predicted beside it.
         loop: controllers of a robot that was identified without them, for a test by DIDIM.
         feed_forward: that a robot's drives are given beside the controllers' torque.
         search_time: that the search may take, s. An interrupt ends it and keeps the best test.
@@ -107,9 +115,9 @@ def design(
         >>> found.floor < found.proposed.std["stiffness"]
         True
     """
-    for given, what in ((duration, "duration"), (sample_time, "sample time"), (search_time, "time of the search")):
-        if given is not None and not (math.isfinite(given) and given > 0):
-            raise MethodError(f"The {what} is a positive number of seconds; received {given:g}.")
+    _require_numbers({"duration": duration, "sample time": sample_time, "time of the search": search_time})
+    _require_numbers({"time scale": time_scale}, 1.0)
+    _require_numbers({"tolerance in percent": within}, 0.0)
     played = None if motion is None else (motion,) if isinstance(motion, Record) else tuple(motion)
     tests: JointTests | RobotTests
     if isinstance(model, ClosedLoop) or (isinstance(model, Estimate) and model.robot is None):
@@ -132,7 +140,7 @@ def design(
         bound = cast("AxisLimits", limits or AxisLimits())
         step, samples = _times(present, played, sample_time, duration)
         tests = joint_tests(
-            **known, goal=goal, limits=bound, samples=samples, sample_time=step, present=present,
+            **known, within=within, goal=goal, limits=bound, samples=samples, sample_time=step, present=present,
             encoder=encoder, injection=injection, seed=seed, searched=played is None,
         )  # fmt: skip
     else:
@@ -151,7 +159,7 @@ def design(
         samples = len(times[0]) if times else _require_samples(round(lasts / step))
         tests = robot_tests(
             robot, loop, goal, bounds, samples=samples, sample_time=step, first=first, filtering=filtering,
-            noise=sizes, feed_forward=feed_forward, seed=seed, motion=played,
+            noise=sizes, feed_forward=feed_forward, seed=seed, motion=played, within=within,
         )  # fmt: skip
     if played is not None:
         test, best, longer, tried, interrupted = played, tests.take(played), None, 0, False
@@ -159,11 +167,43 @@ def design(
         found, cut = look(tests.rough, tests.begin, search_time, seed, progress)
         best, ended = choose(tests, found, progress)
         test, longer, tried, interrupted = tests.record(best.plan), tests.longer(best.plan), len(found), cut or ended
+    return _predict(name, tests, test, best, longer, tried, interrupted, time_scale)
+
+
+def _predict(
+    name: str,
+    tests: JointTests | RobotTests,
+    test: Sequence[Record],
+    best: Tried,
+    longer: Sequence[Record] | None,
+    tried: int,
+    interrupted: bool,
+    time_scale: float,
+) -> Design:
+    """Predict a test that was found, slowed down as asked."""
+    description, slowed = tests.describe(best.plan), dict[str, PredictedTest]()
+    if time_scale > 1.0:
+        slowed["at full speed"] = tests.predict(test, None)["proposed"]
+        test, longer, description = _slow_down(test, time_scale), None, f"{description}, {time_scale:g} times slower"
+        best = tests.take(test)
     predicted = tests.predict(test, longer)
+    present = {one: predicted.pop(one) for one in ("present",) if one in predicted}
+    predicted = present | slowed | predicted
+    if each := tests.find_deviations(test):
+        predicted["at worst"] = predicted["proposed"].widen(each)
+    failed = (_DOUBTFUL,) if math.isinf(best.over) else ()
     return Design(
-        name, tests.goal, tests.describe(best.plan), tests.axes(test, best, predicted["proposed"]), predicted,
-        tests.noise, tests.least, tried, interrupted, (_DOUBTFUL,) if math.isinf(best.over) else (),
+        name, tests.goal, description, tests.axes(test, best, predicted["proposed"]), predicted, tests.noise,
+        tests.least, tried, interrupted, (*failed, *tests.doubts), assumed=tests.assumed,
+        from_shafts=np.asarray(np.linalg.inv(tests.robot.coupling)) if isinstance(tests, RobotTests) else None,
     )  # fmt: skip
+
+
+def _require_numbers(given: Mapping[str, float | None], least: float | None = None) -> None:
+    for what, value in given.items():
+        if (value is not None and not (value > 0.0 if least is None else value >= least)) or value == math.inf:
+            said = "a positive number of seconds" if least is None else f"{least:g} or more"
+            raise MethodError(f"The {what} is {said}; received {value:g}.")
 
 
 def _refuse_unread(kind: str, **given: bool) -> None:
@@ -201,15 +241,49 @@ def _read_robot(
             )
         own = loop if isinstance(model, Robot) else model
         return model if isinstance(model, Robot) else model.robot, own, None
-    if records is None:
-        raise MethodError("A test is designed from the estimate of a robot and its records; give both.")
-    part, first = model.require_robot(), first_record(model, records)
+    part, first = model.require_robot(), None if records is None else first_record(model, records)
     if model.settings.method == "didim" and isinstance(part.setup, RobotLoop):
         loop = loop or part.setup
     robot = combine_with_nominal(part)
     if loop is not None and robot.flexible != loop.robot.flexible:
-        robot = loop.robot  # IDIM knows no springs
+        robot = _with_springs(robot, loop.robot)  # IDIM knows none
     return robot, None if loop is None else replace(loop, robot=robot), first
+
+
+def _with_springs(found: Robot, declared: Robot) -> Robot:
+    """Return a robot of rigid joints with its declared springs and divided friction."""
+    joints = []
+    for own, other in zip(found.joints, declared.joints, strict=True):
+        spring = other.spring
+        left = () if spring is None else (("viscous", spring.viscous), ("coulomb", spring.coulomb))
+        friction = {name: max(getattr(own, name) - of_link, 0.0) for name, of_link in left}
+        joints.append(replace(own, spring=spring, **friction))
+    return replace(found, joints=tuple(joints))
+
+
+def _slow_down(test: Sequence[Record], times: float) -> tuple[Record, ...]:
+    """Return a test whose references take so many times as long.
+
+    Raises:
+        MethodError: a signal is added to a torque.
+    """
+    from scipy.interpolate import CubicSpline
+
+    found = []
+    for record in test:
+        if record.injected is not None:
+            raise MethodError(
+                "A signal that is added to the torque cannot be slowed down with the motion; plan a test without it, "
+                "by injection = False or --no-injection."
+            )
+        changed: dict[str, Any] = {}
+        for name, by in (("reference", 1.0), ("reference_velocity", 1.0 / times)):
+            if (channel := getattr(record, name)) is not None:
+                size = len(channel)
+                at = np.arange(math.floor(times * (size - 1) + 1e-9) + 1) / times
+                changed[name] = replace(channel, values=by * CubicSpline(np.arange(size), channel.values)(at))
+        found.append(replace(record, torque=None, motor_position=None, load_position=None, **changed))
+    return tuple(found)
 
 
 def _times(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -14,6 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Line, Mark, Panel
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table, common_facts
+from jointid.common.errors import ExtraError
 from jointid.common.files import write_folder
 from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import in_words, join, number
@@ -21,7 +23,9 @@ from jointid.common.transmission import Side, Transmission
 from jointid.models.limits import AxisLimits, describe_excess, units_of_limits
 from jointid.planning.goals import WEAKEST, Goal
 from jointid.planning.predict import PredictedTest
+from jointid.planning.trajectories import Trajectory
 from jointid.records.formats import format_of
+from jointid.records.formats.rosbag import write_trajectory
 from jointid.records.record import InjectionPoint, Record
 from jointid.records.writing import write_columns
 
@@ -134,14 +138,16 @@ class Design(Charted, Documented):
         description: of the test, in words.
         axes: what it does to each axis.
         tests: predictions by the name of the test: "proposed", and where they are known "present", the test there is
-            already, "with motor encoder" where that tells something new, "with load encoder" of a flexible joint, and
-            "twice the time".
+            already, "at worst" over what may be known wrong, "with motor encoder" where that tells something new,
+            "with load encoder" of a flexible joint, and "twice the time".
         noise: what disturbs the tests, in words.
+        assumed: whether that is a guess.
         floor: standard deviation of the goal below which no motion comes; None where it is not known.
         tried: tests of the search.
         interrupted: whether the search was, before its time was over.
         notes: clauses on what is doubtful; none as a rule.
         layout: of the file that drives play; None for SI units on the joint's side.
+        from_shafts: (n, n) the joints' positions from the references of their motors; None where they are the same.
     """
 
     source: str
@@ -155,6 +161,8 @@ class Design(Charted, Documented):
     interrupted: bool = False
     notes: tuple[str, ...] = ()
     layout: Layout | None = None
+    assumed: bool = False
+    from_shafts: FloatArray | None = None
 
     @property
     def proposed(self) -> PredictedTest:
@@ -200,7 +208,8 @@ class Design(Charted, Documented):
     def sentence(self) -> str:
         """Peak torque as it is played, and the predicted interval of the goal beside that of the present test."""
         over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
-        return f"Peak torque {'; '.join(self.peaks)}. {self._summary}.{over}"
+        guess = f", if the noise is {self.noise}" if self.assumed else ""
+        return f"Peak torque {'; '.join(self.peaks)}. {self._summary}{guess}.{over}"
 
     @property
     def _summary(self) -> str:
@@ -214,6 +223,8 @@ class Design(Charted, Documented):
             first = "The proposed test" if better else "No better test than the present one was found: the best one"
         if self.goal.weights:
             unit = self.proposed.units[next(iter(self.goal.weights))]
+            if (worst := self.tests.get("at worst")) is not None:
+                unit += f", {self._width(worst)} {unit} at worst"
             stated = f"{first} tells {self.goal.name.replace('_', ' ')} to {self._width(self.proposed)} {unit}"
             return stated if present is None else f"{stated}, the present one to {self._width(present)} {unit}"
         stated = f"{first} tells {len(self.well_known)} of {len(self.proposed.joint)} parameters to a tenth"
@@ -226,7 +237,7 @@ class Design(Charted, Documented):
 
     def _width(self, prediction: PredictedTest) -> str:
         std = prediction.std_of(self.goal.weights)
-        return f"+- {number(2 * std, 2)}" if math.isfinite(std) else "no bound"
+        return f"± {number(2 * std, 2)}" if math.isfinite(std) else "no bound"
 
     def _score(self, prediction: PredictedTest) -> float:
         return self.goal.score(prediction.covariance.matrix, prediction.joint, prediction.values)
@@ -260,7 +271,7 @@ class Design(Charted, Documented):
             facts.append(("limits", f"not stated, and those which the present test reaches: {join(taken)}"))
         if self.floor is not None and self.goal.weights:
             unit = proposed.units[next(iter(self.goal.weights))]
-            facts.append(("floor", f"no motion within these limits comes below +- {number(2 * self.floor, 2)} {unit}"))
+            facts.append(("floor", f"no motion within these limits comes below ± {number(2 * self.floor, 2)} {unit}"))
         if self.modes:
             facts.append(("modes", ", ".join(f"{name} {number(hertz, 3)} Hz" for name, hertz in self.modes.items())))
         cut = "interrupted; this is the best that was found until then" if self.interrupted else ""
@@ -335,7 +346,40 @@ class Design(Charted, Documented):
                 legal = format_of(path).legal_name
                 write_columns({legal(one, list(columns)): values for one, values in columns.items()}, path, **given)
                 files[name] = path.read_bytes()
-        return files | {"how-to-run.md": self._page(columns).encode("utf-8")}
+        return files | self._trajectory_files() | {"how-to-run.md": self._page(columns).encode("utf-8")}
+
+    def trajectory(self) -> Trajectory | None:
+        """Return the motion of the joints behind their gears, rad or m; None of a test that adds to the torque."""
+        records = self.records()
+        references = [one.reference for one in records if one.reference is not None]
+        if any(one.injected is not None for one in records):
+            return None
+        factors = []
+        for axis in self.axes:
+            gear = axis.transmission
+            turned = gear is not None and gear.side == "motor"
+            factors.append(gear.torque("load") / gear.torque("motor") if gear is not None and turned else 1.0)
+        positions = np.column_stack([one.values * by for one, by in zip(references, factors, strict=True)])
+        if self.from_shafts is not None:
+            positions = positions @ self.from_shafts.T
+        return Trajectory.of([axis.name or "joint" for axis in self.axes], positions, references[0].sample_time)
+
+    def _trajectory_files(self) -> dict[str, bytes]:
+        """Return the motion as controllers of robots play it; a bag where bags can be written."""
+        motion = self.trajectory()
+        if motion is None:
+            return {}
+        files = {"trajectory.yaml": motion.to_yaml().encode("utf-8")}
+        if (script := motion.script) is not None and all(axis.position_unit == "rad" for axis in self.axes):
+            files["trajectory.script"] = script.encode("utf-8")
+        with tempfile.TemporaryDirectory() as place:
+            table, bag = Path(place) / "trajectory.csv", Path(place) / "trajectory.mcap"
+            write_columns(motion.columns(), table)
+            with suppress(ExtraError):
+                write_trajectory(
+                    bag, motion.names, motion.time, motion.positions, motion.velocities, motion.accelerations
+                )
+            return files | {one.name: one.read_bytes() for one in (table, bag) if one.exists()}
 
     def _page(self, columns: Mapping[str, FloatArray]) -> str:
         reference = self.axes[0].test.reference
@@ -346,6 +390,12 @@ class Design(Charted, Documented):
             f"{every} ms, {length} s."
         ]
         injections = []
+        if self.trajectory() is not None:
+            steps.append(
+                "`trajectory.*` hold the same motion of the joints behind their gears, in rad, m and s: a ROS 2 "
+                "JointTrajectory as YAML and, with `jointid[logs]`, as a bag; URScript of an arm of six joints; and a "
+                "table. They have fewer rows, between which a cubic of positions and velocities is the motion."
+            )
         for k, axis in enumerate(self.axes):
             assert axis.test.reference is not None
             own = _PLAIN if self.layout is None else self.layout.axes[k]

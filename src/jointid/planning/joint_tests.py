@@ -33,7 +33,7 @@ from jointid.planning.predict import (
     predict_test,
     reach,
 )
-from jointid.planning.search import ASTRAY, MARGIN, Tried, worst_excess
+from jointid.planning.search import ASTRAY, MARGIN, Tried, largest, worst_excess
 from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 
@@ -165,8 +165,8 @@ class JointTests:
     def try_plan(self, plan: Plan, *, margin: float = MARGIN, than: Tried | None = None) -> Tried:
         """Evaluate a test at every joint; if it clearly loses at the first one, the others are skipped."""
         (test,) = self.record(plan)
-        scores, most = [], dict[str, float]()
-        tried = Tried(plan, ASTRAY, (most,), math.inf)
+        scores, most = [], tuple[Mapping[str, float], ...]()
+        tried = Tried(plan, ASTRAY, ({},), math.inf)
         predictions = self.purpose.predict_roughly(test)
         for values in self.purpose.joints:
             try:
@@ -175,9 +175,8 @@ class JointTests:
             except (JointidError, np.linalg.LinAlgError):
                 return replace(tried, score=ASTRAY, over=math.inf)
             scores.append(self.purpose.goal.score(one.covariance, one.names, values))
-            for name, size in one.reached.items():
-                most[name] = max(most.get(name, 0.0), size)
-            tried = Tried(plan, float(np.mean(scores)), (most,), worst_excess((self.limits,), (most,), margin))
+            most = largest([most or ({},), (one.reached,)])
+            tried = Tried(plan, float(np.mean(scores)), most, worst_excess((self.limits,), most, margin))
             if than is not None and tried.rank > (than.rank[0], than.score + _CLEARLY):
                 break
         return tried
@@ -189,16 +188,36 @@ class JointTests:
             raise MethodError("A test of your own has a reference; give the position that the axis is to follow.")
         injected = test.injected
         plan = Plan(Table(test.reference.values), None if injected is None else TorqueTable(injected.channel.values))
-        most = dict[str, float]()
-        for prediction in self.purpose.predict_roughly(self._with_torque(test)):
-            most = {name: max(size, most.get(name, 0.0)) for name, size in prediction.reached.items()}
-        return Tried(plan, 0.0, (most,), 0.0)
+        each = self.purpose.predict_roughly(self._with_torque(test))
+        return Tried(plan, 0.0, largest((one.reached,) for one in each), 0.0)
+
+    def find_deviations(self, test: Sequence[Record]) -> list[FloatArray]:
+        """Return the deviations of the parameters in a test at each joint of the interval, the known one first."""
+        if len(self.purpose.joints) == 1:
+            return []
+        each = self.purpose.predict_roughly(self._with_torque(*test))
+        found = [np.sqrt(np.diag(next(each).covariance))]
+        try:
+            found.extend(np.sqrt(np.diag(one.covariance)) for one in each)
+        except JointidError:  # of one of them nothing is known
+            found.append(np.full_like(found[0], np.inf))
+        return found
+
+    @property
+    def assumed(self) -> bool:
+        """Whether the noise is a guess: it is stated, or that of a record."""
+        return False
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Clauses on what is not known: none, since every value is given."""
+        return ()
 
     def _with_torque(self, test: Record) -> Record:
         """Return a test as one whose log has the torque's rate."""
         if test.torque is not None:
             return test
-        zeros = np.zeros(self.purpose.samples)
+        zeros = np.zeros(math.floor(test.duration / self.purpose.sample_time + 1e-9))
         unit = self.purpose.loop.joint.force_unit
         return replace(test, torque=Channel(zeros, unit, self.purpose.sample_time, Timing.HELD))
 
@@ -260,6 +279,7 @@ def joint_tests(
     sample_time: float,
     present: Record | None,
     covariance: FloatArray | None,
+    within: float | None,
     tap: Tap,
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
@@ -270,10 +290,13 @@ def joint_tests(
 ) -> JointTests:
     """Pose the tests of a joint whose values are roughly known; see `jointid.design`.
 
-    `present` is the test there is already, `searched` whether limits are needed for a search.
+    `present` is the test there is already, `within` the percent that each value may be off, in the place of the
+    `covariance`, `searched` whether limits are needed for a search.
     """
     free = [p for p in (parameters.get(p.name, p) for p in loop.joint.parameters) if p.free]
     wanted = parse_goal(goal, {p.name: loop.joint.unit(p) for p in free})
+    if within is not None:
+        covariance = np.diag([(0.005 * within * values[p.name]) ** 2 for p in free])
     draws = _draw(values, free, covariance, _MORE_JOINTS, seed)
     purpose = Purpose(loop, (dict(values), *draws), noise, wanted, samples, sample_time, tap, filtering, parameters)
     if not searched:

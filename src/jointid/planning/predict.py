@@ -19,7 +19,7 @@ saturation most of the time, and failed searches are not predicted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -130,6 +130,16 @@ class PredictedTest:
     def std(self) -> dict[str, float]:
         """Standard deviations by name."""
         return dict(zip(self.joint, map(float, self.covariance.std), strict=True))
+
+    def widen(self, each: Sequence[FloatArray]) -> PredictedTest:
+        """Return the prediction with the widest of deviations at several joints or robots; the first is this one's.
+
+        Args:
+            each: (parameters,) standard deviations, of the known one first.
+        """
+        with np.errstate(invalid="ignore"):
+            factors = np.nan_to_num(np.max(each, axis=0) / each[0], nan=1.0, posinf=np.inf)
+        return replace(self, covariance=replace(self.covariance, std=self.covariance.std * factors))
 
     def std_of(self, weights: Mapping[str, float]) -> float:
         """Return the standard deviation of a weighted sum of parameters."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.text import number
+from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import torques_of_robot
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import IdentifiedRobot
@@ -33,7 +33,7 @@ from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.regression import motion_of_robot
-from jointid.estimation.robots.simulated import parameter_units
+from jointid.estimation.robots.simulated import SimulatedRobot, nominal_numbers, parameter_units
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns, standard_values
 from jointid.models.robots.friction_terms import Friction, friction_columns, friction_terms
@@ -42,13 +42,14 @@ from jointid.planning.designed import DesignedAxis
 from jointid.planning.goals import ALL, Goal, parse_goal
 from jointid.planning.predict import PEAKS, PredictedTest
 from jointid.planning.robot_motions import Motions, complete
-from jointid.planning.search import ASTRAY, MARGIN, Tried, worst_excess
+from jointid.planning.search import ASTRAY, MARGIN, Tried, largest, worst_excess
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers, robot_with
 from jointid.simulation.robots import (
     RobotLoop,
+    RobotRun,
     RobotSimulation,
     add_feed_forward,
     prepare_robot,
@@ -68,6 +69,8 @@ _FOR_MODES = 0.2  # of speed and acceleration, kept for the multisine where ther
 _ABOUT = (0.6, 1.6)  # of a mode's frequency: the band of the multisine
 _LINES = 20
 _TOLD = 2.0  # deviations that a value is off 0, to be a scale of its own
+_DRAWN, _SIMULATED = 20, 6  # robots that it may be, by the equations and under the controllers
+_LEAST = 0.2  # of a number that is drawn: less is no robot that somebody declared
 _SINGULAR = 1e-10  # of the largest: a direction that is not determined
 
 
@@ -103,6 +106,7 @@ class RobotTests:
         noise_sizes: (n,) standard deviation of white noise on the log of each torque.
         of_record: whether that is the noise of a first record.
         first: what a first record says; None without one.
+        drawn: robots that it may be, beside the one that is roughly known.
         assumed: whether nothing is known of the noise.
         least: no bound is known that no motion passes.
         simulated: whether candidates are simulated under the controllers, and not by the equations alone.
@@ -121,6 +125,7 @@ class RobotTests:
     first: FirstRecord | None
     filtering: Filtering | None
     feed_forward: Literal["none", "gravity", "inverse-model"]
+    drawn: tuple[_Regressor, ...] = ()
     assumed: bool = False
     simulated: bool = True
     least: None = None
@@ -144,7 +149,8 @@ class RobotTests:
     @property
     def rough(self) -> RobotTests:
         """The same by the equations of a rigid robot, for the search, where they tell the goal."""
-        return replace(self, simulated=self.loop is not None and self.goal.name != ALL)
+        simulated = self.loop is not None and self.goal.name != ALL
+        return replace(self, simulated=simulated, drawn=() if simulated else self.drawn)
 
     @property
     def time(self) -> FloatArray:
@@ -177,17 +183,17 @@ class RobotTests:
         if self.simulated:
             try:
                 found = self._predict(record := self.record(plan))
+                reached = self._find_largest(record, found)
             except JointidError:
                 return Tried(plan, ASTRAY, tuple({} for _ in self.limits), math.inf)
             covariance, names, values = found.covariance, found.joint, found.values
-            reached = self._find_maxima(record, found)
         else:
             q, v, a = plan.play(np.linspace(0.0, plan.motions.period, _INSTANTS, endpoint=False))
             columns = self.model.columns(q, v, a)
             covariance = _covariance(self._divide_by_noise(columns), self.samples / _INSTANTS)
             names, values = self.model.names, dict(zip(self.model.names, self.model.values, strict=True))
-            step = plan.motions.period / _INSTANTS
-            reached = _maxima(q, v, a, step, columns @ self.model.values, self.noise_sizes, {})
+            step, numbers = plan.motions.period / _INSTANTS, (self.model, *self.drawn)
+            reached = largest(_maxima(q, v, a, step, columns @ one.values, self.noise_sizes, {}) for one in numbers)
         score = self.goal.score(covariance.matrix, names, values)
         return Tried(
             plan, min(score, ASTRAY), reached, worst_excess(self.limits, reached, margin)
@@ -195,7 +201,32 @@ class RobotTests:
 
     def take(self, motion: Sequence[Record]) -> Tried:
         """Evaluate a motion of one's own, or that of a past record."""
-        return Tried(None, 0.0, self._find_maxima(motion, self._predict(motion)), 0.0)
+        return Tried(None, 0.0, self._find_largest(motion, self._predict(motion)), 0.0)
+
+    def find_deviations(self, test: Sequence[Record]) -> list[FloatArray]:
+        """Return the deviations of the parameters in a test of each robot, the known one first; of one none."""
+        if self.loop is None or not self.drawn:  # to IDIM they are those of any robot that moves so
+            return []
+        found = [self._predict(test).covariance.std]
+        for one in self.drawn:
+            try:
+                found.append(replace(self, loop=replace(self.loop, robot=one.robot))._predict(test).covariance.std)
+            except JointidError:
+                found.append(np.full_like(found[0], np.inf))
+        return found
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Clauses on what is not known: a friction that nothing states is missing in the torque."""
+        numbers = RobotNumbers.of(self.robot)
+        slides = np.any(numbers.masses[:, 1:] != 0.0, axis=1)
+        without = [n for k, n in enumerate(self.robot.names) if not (slides[k] or slides[numbers.rotors[k]])]
+        if not without:
+            return ()
+        return (
+            f"the torque is without the friction of {join(without)}, which nothing states: give viscous and coulomb, "
+            "or a first record",
+        )
 
     def predict(self, test: Sequence[Record], longer: Sequence[Record] | None) -> dict[str, PredictedTest]:
         """Predict the first record's motion and the new one."""
@@ -235,6 +266,24 @@ class RobotTests:
         v = np.gradient(q, shafts[0].sample_time, axis=0)
         return q, v, np.gradient(v, shafts[0].sample_time, axis=0)
 
+    def _find_largest(self, test: Sequence[Record], found: PredictedTest) -> tuple[Mapping[str, float], ...]:
+        """Return the maxima of a test over all robots, of which one is predicted already."""
+        each = [self._find_maxima(test, found)]
+        for one in self.drawn:
+            if self.loop is None:
+                run, torque = None, one.torque(*self.differentiate_references(test))
+            else:
+                run = _run(replace(self.loop, robot=one.robot), self._drive(test))[1]
+                torque = run.torque
+            each.append(self._find_maxima(test, replace(found, motion=run, torques=torque.T)))
+        return largest(each)
+
+    def _drive(self, test: Sequence[Record]) -> tuple[Record, ...]:
+        """Return a test with the feed-forward of the robot that is roughly known."""
+        if self.loop is None or self.feed_forward == "none":
+            return tuple(test)
+        return add_feed_forward(self.loop, test, self.feed_forward)
+
     def _divide_by_noise(self, columns: FloatArray) -> FloatArray:
         return (columns / self.noise_sizes[:, np.newaxis]).reshape(-1, columns.shape[2])
 
@@ -259,10 +308,9 @@ class RobotTests:
             covariance, torque = _covariance(self._divide_by_noise(columns)), columns @ model.values
             names, units, values = model.names, model.units, model.values
         else:
-            driven = tuple(test)
-            if self.feed_forward != "none":
-                driven = add_feed_forward(self.loop, driven, self.feed_forward)
-            names, units, values, covariance, run = _by_simulation(self.loop, driven, self.noise_sizes, self.filtering)
+            names, units, values, covariance, run = _by_simulation(
+                self.loop, self._drive(test), self.noise_sizes, self.filtering
+            )
             torque = run.torque
         assert test[0].reference is not None
         return PredictedTest(
@@ -286,10 +334,12 @@ def robot_tests(
     feed_forward: Literal["none", "gravity", "inverse-model"],
     seed: int,
     motion: Sequence[Record] | None,
+    within: float | None = None,
 ) -> RobotTests:
     """Pose the tests of a robot that is roughly known; see `jointid.design`.
 
-    `first` is what a first record says, `motion` a test of one's own in the place of a search.
+    `first` is what a first record says, `motion` a test of one's own in the place of a search, `within` the percent
+    that each number of the robot may be off.
     """
     if any(robot.flexible) and loop is None:
         raise MethodError(
@@ -311,11 +361,12 @@ def robot_tests(
     else:
         units = parameter_units(robot, robot_parameters(robot))
     positions, velocities = (None, None) if present is None else present[:2]
+    drawn = () if not within else _draw_robots(robot, within, _SIMULATED if loop is not None else _DRAWN, seed)
     kept = complete(given, positions, velocities, robot.names) if motion is None else given
     sizes = noise if noise is not None else np.zeros(len(robot)) if first is None else first.noise
     tests = RobotTests(
         robot, loop, model, parse_goal(goal, units), kept, given, samples, sample_time, sizes,
-        noise is None and first is not None, first, filtering, feed_forward, noise is None and first is None,
+        noise is None and first is not None, first, filtering, feed_forward, drawn, noise is None and first is None,
     )  # fmt: skip
     if tests.assumed:
         usual = (
@@ -480,17 +531,48 @@ def _by_simulation(
     Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells as
     much as the samples that it stands for.
     """
-    parameters, numbers = robot_parameters(loop.robot), RobotNumbers.of(loop.robot)
-    kept = run_robot(prepare_robot(loop, driven), numbers, keep=True)
-    run = require_success(simulation_of(kept), "The robot's motion")
+    parameters, (kept, run) = robot_parameters(loop.robot), _run(loop, driven)
     problem = robot_problem(loop, run.records(driven), parameters, filtering)
-    values = parameters.group(numbers)
+    values = parameters.group(kept.numbers)
     J = problem.slopes(kept, values)
     assert problem.filtering.decimation is not None
     weights = problem.with_sigma(noise / math.sqrt(problem.filtering.decimation)).weights(len(J))
     units, names = parameter_units(loop.robot, parameters), parameters.names
     covariance = _covariance(J * weights[:, np.newaxis])
     return names, tuple(units[name] for name in names), values, covariance, run
+
+
+def _run(loop: RobotLoop, driven: Sequence[Record]) -> tuple[RobotRun, RobotSimulation]:
+    """Return a run with its tape, and as a simulation."""
+    kept = run_robot(prepare_robot(loop, driven), RobotNumbers.of(loop.robot), keep=True)
+    return kept, require_success(simulation_of(kept), "The robot's motion")
+
+
+def _draw_robots(robot: Robot, within: float, count: int, seed: int) -> tuple[_Regressor, ...]:
+    """Return robots whose bodies, rotors, frictions and springs are each off by a factor of its own.
+
+    Args:
+        robot: as it is roughly known.
+        within: percent, 2 sigma of the factors.
+        count: of robots.
+        seed: of the draws.
+    """
+    rng, numbers = np.random.default_rng([seed, 1]), RobotNumbers.of(robot)
+
+    def factors(*shape: int) -> FloatArray:
+        return np.maximum(1.0 + 0.005 * within * rng.standard_normal(shape), _LEAST)
+
+    found = []
+    for k in range(count):
+        masses, springs = numbers.masses.copy(), numbers.springs.copy()
+        masses[:, : MassNumbers.RISE + 1] *= factors(len(masses), MassNumbers.RISE + 1)
+        # Nothing moves a prediction as a mode does: the first two robots have the softest and the stiffest springs.
+        ends = {0: max(1.0 - 0.01 * within, _LEAST), 1: 1.0 + 0.01 * within}
+        springs[:, :2] *= ends[k] if k in ends else factors(len(robot), 2)
+        bodies = numbers.inertials * factors(len(robot), 1)
+        one = robot_with(robot, replace(numbers, inertials=bodies, masses=masses, springs=springs))
+        found.append(_Regressor.of(one))
+    return tuple(found)
 
 
 def combine_with_nominal(part: IdentifiedRobot) -> Robot:
@@ -502,8 +584,8 @@ def combine_with_nominal(part: IdentifiedRobot) -> Robot:
     prior = part.model
     try:
         sums = part.sums(prior)
-    except MethodError:  # a spring is not shown
-        return prior
+    except MethodError:  # a spring is not shown: friction is known nevertheless
+        return robot_with(prior, nominal_numbers(prior, part.numbers())) if isinstance(part, SimulatedRobot) else prior
     A = np.hstack([sums.of_standard, sums.of_others])
     least = np.concatenate([np.full(10 * len(prior), -np.inf), np.zeros(len(prior)), sums.least])
     x = np.concatenate([standard_values(prior), sums.others])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
@@ -106,6 +106,16 @@ class Tried:
     def rank(self) -> tuple[float, float]:
         """Sort key: exceeded limits first."""
         return max(self.over, 1.0), self.score
+
+
+def largest(each: Iterable[Sequence[Mapping[str, float]]]) -> tuple[Mapping[str, float], ...]:
+    """Return of each axis the largest of each quantity that a test reaches at several joints or robots."""
+    most: list[dict[str, float]] = []
+    for one in each:
+        most = most or [{} for _ in one]
+        for found, reached in zip(most, one, strict=True):
+            found.update({name: max(size, found.get(name, size)) for name, size in reached.items()})
+    return tuple(most)
 
 
 def worst_excess(limits: Sequence[AxisLimits], reached: Sequence[Mapping[str, float]], margin: float) -> float:

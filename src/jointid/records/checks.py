@@ -17,7 +17,7 @@ from jointid.records.record import Channel, InjectionPoint, Record, Tap
 from jointid.records.resampling import update_interval
 from jointid.records.signals.filtering import lowpass
 
-_LIMIT_SHARE = 0.01  # of the samples may stand at the torque limit: a few peaks cost little information
+_LIMIT_SHARE = 0.5  # of the samples may stand at the torque limit, which every simulation of the loop has, too
 # Share of the samples that may exceed the limit: peaks of a signal declared to be injected after it. The public
 # EMPS record with pulses has 14 of 24,841: its pulses pass the limit, though its report adds them after it.
 _EXCESS_SHARE = 1e-3
@@ -28,7 +28,11 @@ _FASTEST, _SHARE_OF_FAST_SAMPLES = {"m": 50.0, "rad": 1e5}, 0.01
 _LONGEST = {"m": 1e3}  # travel that no joint has; a revolute joint may turn for ever
 _FOLLOWS = 0.95  # correlation from which one signal is taken to follow another, so that their ratio means something
 _RATIO_BAND = (0.5, 2.0)  # of motor position to reference, that a controller can explain; outside, one is mis-scaled
+_DROOP = 0.1  # times its reference, that a servo without an integral moves against gravity; less is a wrong unit
+_BY_DEVIATION = 0.995  # of the torque's variance, that the deviation from the reference and its rate explain there
+_BETTER = 0.5  # of the rest that the reference and its rate leave: less is evidence for the deviation
 _RATIO_TOLERANCE = 0.1  # relative distance of a ratio from a unit's factor within which that unit is named
+_FAR_OFF = 0.25  # likewise, where a soft drive follows badly: another reason is then named, too
 _SLOWEST_SAMPLE = 0.1  # s: below 10 samples a second
 _SLOW_SAMPLE = 0.02  # s: data sets of 30 Hz, and slower
 _BEYOND = 3.0  # times the range of the model's limits, that a position may travel
@@ -192,7 +196,7 @@ def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
         faults += _size_faults("reference", reference)
     if motor is not None:
         faults += _size_faults("motor_position", motor)
-    if reference is not None and motor is not None:
+    if reference is not None and motor is not None and not _droops(record.torque, reference, motor):
         faults += _ratio_faults("motor_position", motor, "reference", reference, ratio)
     if reference is not None and velocity is not None and len(reference) > 1:
         slope = np.gradient(reference.values, reference.sample_time)
@@ -232,6 +236,33 @@ def _size_faults(name: str, position: Channel) -> list[str]:
     return [f"{fact}: it is not in {position.unit}; give its unit, or its gain, and check the sample time."]
 
 
+def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:
+    """Whether a load pulls a servo without an integral off its reference: its torque is of the deviation alone."""
+    if torque is None or len(torque) < _FEWEST_SAMPLES or np.ptp(torque.values) == 0:
+        return False
+    asked, is_ = (np.interp(torque.time, one.time, one.values) for one in (reference, motor))
+    if not _DROOP * np.std(asked) < np.std(is_) < _RATIO_BAND[0] * np.std(asked):
+        return False
+    left, gains = [], []
+    for signal in (asked - is_, asked):
+        columns = np.column_stack([signal, np.gradient(signal), np.ones(len(torque))])
+        (gain, *_), rest, _, _ = np.linalg.lstsq(columns, torque.values, rcond=None)
+        left.append(float(np.sum(rest)))
+        gains.append(gain)
+    if not (gains[0] > 0 and left[0] < (1 - _BY_DEVIATION) * torque.values.var() * len(torque)):
+        return False
+    # A torque that the reference explains as well is no evidence against a wrong unit or gear.
+    return left[0] < _BETTER * left[1] or not _is_plain_ratio(float(np.std(is_) / np.std(asked)), motor.unit)
+
+
+def _is_plain_ratio(ratio: float, declared: str) -> bool:
+    """Return True for the ratio of a unit, or of a gear with a whole number."""
+    units = (factor for one in map(unit, units_of(unit(declared).dimension)) for factor in (one.factor, 1 / one.factor))
+    return abs(ratio * round(1 / ratio) - 1) < _GEAR_TOLERANCE or any(
+        abs(ratio * factor - 1) < _RATIO_TOLERANCE for factor in units
+    )
+
+
 def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, gear: float = 1.0) -> list[str]:
     x, y = np.interp(channel.time, other.time, other.values), channel.values
     if np.ptp(x) == 0 or np.ptp(y) == 0:
@@ -254,16 +285,20 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, 
 
 def _unit_hint(ratio: float, name: str, other_name: str, declared: str, *, geared: bool) -> str:
     """Suggest the unit or the undeclared gear behind the ratio of two signals."""
+    near = ""
     for entry in map(unit, units_of(unit(declared).dimension)):
         for suspect, factor in ((name, 1 / entry.factor), (other_name, entry.factor)):
             if factor != 1 and abs(ratio / factor - 1) < _RATIO_TOLERANCE:
                 return f", as if {suspect} were in {entry.name} and read as {entry.si}; check both units"
+            if factor != 1 and abs(ratio / factor - 1) < _FAR_OFF:
+                near = f", as if {suspect} were in {entry.name} and read as {entry.si}, or"
     if geared or ratio < 1 or (name, other_name) != ("motor_position", "reference"):
-        return "; check both units, and give the gain of the one that is off"
+        return f"{near.removesuffix(', or')}; check both units, and give the gain of the one that is off"
     rounded = (float(f"{ratio:.{digits}g}") for digits in (1, 2, 3))
     gear = next(one for one in rounded if abs(one / ratio - 1) < _GEAR_ROUNDING)  # a following error moves the ratio
     return (
-        f", as if the reference were of the load behind a gear of {gear:g}:1; give transmission.ratio = {gear:g} and "
+        f"{near or ', as if'} the reference were of the load behind a gear of {gear:g}:1; give transmission.ratio = "
+        f"{gear:g} and "
         'record.channels.reference.side = "load", or check both units'
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -44,6 +44,19 @@ class Clock:
     column: str = ""
     jitter: float = 0.0
 
+    @property
+    def beginning(self) -> float:
+        """Instant of the first sample [s], by the straight line through the stamps."""
+        return float(self.straightened()[0])
+
+    def straightened(self) -> FloatArray:
+        """Return the straight line through the stamps [s], (samples,)."""
+        assert self.stamps is not None
+        first, centred = float(self.stamps[0]), np.arange(self.stamps.size) - 0.5 * (self.stamps.size - 1)
+        times = self.stamps - first
+        period = float(centred @ times / (centred @ centred))
+        return np.asarray(first + float(np.mean(times)) + period * centred)
+
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
@@ -52,6 +65,14 @@ class Clocks:
     common: Clock
     own: Mapping[str, Clock] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
+
+    def straighten(self, columns: Collection[str]) -> Clocks:
+        """Return the clocks with stamps on a straight line for the named time columns."""
+        common, *own = (
+            replace(one, stamps=one.straightened()) if one.column in columns else one
+            for one in (self.common, *self.own.values())
+        )
+        return replace(self, common=common, own=dict(zip(self.own, own, strict=True)))
 
     def clock_of(self, column: Column) -> Clock:
         """Return a column's clock; a declared sample time needs no stamps."""
@@ -249,20 +270,22 @@ def is_same_rate(sample_time: float, other: float) -> bool:
     return abs(sample_time / other - 1) <= _RATE_TOLERANCE
 
 
-def beginning_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
-    """Faults of channels whose stamps begin too far apart."""
+def beginning_faults(clocks: Mapping[str, Clock], tolerance: float, *, cuts: bool) -> list[str]:
+    """Faults of channels whose stamps begin too far apart; `cuts` if `start` cuts each by its own clock."""
     stamped = {name: clock for name, clock in clocks.items() if clock.stamps is not None and clock.sample_time}
-    firsts = {name: float(clock.stamps[0]) for name, clock in stamped.items() if clock.stamps is not None}
+    firsts = {name: clock.beginning for name, clock in stamped.items()}
     if not firsts:
         return []
     late, early = max(firsts, key=firsts.__getitem__), min(firsts, key=firsts.__getitem__)
     apart, shortest = firsts[late] - firsts[early], min(clock.sample_time or 0.0 for clock in stamped.values())
     if apart <= tolerance * shortest:
         return []
-    return [
-        f"{late} begins {apart:g} s after {early}, by their own time columns; give resample, which takes what all "
-        "channels cover, or cut them to one beginning."
-    ]
+    remedies = ["resample, which takes what all channels cover", "cut them to one beginning"]
+    if cuts and abs(apart / shortest - round(apart / shortest)) <= tolerance:  # nothing is to be interpolated
+        start = firsts[late] - 0.5 * shortest
+        stop = min(float(one.straightened()[-1]) for one in stamped.values()) + 0.5 * shortest
+        remedies = [f"start = {start:.9g} and stop = {stop:.9g}, which cut them to one time", remedies[0]]
+    return [f"{late} begins {apart:g} s after {early}, by their own time columns; give {', or '.join(remedies)}."]
 
 
 def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:

@@ -163,7 +163,9 @@ class RecordReader:
         read_in = {channel: source.build_channel(channel, found, clocks) for channel in found}
         if self.resample is None:
             source.faults.extend(
-                beginning_faults({n: clocks.clock_of(c) for n, c in found.items()}, self.clock_tolerance)
+                beginning_faults(
+                    {n: clocks.clock_of(c) for n, c in found.items()}, self.clock_tolerance, cuts=bool(clocks.columns)
+                )
             )
         if source.faults:
             raise RecordError(source.faults)
@@ -172,7 +174,8 @@ class RecordReader:
         done, resample = None, self.resample
         used = {n: clock for n, c in found.items() if (clock := clocks.clock_of(c)).jitter}
         if resample is None and used:
-            resample, said = judge_jitter({n: c for n, c in logged.items() if n not in rows}, used)
+            resample, uniform, said = judge_jitter({n: c for n, c in logged.items() if n not in rows}, used)
+            clocks = clocks.straighten(uniform)
             remarks.append(said)
         if resample is None:
             updates = {n: column.update_time for n, column in found.items()}
@@ -300,13 +303,21 @@ class _Columns:
         profile = self.drive.traces
         if profile is None or not declared:
             return
-        for name, gain in profile.gain_columns(index_columns(self.table.columns), self.drive.place).items():
+        most = 2 ** next((one.bits or 0 for one in profile.channels.get("torque", ())), 0) - 1
+        columns = profile.gain_columns(index_columns(self.table.columns), self.drive.place)
+        for gain in profile.gains:
+            if gain.largest is not None and gain not in columns.values() and declared.get(gain.key, 0.0) > gain.largest:
+                yield (
+                    f"controller.{gain.key} is {declared[gain.key]:g}, more than the drive's {gain.largest:g} "
+                    f"{gain.units[0]}: it is in the drive's whole numbers; give {gain.largest:g} times the number over "
+                    f"{most}."
+                )
+        for name, gain in columns.items():
             values = self.table.columns[name][np.isfinite(self.table.columns[name])]
             if gain.key not in declared or not values.size:
                 continue
             low, high, said = float(values.min()), float(values.max()), f'{gain.name} (column "{name}")'
             if gain.largest is not None and high > gain.largest:
-                most = 2 ** (profile.channels["torque"][0].bits or 0) - 1
                 yield (
                     f"{said} reaches {high:g}, more than the drive's {gain.largest:g} {gain.units[0]}: it is in the "
                     f"drive's whole numbers; log it in {gain.units[0]}, as {gain.largest:g} times the number over "

@@ -66,6 +66,7 @@ class Channel:
         timing: what a value says about the time around its sample.
         source: where the values came from, for reports.
         stated: whether the timing was stated, and is no default of a reader.
+        late: seconds by which the log shows a torque later than it acted, as an identification found.
     """
 
     values: FloatArray
@@ -74,6 +75,7 @@ class Channel:
     timing: Timing = Timing.SAMPLED
     source: str = ""
     stated: bool = True
+    late: float = 0.0
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=np.float64)
@@ -206,6 +208,9 @@ class Record(Charted, Documented):
         resampled: how its samples were brought to a uniform clock, None where they were logged so.
         remarks: on what was put right in the file when it was read, or may be wrong there, a clause each.
         computed_by: the controller whose output for the motor position the torque is; None where it was logged.
+        payload: of a robot, the ten inertial parameters of what its last link carries beside the model, in the frame of
+            that link: m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz; none without any. That of the last joint's record
+            is read.
 
     Raises:
         RecordError: channels at one rate have unequal lengths, or durations differ by more than a sample.
@@ -224,6 +229,7 @@ class Record(Charted, Documented):
     resampled: Resampled | None = None
     remarks: tuple[str, ...] = ()
     computed_by: Any = None  # a controller, of which this room knows nothing
+    payload: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))

@@ -34,7 +34,7 @@ _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST_MEAN = 10_000  # values
 _LONGEST = 10_000  # refreshes within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
-_SHOWN = 25.0  # F of the jitter in a position, from which on that follows it: five standard deviations
+_SHOWN = 25.0  # F of the jitter in a position, or of its absence, that decides: five standard deviations
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
 
 
@@ -132,34 +132,52 @@ def resample_together(logged: Mapping[str, Stamped], how: Resampling) -> tuple[d
     return channels, begin, done
 
 
-def judge_jitter(logged: Mapping[str, Channel], clocks: Mapping[str, Clock]) -> tuple[Resampling | None, str]:
-    """Return how channels whose stamps jitter are resampled, None for uniform samples, and a remark.
+def judge_jitter(
+    logged: Mapping[str, Channel], clocks: Mapping[str, Clock]
+) -> tuple[Resampling | None, tuple[str, ...], str]:
+    """Return how channels whose stamps jitter are resampled, time columns of uniform samples, and a remark.
+
+    No channel is resampled where no position follows the stamps of its own clock.
 
     A position x that was sampled at instants off by d from a uniform clock is x(t + d), so the third differences of x
     follow those of d v, with v its velocity. Where only the stamps jitter they do not.
     """
-    clock = max(clocks.values(), key=lambda one: one.jitter)
-    period, stamps = clock.sample_time, clock.stamps
-    assert period is not None and stamps is not None
-    steps = np.abs(np.diff(stamps) / period - 1)
+    told = {
+        name: follows
+        for name in ("motor_position", "load_position", "reference")
+        if name in logged and name in clocks
+        if (follows := _follows_stamps(logged[name].values, clocks[name])) is not None
+    }
+    name = max(told, key=lambda one: told[one], default=None)
+    clock = max(clocks.values(), key=lambda one: one.jitter) if name is None else clocks[name]
+    assert clock.sample_time is not None and clock.stamps is not None
+    steps = np.abs(np.diff(clock.stamps) / clock.sample_time - 1)
     said = (
-        f'the time column "{clock.column}" jitters by up to {clock.jitter:.1%} of the sample time of {period:g} s '
-        f"({np.sqrt(np.mean(steps**2)):.1%} rms), most after sample {int(np.argmax(steps))}: "
+        f'the time column "{clock.column}" jitters by up to {clock.jitter:.1%} of the sample time of '
+        f"{clock.sample_time:g} s ({np.sqrt(np.mean(steps**2)):.1%} rms), most after sample {int(np.argmax(steps))}: "
     )
+    if not any(told.values()):
+        return None, (), f"{said}the samples are taken as uniform, since no position follows that jitter"
+    how = Resampling(min(c.sample_time or math.inf for c in clocks.values()), "cubic")
+    words = f"{said}{name} follows its stamps, so that all channels are resampled by them (cubic)"
+    of_stamps = {clocks[one].column for one, follows in told.items() if follows}
+    uniform = tuple({clocks[one].column: None for one in told if clocks[one].column not in of_stamps})
+    others = "".join(f', those of "{column}" as uniform samples' for column in uniform)
+    return how, uniform, words + others
+
+
+def _follows_stamps(values: FloatArray, clock: Clock) -> bool | None:
+    """Test whether a position (samples,) was sampled at its stamps; None if it does not tell."""
+    period, stamps = clock.sample_time, clock.stamps
+    if period is None or stamps is None or values.size != stamps.size or stamps.size < _CHANGES:
+        return None
     off = stamps - stamps[0] - period * np.arange(stamps.size)
-    for name in ("motor_position", "load_position", "reference"):
-        if name not in logged or len(logged[name]) != stamps.size or stamps.size < _CHANGES:
-            continue
-        values = logged[name].values
-        x, moved = np.diff(np.column_stack([values, off * np.gradient(values, period)]), 3, axis=0).T
-        size = float(moved @ moved)
-        share = float(moved @ x) / size if size else 0.0
-        if size and share**2 * size > _SHOWN * float(np.mean((x - share * moved) ** 2)):
-            if share > 0.5:
-                how = Resampling(min(c.sample_time or period for c in clocks.values()), "cubic")
-                return how, f"{said}{name} follows its stamps, so that all channels are resampled by them (cubic)"
-            break
-    return None, f"{said}the samples are taken as uniform, since no position follows that jitter"
+    x, moved = np.diff(np.column_stack([values, off * np.gradient(values, period)]), 3, axis=0).T
+    size = float(moved @ moved)
+    share = float(moved @ x) / size if size else 0.0
+    if not size or max(share, 1.0 - share) ** 2 * size <= _SHOWN * float(np.mean((x - share * moved) ** 2)):
+        return None
+    return share > 0.5
 
 
 def _clock_faults(name: str, clock: Irregularity, how: Resampling) -> list[str]:

@@ -71,7 +71,8 @@ def write(
 def write_columns(columns: Mapping[str, FloatArray], path: str | os.PathLike[str], **options: object) -> None:
     """Write columns by name; of unnamed ones, in order."""
     by_number = all(name.isdecimal() for name in columns)
-    write_table(path, Table({n: columns[n] for n in (sorted(columns, key=int) if by_number else columns)}), **options)
+    names = sorted(columns, key=int) if by_number else columns
+    write_table(path, Table({name: columns[name] + 0.0 for name in names}), **options)  # of 0 no negative
 
 
 def columns_to_write(

@@ -89,6 +89,7 @@ class Simulation(Response):
 
     Attributes:
         sample_time: seconds between samples.
+        push: (samples,) torque on the motor by controller and injection, before the delay, whatever the log shows.
         motor_position, motor_velocity: (samples,).
         load_position, load_velocity: (samples,), None for a rigid joint.
         motor, load: motion at the instant each torque begins to act, which is where torque = regressor . parameters
@@ -96,6 +97,7 @@ class Simulation(Response):
     """
 
     sample_time: float
+    push: FloatArray
     motor_position: FloatArray
     motor_velocity: FloatArray
     load_position: FloatArray | None
@@ -197,6 +199,7 @@ class ClosedLoopRun:
             response.events,
             response.at_limit,
             experiment.sample_time,
+            push,
             motor_position=seen[0],
             motor_velocity=seen[1],
             load_position=seen[2] if flexible else None,
@@ -352,7 +355,7 @@ def _check_smooth_laws(laws: SmoothLaws | None, places: FloatArray, drive: Float
         return False
     slips_at_all = spring.slider >= 0 and (spring.slips > 0 or spring.slider == 0)
     swings = 0 <= spring.swing_share < 1 and min(spring.swing_stiffness, spring.swing_damping) >= 0
-    winds = min(motor.presliding, load.presliding) >= 0 and 0 <= load.per_torque < 1
+    winds = min(motor.presliding, load.presliding) >= 0 and all(0 <= one.per_torque < 1 for one in (motor, load))
     return all(map(math.isfinite, laws.numbers)) and slips_at_all and winds and swings
 
 

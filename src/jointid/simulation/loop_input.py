@@ -144,6 +144,11 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
             f"The record lasts {record.duration:.4g} s, fewer than {_FEWEST} of the controller's periods of "
             f"{law.period:.4g} s; use a longer one, or correct the period."
         )
+    if not law.delay <= record.duration:
+        raise RecordError(
+            f"The controller's delay of {law.delay:.4g} s is longer than the record, {record.duration:.4g} s; correct "
+            "the delay."
+        )
     period_ratio(law.period, log.sample_time, "the log")
     filled: Interpolation | None = getattr(loop.controller, "interpolation", None)
     averaged = getattr(loop.controller, "reference_average", 0.0) / law.period

@@ -244,13 +244,14 @@ def _pad(each: Sequence[FloatArray]) -> FloatArray:
 
 
 class NumberOf(IntEnum):
-    """Owner of a parameter: an array of `RobotNumbers`."""
+    """Owner of a parameter: an array of `RobotNumbers`; or none, of a torque added to a controller's output."""
 
     LINK = 0
     MASS = 1
     SPRING = 2
     BESIDE = 3
     LOG = 4
+    PUSH = 5
 
 
 @dataclass(frozen=True, slots=True)

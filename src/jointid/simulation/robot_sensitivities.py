@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parallel import threads
+from jointid.models.controllers import POSITION
+from jointid.models.controllers import run as run_law
+from jointid.models.controllers.sampled import LawRun
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import first_state, in_threads
-from jointid.simulation.loop_input import to_log
+from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
 from jointid.simulation.robot_numbers import (
     MassNumbers,
     NumberOf,
@@ -36,13 +39,14 @@ from jointid.simulation.robot_start import (
     deflections,
     friction_at,
     link_torques,
+    own_torques,
     speeds_at_start,
     spring_torques,
 )
-from jointid.simulation.robots import MassMotion, RobotRun
+from jointid.simulation.robots import MassMotion, RobotRun, motion_at
 
 if TYPE_CHECKING:
-    from jointid.simulation.kernels.robot_sensitivities import Seeds
+    from jointid.simulation.kernels.robot_sensitivities import Moved, Seeds
 
 _RELATIVE = 1e-6  # of a number, or of 1 where that is more: differences of laws
 _SMALL = 1e-7  # rad: differences of the load
@@ -64,23 +68,77 @@ def differentiate_torque(run: RobotRun, places: tuple[NumberPlace, ...]) -> Floa
 
 def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> list[FloatArray]:
     """Return the result of `differentiate_torque` by joint, (samples, parameters) each, without copies."""
+    return _follow(run, places, _at_start(run, places))
+
+
+def respond_to_laws(
+    run: RobotRun, changes: Sequence[tuple[int, LoopInput]]
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return by how much other laws change a run's torques, to first order, as the log shows them.
+
+    A law of a joint that reads the motion of the run outputs another torque than that of the run. The response of the
+    loops to this difference is that of their derivatives.
+
+    Args:
+        run: that finished, and whose tape was kept.
+        changes: joint and input of each other law, of the period of its own, and later by a period at most.
+
+    Returns:
+        Of each joint what its own law adds as the motion changes, (samples, changes); of each change the difference of
+        the two laws along the motion of the run, (samples,).
+    """
+    from jointid.simulation.kernels.robot_sensitivities import Moved
+
+    clock, n, count = run.experiment.clock, run.numbers.rotors.size, len(changes)
+    position = motion_at(run, clock.lengths.size * np.arange(clock.steps)).position[:, run.numbers.rotors]
+    pushes, direct = np.zeros((count, clock.steps)), list[FloatArray]()
+    for push, (j, other) in zip(pushes, changes, strict=True):
+        own = run.experiment.experiments[j]
+        path, speed = clock.own(j, position[:, j], own.periods), float(run.experiment.speeds[j])
+        before, after = (_run_law(one, path, speed) for one in (own, other))
+        late = (other.law.delay - own.law.delay) / own.law.period
+        acts = (1.0 - late) * after.output + late * np.append(after.output[0], after.output[:-1])
+        push[:] = clock.repeat(j, acts - before.output)
+        shown = (to_log(one, seen_torque(one, of.output, of.tapped)) for one, of in ((own, before), (other, after)))
+        direct.append(-np.subtract(*shown)[: clock.samples])
+    places = tuple(NumberPlace(NumberOf.PUSH, j, i) for i, (j, _) in enumerate(changes))
+    still, states = np.zeros((len(run.numbers.masses), count)), run.experiment.laws.A.shape[-1]
+    moved = Moved(still, still.copy(), np.zeros((n, states, count)), np.zeros((n, count)))
+    return _follow(run, places, moved, pushes), direct
+
+
+def _run_law(experiment: LoopInput, position: FloatArray, speed: float) -> LawRun:
+    """Return a law's run along a motor position, (periods,), that begins at a speed."""
+    law, inputs = experiment.law, experiment.inputs.copy()
+    inputs[:, POSITION] = position
+    return run_law(law, inputs, law.known_memory(inputs) + law.memory(POSITION, float(position[0]), speed))
+
+
+def _follow(
+    run: RobotRun, places: tuple[NumberPlace, ...], moved: Moved, pushes: FloatArray | None = None
+) -> list[FloatArray]:
+    """Return the derivatives of the torques as the log shows them, by joint, (samples, parameters) each.
+
+    Pushes, (pushes, clock), are torques added to controllers' outputs; in the result they are left out.
+    """
     from jointid.simulation.kernels import robot_sensitivities as kernels
 
-    experiment, numbers, tape = run.experiment, run.numbers, run.tape
-    clock, n, laws = experiment.clock, numbers.rotors.size, experiment.laws
-    rows = np.array([(place.of, place.row, place.column) for place in places], dtype=np.int64).reshape(-1, 3)
-    dq, dz, before = _at_start(run, places)
+    experiment, clock, laws = run.experiment, run.experiment.clock, run.experiment.laws
     through = any(each.tap is Tap.COMMAND for each in experiment.experiments) and bool(
         np.any(laws.outputs != laws.taps)
     )
-    command = np.zeros((n, clock.steps, len(places)))
-    tapped = np.zeros(command.shape if through else (n, 0, 0))
-    moved = kernels.Moved(dq, np.zeros_like(dq), dz, before)
+    rows = np.array([(place.of, place.row, place.column) for place in places], dtype=np.int64).reshape(-1, 3)
+    command = np.zeros((len(experiment.experiments), clock.steps, len(rows)))
+    tapped = np.zeros(command.shape if through else (len(command), 0, 0))
+    seeds = seeds_of(run.numbers, places)
+    seeds = seeds if pushes is None else seeds._replace(pushes=pushes)
     kernels.differentiate_run(
-        experiment.tree, numbers.bodies, clock.timing, laws, run.cuts, tape, rows, seeds_of(numbers, places), moved,
-        command, tapped,
-        np.zeros((n, 0, 0)),
+        experiment.tree, experiment.carrying(run.numbers).bodies, clock.timing, laws, run.cuts, run.tape,
+        rows, seeds, moved, command, tapped, np.zeros((len(command), 0, 0)),
     )  # fmt: skip
+    for c, (kind, j, push) in enumerate(rows):
+        if kind == NumberOf.PUSH:
+            command[j, :, c] -= seeds.pushes[push]
     found = []
     for j, each in enumerate(experiment.experiments):
         seen = tapped[j] if through and each.tap is Tap.COMMAND else command[j]
@@ -106,16 +164,18 @@ def seeds_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> Seeds:
         else:
             lines, own = lower_spring(row, numbers.laws[place.row][1])
             bends[c], pieces[c, : len(lines)] = np.imag(own) / _IMAGINARY, np.imag(lines) / _IMAGINARY
-    return Seeds(mass, bands, pieces, bends)
+    return Seeds(mass, bands, pieces, bends, np.zeros((0, 0)))
 
 
-def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of positions, controllers' states and torques at the first sample.
+def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Moved:
+    """Return the derivatives at the first sample.
 
     Of `robot_start.begin`: ``load(q) + own = torque(qm)`` where the law has no integral, ``qm`` the reference where it
     has; ``K (qm - q) = load(q)``.
     """
-    experiment, numbers = run.experiment, run.numbers
+    from jointid.simulation.kernels.robot_sensitivities import Moved
+
+    experiment, numbers = run.experiment, run.experiment.carrying(run.numbers)
     n, rotors = numbers.rotors.size, numbers.rotors
     motors, speeds = run.start[rotors], experiment.speeds
     integrates = np.array([each.integral is not None for each in experiment.experiments])
@@ -131,7 +191,7 @@ def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> tuple[FloatArra
     by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
     dz = by_place[:, :, np.newaxis] * of_motor[:, np.newaxis]
     dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], load, 0.0)[:, np.newaxis]
-    return dq, dz, load
+    return Moved(dq, np.zeros_like(dq), dz, load)
 
 
 def slopes_at_start(
@@ -157,6 +217,7 @@ def slopes_at_start(
     if not np.all(lines):
         compliance = np.where(lines, compliance, _slope(lambda torque: deflections(numbers, torque), carried))
     lost = numbers.masses[:n, MassNumbers.PER_TORQUE] * np.sign(speeds)  # share of the torque, lost to friction
+    carried = carried + np.where(numbers.flexible, 0.0, own_torques(first, numbers))
     gain = 1.0 / (1.0 - lost * np.sign(carried))
     here = link_torques(first, numbers, links)
     shifted = [link_torques(first, numbers, links + _SMALL * unit) for unit in np.eye(n)]
@@ -186,6 +247,7 @@ def slopes_at_start(
             slope = _slope_by_number(lambda other: deflections(other, carried), numbers, place)
             stretched[place.row, c] = -slope / compliance[place.row]
     direct, turning = gain[:, np.newaxis] * direct, gain[:, np.newaxis] * turning
+    direct += np.where(numbers.flexible, 0.0, gain - 1.0)[:, np.newaxis] * own
     moved = turning @ (soft[:, np.newaxis] * own + compliance[:, np.newaxis] * stretched) + direct
     load = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
     dq = np.zeros((start.size, count))

@@ -92,10 +92,9 @@ def begin(experiment: RobotInput, numbers: RobotNumbers) -> RobotStart:
     A law with an integral holds the load on the reference; one without is off by the torque over its gain. Springs are
     stretched by the load.
     """
-    rotors = numbers.rotors
-    references, accelerations = experiment.references[0], experiment.accelerations
+    references = experiment.references[0]
     speeds = speeds_at_start(experiment, numbers)
-    of_motors = numbers.masses[rotors, 0] * accelerations + friction_at(numbers, speeds)[rotors]
+    of_motors = own_torques(experiment, numbers)
     at_reference, slope = controllers_at(experiment, references)
     asked = at_reference + experiment.after_limit[:, 0]
     integrates = np.array([each.integral is not None for each in experiment.experiments])
@@ -139,7 +138,7 @@ def places_at_start(
 
 
 def spring_torques(first: FirstSample, numbers: RobotNumbers, links: FloatArray) -> FloatArray:
-    """Return the torques through the springs in steady motion, of rigid joints the links', (n,).
+    """Return the torques through the springs in steady motion, of rigid joints the motors' beside `own_torques`, (n,).
 
     Args:
         first: how the robot moves.
@@ -147,11 +146,18 @@ def spring_torques(first: FirstSample, numbers: RobotNumbers, links: FloatArray)
         links: (n,) the torques that the links take. Friction may grow with what is carried.
     """
     n = numbers.rotors.size
+    own = np.where(numbers.flexible, 0.0, own_torques(first, numbers))
     friction = friction_at(numbers, speeds_at_start(first, numbers))[:n]
     # At rest friction may carry any part of the load; it is taken to carry nothing.
-    carried = links + np.where(numbers.flexible & (first.speeds != 0.0), friction, 0.0)
+    carried = links + own + np.where(numbers.flexible & (first.speeds != 0.0), friction, 0.0)
     lost = numbers.masses[:n, MassNumbers.PER_TORQUE] * np.sign(first.speeds)
-    return np.asarray(carried / (1.0 - lost * np.sign(carried)))
+    return np.asarray(carried / (1.0 - lost * np.sign(carried)) - own)
+
+
+def own_torques(first: FirstSample, numbers: RobotNumbers) -> FloatArray:
+    """Return the torques of the rotors' own inertia and friction in the first motion, (n,)."""
+    own = friction_at(numbers, speeds_at_start(first, numbers))[numbers.rotors]
+    return np.asarray(numbers.masses[numbers.rotors, 0] * first.accelerations + own)
 
 
 def deflections(numbers: RobotNumbers, torques: FloatArray) -> FloatArray:

@@ -89,6 +89,12 @@ class RobotLoop:
                 f"{pluralise(len(self.robot.links), 'joint')}: give one for each, in the order of the joints."
             )
 
+    @property
+    def loops(self) -> list[ClosedLoop]:
+        """Each controller beside a rigid joint of its kind; no parameter of that is read."""
+        each = zip(self.robot.links, self.controllers, strict=True)
+        return [ClosedLoop(RigidJoint(link.kind), law) for link, law in each]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotInput:
@@ -102,6 +108,7 @@ class RobotInput:
         feedforward: (n, elements, periods) their answers to everything but the positions, each of its own periods.
         after_limit: (n, clock) what is added to the torques behind the limits.
         speeds, accelerations: (n,) of the shafts at the first sample.
+        payload: (10,) inertial parameters of what the last link carries beside the candidate, or ().
     """
 
     tree: Tree
@@ -112,6 +119,15 @@ class RobotInput:
     after_limit: FloatArray
     speeds: FloatArray
     accelerations: FloatArray
+    payload: tuple[float, ...] = ()
+
+    def carrying(self, numbers: RobotNumbers) -> RobotNumbers:
+        """Return a candidate with the payload."""
+        if not self.payload:
+            return numbers
+        inertials = numbers.inertials.copy()
+        inertials[-1] += self.payload
+        return replace(numbers, inertials=inertials)
 
     @property
     def references(self) -> FloatArray:
@@ -144,8 +160,9 @@ def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
     clock = common_clock(alone, robot.names)
     after_limit = np.stack([clock.repeat(j, each.after_limit) for j, each in enumerate(alone)])
     laws, feedforward = pack_laws(alone)
-    motion = np.array([reference_motion(each) if loop.in_motion else (0.0, 0.0) for each in alone])
-    return RobotInput(robot.tree, tuple(alone), clock, laws, feedforward, after_limit, *motion.T.copy())
+    motion = np.array([reference_motion(each) if loop.in_motion else (0.0, 0.0) for each in alone]).T.copy()
+    payload = records[-1].payload
+    return RobotInput(robot.tree, tuple(alone), clock, laws, feedforward, after_limit, motion[0], motion[1], payload)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,6 +265,7 @@ def run_robot(
     from jointid.simulation.kernels import robot_loop
 
     clock, n, masses = experiment.clock, len(experiment.experiments), len(numbers.masses)
+    carried = experiment.carrying(numbers)
     parts, (_, elements, periods) = clock.lengths.size, experiment.feedforward.shape
     laws, states = experiment.laws, experiment.laws.A.shape[-1]
     command, tapped = np.zeros((n, clock.steps)), np.zeros((n, clock.steps))
@@ -257,15 +275,15 @@ def run_robot(
     taken = 1 if steps is None else steps
     if numbers.possible(clock.steps * float(np.sum(clock.lengths))):
         longest = float(np.max(clock.lengths))
-        taken = choose_steps(experiment.tree, experiment.references, longest, numbers) if steps is None else steps
+        taken = choose_steps(experiment.tree, experiment.references, longest, carried) if steps is None else steps
         # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
         taken = taken if steps else math.ceil(taken * FINE / stride)
     rows = (_MORE * clock.steps * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
-    bodies = numbers.bodies
+    bodies = carried.bodies
     tape = RobotTape.empty(clock.steps * parts, rows, bodies)
     if outcome is RobotOutcome.FINISHED:
-        began = begin(experiment, numbers)
+        began = begin(experiment, carried)
         start, state, before = began.places, np.zeros((n, states)), np.empty(n)
         for j, each in enumerate(experiment.experiments):
             motor = numbers.rotors[j]

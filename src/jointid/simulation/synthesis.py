@@ -17,7 +17,7 @@ from jointid.records.record import Channel, Injection, InjectionPoint, Record, T
 from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.closed_loop import simulate as simulate_joint
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
-from jointid.simulation.simulated import TORQUE_OF, require_success
+from jointid.simulation.simulated import require_success
 
 if TYPE_CHECKING:  # a joint needs no kernel of a robot
     from jointid.simulation.robot_numbers import RobotNumbers
@@ -143,19 +143,20 @@ def simulated_record(
         run = require_success(simulate_joint(loop, forced, values, initial))
         # A force from outside is in no current of the motor, though it acts as an injected signal does.
         run = replace(run, torque=run.torque - to_log(experiment, forced.shown - experiment.shown))
-    return as_record(driven, run, torque_noise=torque_noise, encoder_step=encoder_step)
+    return as_record(driven, run, force, torque_noise=torque_noise, encoder_step=encoder_step)
 
 
 def as_record(
-    driven: Record, run: Simulation, *, torque_noise: ArrayLike | None = None, encoder_step: float = 0.0
+    driven: Record, run: Simulation, force: str, *, torque_noise: ArrayLike | None = None, encoder_step: float = 0.0
 ) -> Record:
     """Build the log of a run: inputs, torque and positions.
 
-    `driven` are the run's inputs; for noise and encoder step see `simulated_record`.
+    `driven` are the run's inputs, `force` is the unit of the joint's torque; for noise and encoder step see
+    `simulated_record`.
     """
     assert driven.reference is not None
     logged, position = driven.torque, driven.reference.unit
-    unit, timing = (TORQUE_OF[position], Timing.HELD) if logged is None else (logged.unit, logged.timing)
+    timing = Timing.HELD if logged is None else logged.timing
     torque = run.torque if torque_noise is None else run.torque + np.asarray(torque_noise, dtype=np.float64)
 
     def channel(values: FloatArray, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
@@ -163,7 +164,7 @@ def as_record(
 
     return replace(
         driven,
-        torque=channel(torque, unit, timing),
+        torque=channel(torque, force, timing),
         motor_position=channel(_quantise(run.motor_position, encoder_step), position),
         load_position=None
         if run.load_position is None

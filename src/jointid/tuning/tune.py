@@ -13,6 +13,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, Work, ignore_progress
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT, Quantity
 from jointid.common.text import number
 from jointid.common.units import DriveUnits
@@ -76,6 +77,7 @@ class _Case:
         return LoopMargins(controller, Margins(*at.tolist()), Margins(*worst.tolist()), highest, band)
 
 
+@one_thread()
 def tune(
     estimate: Estimate,
     settings: Tuning | None = None,

@@ -8,22 +8,26 @@ simplified to the fewest terms that are nearly as well known; its interval uses 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import ADDED, Parameter, Quantity
-from jointid.common.text import in_words, interval, number
+from jointid.common.text import in_words, interval, join, number
 from jointid.uncertainty.covariance import Covariance
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _NEARLY = 1.25  # times the deviation of a combination: what leaving its small terms out may make of it
 _WELL, _POORLY = 0.1, 0.5  # of its parameters' size: a combination's 2 sigma
+_ROUNDING = 1e-9  # of the largest singular value: a combination that the torque does not contain
+_PART = 1e-3  # of a combination of unit columns: a smaller term is rounding
 _SURROUNDING = (Quantity.POSITION, Quantity.VELOCITY)  # of the initial state, no part of the answer
 
 
@@ -42,6 +46,7 @@ class Limitation(StrEnum):
 
     INSEPARABLE = "inseparable"
     NOT_SIGNIFICANT = "not_significant"
+    UNDETERMINED = "undetermined"
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +135,9 @@ class Identifiability:
         physical: sums and differences with a meaning of their own.
         directions: the combinations of the sensitivities' singular vectors, the best known first.
         condition: of the sensitivities scaled by the parameters: the largest over the smallest singular value.
-        limitations: pairs that are known only together, and what must be positive and whose 2-sigma interval holds 0;
-            none of a good record.
+        limitations: parameters that are known only together, and what must be positive and whose 2-sigma interval
+            holds 0; none of a good record.
+        undetermined: names of parameters of which the record determines only combinations with others.
     """
 
     parameters: tuple[Known, ...]
@@ -139,6 +145,7 @@ class Identifiability:
     directions: tuple[Known, ...]
     condition: float
     limitations: tuple[Message, ...]
+    undetermined: tuple[str, ...] = ()
 
 
 def identifiability(
@@ -168,25 +175,64 @@ def identifiability(
         std = covariance.std_of(weights)
         return Known(combination, float(weights @ x), std, std / float(np.linalg.norm(weights * scale)))
 
-    each = tuple(assess(single(p, units[p.name])) for p in joint)
+    norms, unseen, separable = column_norms(J), find_unseen(J), find_separable(J)
+
+    def is_seen(combination: Combination) -> bool:
+        weights = combination.vector(parameters) / norms
+        return bool(np.all(np.abs(unseen @ weights) <= _PART * np.linalg.norm(weights)))
+
+    each = [assess(single(p, units[p.name])) for p in joint]
+    apart = [k for k, i in enumerate(own) if separable[i]]
     vectors, condition = _find_directions(J, own, scale)
     directions = [assess(_simplify(vector, joint, units, scale[own], spread)) for vector in vectors]
-    pairs = [(i, j) for i in range(len(joint)) for j in range(i + 1, len(joint))]
-    limitations = [
-        _describe_pair(joint, each, spread, i, j) for i, j in pairs if abs(spread.correlation[i, j]) > _INSEPARABLE
+    limitations = []
+    for vector in unseen:
+        parts = {p.name: float(vector[i] / norms[i]) for p, i in zip(joint, own, strict=True) if abs(vector[i]) > _PART}
+        limitations += [_describe_together(joint, parts, units, assess)] if parts else []
+    limitations += [
+        _describe_pair(joint, each, spread, i, j)
+        for i, j in combinations(apart, 2)
+        if abs(spread.correlation[i, j]) > _INSEPARABLE
     ]
-    for p, one in zip(joint, each, strict=True):
+    for p, one in ((joint[k], each[k]) for k in apart):
         if p.lower >= 0 and one.interval[0] <= 0.0:
             said = f"{p.symbol} is not significant: its interval holds 0"
             values = {"parameter": p.name, "value": one.value, "std": one.std}
             limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
     return Identifiability(
-        each,
-        tuple(assess(combination) for combination in physical(joint, units)),
+        tuple(each[k] for k in apart),
+        tuple(assess(one) for one in physical(joint, units) if is_seen(one)),
         tuple(sorted(directions, key=lambda one: one.relative)),
         condition,
         tuple(limitations),
+        tuple(p.name for k, p in enumerate(joint) if k not in apart),
     )
+
+
+def find_unseen(J: FloatArray) -> FloatArray:
+    """Return the combinations of parameters that change no row of the sensitivities, (combinations, free).
+
+    A record that moves in one direction does not separate Coulomb friction from a constant force, for example.
+
+    Args:
+        J: (rows, free), the sensitivities; the combinations are those of its unit columns, each of as few as possible.
+    """
+    from scipy.linalg import qr, solve_triangular
+
+    _, sizes, vectors = np.linalg.svd(np.linalg.qr(J / column_norms(J), mode="r"))
+    unseen = vectors[np.sum(sizes > _ROUNDING * sizes[0]) :]
+    if len(unseen) < 2:
+        return unseen
+    # Any rotation of them is as good: with pivots, each begins at a column that no other has.
+    _, R, order = qr(unseen, mode="economic", pivoting=True)
+    found = np.empty_like(unseen)
+    found[:, order] = solve_triangular(R[:, : len(unseen)], R)
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+
+def find_separable(J: FloatArray) -> NDArray[np.bool_]:
+    """Return a mask of the parameters that the record separates, (free,); see `find_unseen`."""
+    return np.asarray(np.all(np.abs(find_unseen(J)) <= _PART, axis=0))
 
 
 def _find_directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tuple[FloatArray, float]:
@@ -196,6 +242,7 @@ def _find_directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tu
     columns = (J * scale)[:, own]
     R = np.linalg.qr(columns - Q @ (Q.T @ columns), mode="r")
     _, sizes, vectors = np.linalg.svd(R)
+    vectors = vectors[: np.sum(sizes > _ROUNDING * sizes[0])]
     return vectors, float(sizes[0] / sizes[-1]) if sizes[-1] > 0 else math.inf
 
 
@@ -230,6 +277,34 @@ def _write_sum(terms: Sequence[tuple[float, str]]) -> str:
         times = "" if number(abs(weight), 3) == number(1.0, 3) else f"{number(abs(weight), 3)} "
         text += f" {'-' if weight < 0 else '+'} {times}{symbol}"
     return text
+
+
+def _describe_together(
+    parameters: Sequence[Parameter],
+    unseen: Mapping[str, float],
+    units: Mapping[str, str],
+    assess: Callable[[Combination], Known],
+) -> Message:
+    """Message on parameters whose changes in these proportions change nothing in the record."""
+    names = [p.name for p in parameters if p.name in unseen]
+    listed = join([in_words(name) for name in names])
+    values: dict[str, object] = {"parameters": names}
+    if len(names) == 1:
+        return Message(Limitation.UNDETERMINED, f"this record does not determine {listed}", values)
+    said = f"this record does not separate {listed}"
+    first, second = names[:2]
+    weight = -unseen[first] / unseen[second]
+    if len(names) == 2 and units[first] == units[second] and math.isclose(abs(weight), 1.0, rel_tol=_PART):
+        kind = Kind.SUM if weight > 0 else Kind.DIFFERENCE
+        known = assess(Combination(f"{kind} of {listed}", "", units[first], {first: 1.0, second: weight}, kind))
+        said += f": their {kind} is {interval(known.value, 2 * known.std)} {units[first]}"
+        values |= {"weight": weight, "value": known.value, "std": known.std, "unit": units[first]}
+    if any(name.endswith("friction_per_torque") for name in names):
+        said += (
+            ": where the torque never brakes, a share of it scales them all; identify records with other known loads"
+        )
+        said += " in one fit, or brake harder"
+    return Message(Limitation.UNDETERMINED, f"{said}; fix one of them, or record another motion", values)
 
 
 def _describe_pair(

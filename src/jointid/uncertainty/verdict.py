@@ -212,22 +212,36 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
     return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
 
 
-def scale_verdict(known: Sequence[str], lost: Sequence[str] = ()) -> Verdict:
+CHECK_DECLARED = "check that gains and positions are in SI units, not in a drive's whole numbers, nor in degrees"
+"""Remedy of a bad fit to a torque that rests on declared numbers."""
+
+
+def scale_verdict(
+    known: Sequence[str], lost: Sequence[str] = (), turns: float = 0.0, *, identified: bool = False
+) -> Verdict:
     """Verdict on the scale of a torque that is computed from the controller.
 
     Args:
         known: fixed parameters other than 0, which tell it.
         lost: parameters that the unknown content of an integral leaves without an interval.
+        turns: that the position travels, where it may be in degrees.
+        identified: whether the gain is free.
     """
     said = "the torque is computed from the declared controller and the motor position, "
     if known:
-        code, said = Reason.SCALE_KNOWN, f"{said}and {join(known)} tells its scale: free gain to identify it"
+        code, said = Reason.SCALE_KNOWN, f"{said}and {join(known)} tells its scale"
+        said += ", which the free gain takes up" if identified else ": free gain to identify it"
     else:
         code = Reason.SCALE_DECLARED
         said += "so a common factor of its gains is invisible: gains 10 % too large make every parameter 10 % too large"
     if lost:
         said += f"; {join(lost)} includes what the integral held at the first sample"
-    values = {"parameters": [*known], "undetermined": [*lost]}
+    if turns:
+        said += (
+            f"; the position travels {number(turns, 2)} turns: if it is in degrees, Coulomb friction and other "
+            'constant torques are 57 times too large; give its unit = "deg"'
+        )
+    values = {"parameters": [*known], "undetermined": [*lost], "turns": turns}
     return _judge(Subject.SCALE, True if known else None, code, said, values, "the scale of its gains is declared")
 
 

@@ -31,7 +31,7 @@ def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
     assert {path.name for path in place.iterdir()} == names
     for name in ("robot.toml", "robot.xml"):
         assert (place / name).read_bytes() == (ROOT / "examples" / "robot" / name).read_bytes()
-    assert (place / "record.csv").read_text(encoding="utf-8").startswith("tau1,r1,tau2,r2\n")
+    assert (place / "record.csv").read_text(encoding="utf-8").startswith("t,tau1,r1,tau2,r2\n")
     out = capsys.readouterr().out
     assert "repeatable residual" not in out and max(map(len, out.partition("\n\nWritten")[0].splitlines())) <= 80
     rows = re.findall(r"  (-?[\d.e-]+) ± ([\d.e-]+)  \S.*? +(-?[\d.e-]+)  (?:.* )?(\w+)$", out, re.MULTILINE)

@@ -239,6 +239,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "advise": ("joint.toml", {"--json": "x.json"}),
     "diagnose springs": ("joint.toml", {"--json": "x.json"}),
     "diagnose friction": ("joint.toml", {"--json": "x.json"}),
+    "doctor": ("joint.toml", {"--json": "x.json"}),
     "examine": ("joint.toml", {"--json": "x.json"}),
     "export": ("joint.toml --estimate estimate.json", {"--out": "x.urdf"}),
     "identify": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),

@@ -131,6 +131,17 @@ def test_a_saved_estimate_is_taken_by_every_command(
     assert viscous["p_value"] > 0.01 and viscous["a"] == pytest.approx(8.0, rel=0.01) and lumped["symbol"] == "Izz1"
 
 
+def test_listed_records_alone_are_exported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    listed = folder / "listed.toml"
+    text = (folder / "robot.toml").read_text(encoding="utf-8").replace('file = "one.csv"\n', "")
+    records = "".join(f'[[records]]\nfile = "{name}.csv"\n' for name in ("one", "two"))
+    listed.write_text(text + records, encoding="utf-8")
+    run("export", listed, "--out", folder / "both.py", "--format", "python")
+    run("identify", listed, "--json", folder / "both.json")
+    run("export", listed, "--estimate", folder / "both.json", "--out", folder / "kept.py", "--format", "python")
+    assert (folder / "both.py").read_text("utf-8") == (folder / "kept.py").read_text("utf-8")
+
+
 def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("diagnose", folder / "robot.toml", "--json", tmp_path / "found.json")
     printed = " ".join(capsys.readouterr().out.split())
@@ -216,6 +227,7 @@ def test_a_report_refuses_what_a_robot_has_not_before_it_identifies(
         run("report", folder / "robot.toml", *asked, "--markdown", tmp_path)
 
 
+@pytest.mark.slow
 def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_robot(tmp_path, arm())
     joint, found = folder / "robot.toml", tmp_path / "found.json"

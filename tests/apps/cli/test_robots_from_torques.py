@@ -12,6 +12,7 @@ import pytest
 import jointid as ji
 from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.config.robot_file import RobotFile
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
 from jointid.output.export.robot_model import robot_mjcf
@@ -195,10 +196,47 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "brings intervals on the geometric mean to" in " ".join(capsys.readouterr().out.split())
     run("design", joint, "--motion", out / "test.csv")
     assert "1 % of each joint's usual torque" in capsys.readouterr().out
+    run("design", joint, "--motion", out / "test.csv", "--noise-log", "0.1", "--sample-time", "0.002")
+    assert "white, as stated" in capsys.readouterr().out
     run("design", joint, "--motion", out / "test.csv", "--record", tmp_path / "log.csv")
     assert "the first record's residual" in capsys.readouterr().out
-    with pytest.raises(MethodError, match="--within is of a joint; a robot is as its record or its model says"):
-        run("design", joint, "--within", "1")
+    named = ("--set", f'record.file="{tmp_path / "log.csv"}"', "--motion", out / "test.csv", "--noise-log", "0.1")
+    run("design", joint, *named)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "white, as stated" in said and "present" in said, "of the file's record is used what it tells"
+    with pytest.raises(MethodError, match="from --record or from --estimate, and both are given"):
+        run("design", joint, "--record", tmp_path / "log.csv", "--estimate", tmp_path / "none.json")
+    fast = np.array([0.4, 0.3]) * (1 - np.cos(np.outer(1e-3 * np.arange(4000), [3.0, 4.6])))
+    np.savetxt(tmp_path / "fast.csv", fast, delimiter=",", header="r1,r2", comments="")
+    asked = ("--motion", tmp_path / "fast.csv", "--noise-log", "0.1", "--within", "60")
+    run("design", joint, *asked, "--json", tmp_path / "b.json")
+    wide = json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))
+    worst, own = wide["tests"]["at worst"]["std"], wide["tests"]["proposed"]["std"]
+    assert max(worst[name] / std for name, std in own.items()) > 1.05
+    assert "1 % of each joint" not in wide["noise"]
+
+
+def test_a_record_that_does_not_identify_the_robot_is_not_ignored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_files(tmp_path, two(), 3.0)
+    joint = tmp_path / "robot.toml"
+    limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0, torque = 60.0 }\n"
+    text = joint.read_text(encoding="utf-8").replace("[[joints]]\n", f"[[joints]]\n{limits}")
+    joint.write_text(text, encoding="utf-8")
+
+    def fail(*_: object, **__: object) -> None:
+        raise MethodError("The robot cannot be simulated.")
+
+    monkeypatch.setattr(RobotFile, "record", lambda *_, **__: ())
+    monkeypatch.setattr(RobotFile, "identify", fail)
+    asked = ("design", joint, "--search-time", "0.3", "--duration", "4")
+    with pytest.raises(MethodError, match=r"cannot be simulated\. Or state the noise of the logs by --noise-log"):
+        run(*asked)
+    run(*asked, "--noise-log", "0.1")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "white, as stated: 0.100, 0.100" in said
+    assert "is not used, and the robot is as its model says: The robot cannot be simulated." in said
 
 
 def test_a_payload_is_weighed_by_didim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

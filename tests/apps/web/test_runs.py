@@ -8,7 +8,6 @@ import json
 import os
 import re
 import signal
-import sys
 import zipfile
 from asyncio.subprocess import Process
 from collections.abc import Iterator
@@ -278,8 +277,13 @@ def test_two_tabs_take_turns(asker: Asker, log: bytes) -> None:
     assert codes == [200, 200, 200]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds a process to a bound of its memory")
-def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Path, log: bytes) -> None:
+@pytest.mark.parametrize("module", ["none", "resource"])
+def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(
+    folder: Path, log: bytes, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bounded by the system, and by the process's own watch as where the system has no bounds."""
+    (tmp_path / f"{module}.py").write_text("raise ImportError")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     small = build_application(folder, TOKEN, limits=Limits(memory=100 * 2**20))
     with TestClient(small, base_url=ADDRESS) as client:
         asker = Asker(client)

@@ -83,9 +83,16 @@ def test_a_robot_file_names_files_that_were_sent(tmp_path: Path) -> None:
     text, records = make_robot_order({"extra": ROBOT.replace("one.csv", "logs/one.csv")}, sent[:2], tmp_path)
     assert records == ["one.csv"]
     assert loads(text, tmp_path).source.file == "one.csv"
+    listed = f'{ROBOT}\n[[records]]\nfile = "logs/two.csv"\npayload_mass = 2.0\n'
+    text, records = make_robot_order({"extra": listed}, sent, tmp_path)
+    assert records == ["two.csv", "one.csv"]
+    assert [bool(loads(text, tmp_path).payloads.get(tmp_path / name)) for name in records] == [True, False]
     for path in ("/etc/passwd", "../robot.xml", "C:\\\\other.xml"):
         with pytest.raises(JointFileError, match=r"^robot\.model is .* which was not sent"):
             make_robot_order({"extra": ROBOT.replace("arm.xml", path)}, sent, tmp_path)
+        several = f'{ROBOT}\n[[records]]\nfile = "one.csv"\n[[records]]\nfile = "{path}"\n'
+        with pytest.raises(JointFileError, match=r"records\.2\.file is .* which was not sent"):
+            make_robot_order({"extra": several}, sent, tmp_path)
     with pytest.raises(JointFileError, match="joints"):
         make_robot_order({"extra": ROBOT.replace("joint2", "joint3")}, sent, tmp_path)
 

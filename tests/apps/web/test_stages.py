@@ -140,3 +140,10 @@ def test_a_noted_check_is_noted_on_the_page() -> None:
     failed = {"subject": Subject.WHITENESS.value, "status": "failed", "reasons": []}
     answer = {"verdicts": [failed, failed | {"subject": Subject.FIT.value}]}
     assert [one["mark"] for one in _build_checks(answer, {Subject.WHITENESS.value: "noted"})] == ["noted", "not fine"]
+
+
+def test_an_interval_of_the_page_holds_the_lack_of_fit() -> None:
+    """The table had 1.3 kg where the answer above it had 1.8."""
+    answer = _answer()
+    answer["parameters"]["stiffness"]["lack_of_fit"] = 300.0
+    assert _build_rows(answer)[0]["value"] == "20000 ± 630 N/m"

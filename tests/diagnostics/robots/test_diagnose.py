@@ -111,9 +111,20 @@ def test_torques_that_are_exchanged_are_named_at_both_joints() -> None:
     records = list(records_of(arm(3), 2, noise=0.05))
     second, third = records[1], records[2]
     records[1], records[2] = replace(second, torque=third.torque), replace(third, torque=second.torque)
-    found = diagnose_robot(identified(arm(3), records), records)
+    estimate = identify(records, arm(3), IDIM())
+    assert "Do not rely on it yet: joint2: this is the torque of joint3" in estimate.sentence
+    found = estimate.checks.diagnosis
+    assert isinstance(found, Diagnosis)
     assert named(found) == [("joint2", "swapped_channels"), ("joint3", "swapped_channels")]
     assert any("joint2: This is the torque of joint3" in one for one in found.sentences)
+
+
+def test_gravity_that_the_model_lacks_is_named() -> None:
+    records = records_of(arm(2), 2, noise=0.05)
+    found = diagnose_robot(identified(replace(arm(2), gravity=np.zeros(3)), records), records)
+    assert found.cause is not None and found.cause.name == "gravity" and named(found) == []
+    assert "the model has no gravity: give it" in str(found.cause)
+    assert diagnose_robot(identified(arm(2), records), records).cause is None
 
 
 def test_a_friction_that_grows_with_the_load_is_named() -> None:
@@ -124,7 +135,7 @@ def test_a_friction_that_grows_with_the_load_is_named() -> None:
     found = diagnose_robot(identified(arm(3), more), more)
     assert named(found) == [("joint2", "load_dependent_friction")]
     assert found.axes[1].faults.findings[0].test.size == pytest.approx(0.09, abs=0.02)
-    assert any('with a spring, and friction = "load-dependent" (by didim)' in one for one in found.sentences)
+    assert any('declare the joint with friction = "load-dependent" (by didim)' in one for one in found.sentences)
 
 
 def test_a_torque_constant_that_falls_with_the_current_is_named() -> None:
@@ -242,6 +253,7 @@ def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
     assert "but for noise" in replace(found, axes=(replace(short, left=0.01), *found.axes[1:])).answer
 
 
+@pytest.mark.slow
 def test_the_motion_of_another_joint_is_named() -> None:
     records = records_of(arm(), 2, noise=0.02)
     more = with_torque(records, 4, 0.3 * motion(2)[2][:, 5])
@@ -272,17 +284,13 @@ def test_noise_of_the_positions_is_neither_a_bent_gear_nor_another_law(seed: int
     assert not any("controller" in one for one in found.sentences)
 
 
-def test_another_law_and_a_bent_gear_are_named_in_spite_of_noise() -> None:
+def test_another_law_is_named_in_spite_of_noise() -> None:
     loop = two().loop()
     first, second = loop.controllers
     for size in (1e-5, 5e-5):
         records = with_noise(logged_by(loop), 1, size)
         stiffer = asked(loop, records, (first, replace(second, position_gain=1.3 * second.position_gain)))  # type: ignore[type-var, attr-defined]
         assert [one.law_holds for one in stiffer.axes] == [True, False]
-    records = records_of(arm(), 2, noise=0.02)
-    bend = np.gradient(np.gradient(motion(2)[2][:, 1], SAMPLE_TIME), SAMPLE_TIME)
-    bent = with_noise(with_torque(records, 1, 0.02 * bend), 1, 3e-6)
-    assert named(diagnose_robot(identified(arm(), bent), bent)) == [("joint2", "compliance")]
 
 
 @pytest.mark.parametrize("kind", ["gravity", "inverse-model"])

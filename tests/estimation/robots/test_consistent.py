@@ -65,14 +65,6 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     assert found.robot.of_joints("coulomb") == pytest.approx(COULOMB, rel=0.03)
 
 
-def test_rotors_that_the_model_does_not_have_are_found() -> None:
-    """A URDF has no place for a rotor's inertia: 0 is no statement."""
-    bare = replace(ARM, joints=tuple(replace(joint, rotor_inertia=0.0) for joint in ARM.joints))
-    found = consistent_robot(identified(bare, records_of(ARM, 2, noise=0.5)))
-    assert found.misfit < 1.0 and not found.worst
-    assert found.robot.of_joints("rotor_inertia")[2:] == pytest.approx(ROTORS[2:], rel=0.05)
-
-
 def test_bodies_that_do_not_fit_are_not_exported() -> None:
     estimate = identified(ARM, records_of(ARM, 2, noise=0.1))
     part = estimate.require_robot()
@@ -82,7 +74,8 @@ def test_bodies_that_do_not_fit_are_not_exported() -> None:
     spoilt = replace(estimate, robot=replace(part, values=part.values + shift))
     assert consistent_robot(spoilt).worst[0] == "joint6.rotor_inertia"
     with pytest.raises(
-        MethodError, match=r"nearest are 5\d\d standard deviations off, rms; expected at most 2.*joint6"
+        MethodError,
+        match=r"nearest are 5\d\d standard deviations off, rms; expected at most 2.*model of link6 .*joint6.rotor",
     ):
         export(spoilt, "urdf")
 

@@ -88,6 +88,7 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
     assert "joint2.stiffness" not in found.fit.names
 
 
+@pytest.mark.slow
 def test_springs_behind_friction_that_rises_towards_standstill() -> None:
     twin = changed(two((12.0, 18.0)), *RISING)
     found, _ = identified(twin)

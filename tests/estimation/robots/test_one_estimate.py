@@ -12,9 +12,9 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
-from jointid.diagnostics.check_loop import LoopTests
+from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.result.answer import Trust
-from jointid.output.json.reading import read_identified
+from jointid.output.json.reading import load_estimate
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Status, Subject
@@ -191,4 +191,4 @@ def test_its_file_is_of_the_same_schema_and_is_no_joint(tmp_path: Path) -> None:
     assert row["axis"] == "joint1" and row["formula"] == row["symbol"] == "Fv1" and row["nominal"] == pytest.approx(3.0)
     assert len(answer["correlation"]) == len(answer["free"]) == len(found.params)
     with pytest.raises(RecordError, match="is the estimate of a robot; expected that of one joint"):
-        read_identified(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"), None)
+        load_estimate(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"))

@@ -81,6 +81,7 @@ def test_a_payload_is_not_weighed_by_instruments() -> None:
         identify_payload(ARM, *pair(12), IDIM(estimator="iv"))
 
 
+@pytest.mark.slow
 def test_two_deviations_hold_the_payload() -> None:
     inside = []
     for seed in range(20, 26):

@@ -25,7 +25,8 @@ def moved(twin: Twin, records: tuple[Record, ...], step: float = 1e-4) -> tuple[
     loop = twin.loop()
     experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(twin.robot)
     gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
-    theirs = simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, begin(experiment, numbers).places, step)
+    start = begin(experiment, numbers).places
+    theirs, _ = simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, start, step)
     return theirs, run_robot(experiment, numbers).torque
 
 

@@ -30,7 +30,13 @@ def shifted(records: list[Record], zeros: dict[int, float]) -> list[Record]:
 
 
 @pytest.mark.parametrize(
-    "zeros", [{1: -1.6}, {2: 0.1}, pytest.param({1: 2.5, 3: -0.7}, marks=pytest.mark.slow)], ids=str
+    "zeros",
+    [
+        pytest.param({1: -1.6}, marks=pytest.mark.slow),
+        {2: 0.1},
+        pytest.param({1: 2.5, 3: -0.7}, marks=pytest.mark.slow),
+    ],
+    ids=str,
 )
 def test_zeros_are_found_with_their_errors(zeros: dict[int, float]) -> None:
     records = shifted(list(records_of(ARM, 2, noise=0.1)), zeros)
@@ -42,6 +48,7 @@ def test_zeros_are_found_with_their_errors(zeros: dict[int, float]) -> None:
         assert one.residual < 0.8 * one.residual_without
 
 
+@pytest.mark.slow
 def test_a_zero_is_suspected_by_the_estimate_and_can_be_declared() -> None:
     records = shifted(list(records_of(ARM, 2, noise=0.1)), {1: -1.6})
     estimate = identify(records, ARM, IDIM())

@@ -65,14 +65,14 @@ def test_base_columns_and_parameters_give_the_torque(seed: int) -> None:
     assert len(base) + 6 == np.linalg.matrix_rank(whole / np.linalg.norm(whole, axis=0).clip(1e-9))
 
 
-def test_the_rotor_of_a_slide_that_always_points_the_same_way_joins_its_mass_and_its_offset() -> None:
+def test_the_rotor_of_a_slide_that_always_points_the_same_way_joins_its_mass_and_the_weight_its_offset() -> None:
     arm = chain(3)
     links = (
         replace(arm.links[0], kind="prismatic", axis=np.array([0.0, 0.0, 1.0]), rotation=np.eye(3)),
         *arm.links[1:],
     )
     base = base_parameters(replace(arm, links=links))
-    assert base.offset_formulas[0] == "offset1 - Ia1 * 9.810"
+    assert base.offset_formulas[0] == "offset1 + m1 * 9.810 + m2 * 9.810 + m3 * 9.810"
     assert base.offset_formulas[1:] == ("offset2", "offset3")
     assert dict(zip(base.symbols, base.formulas, strict=True))["m1"] == "m1 + m2 + m3 + Ia1"
 

@@ -71,6 +71,8 @@ def test_isaac_lab_has_gains_and_inertia_of_the_load_side() -> None:
     assert "a part of the command delay of 10.2 ms: 2 steps of 5 ms are written" in made.lost
     assert any("delay of 0.5 ms from position to torque" in one for one in made.lost)
     assert "a constant force of 0.010000 N m" in made.lost
+    assert not any("effort limit" in one for one in made.lost)
+    assert any("effort limit" in one for one in geared(replace(LAW, limit=math.inf)).lost)
     kind, keys = built(geared(replace(LAW, reference_delay=0.0)).text)["knee"]
     assert kind == "ImplicitActuatorCfg"
     assert keys["effort_limit_sim"] == pytest.approx(30.0)

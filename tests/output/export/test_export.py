@@ -75,6 +75,14 @@ def test_the_joint_file_keeps_its_text_and_gives_the_values_back(
     assert replace(file, parameters={}, path=plain.path).tables() == replace(plain, parameters={}).tables()
 
 
+def test_an_interval_holds_what_the_model_lacks(folder: Path) -> None:
+    told = json.loads((folder / "out.json").read_text(encoding="utf-8"))
+    told["parameters"]["motor_inertia"]["lack_of_fit"] = 0.1
+    (folder / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    assert exported(folder, "filled.toml") == 0
+    assert "motor_inertia: 70.200 kg (+- 0.20, 2 sigma)" in (folder / "filled.toml").read_text(encoding="utf-8")
+
+
 def test_fixed_values_are_kept_and_paths_lead_to_the_same_record(folder: Path) -> None:
     (folder / "below").mkdir()
     assert exported(folder, "below/fixed.toml", "--fixed") == 0

@@ -155,6 +155,22 @@ def test_a_smooth_law_gives_our_torque(law: str) -> None:
     assert apart(simulated(whole, CONTROLLERS["L19"], reference, SMOOTH), ours) > 0.01
 
 
+@pytest.mark.parametrize("law", ["load-dependent", "asymmetric-load-dependent", "presliding-load-dependent"])
+def test_the_friction_of_a_rigid_joint_grows_with_the_motor_s_torque(law: str) -> None:
+    joint, loop = (
+        ji.RigidJoint("revolute", FRICTIONS[law]()),
+        ji.controller.Cascade(position_gain=30.0, velocity_gain=2.0),
+    )
+    values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.05, "friction_per_torque": 0.15}
+    values |= {"presliding_distance": 0.02, "viscous_forwards": 0.05, "coulomb_forwards": 0.1}
+    values |= {"viscous_backwards": 0.08, "coulomb_backwards": 0.16}
+    values = {p.name: values[p.name] for p in joint.parameters}
+    reference = 0.3 * np.sin(15.0 * np.arange(400) * 1e-3) ** 3
+    ours = simulated(joint, loop, reference, values)
+    assert apart(torque_of(joint, values, loop, reference, steps=8), ours) < 1e-3
+    assert apart(simulated(joint, loop, reference, values | {"friction_per_torque": 0.0}), ours) > 0.02
+
+
 def test_pieces_that_do_not_follow_each_other_are_refused() -> None:
     joint = ji.FlexibleJoint("prismatic", spring=ThreePieceSpring())
     for wrong in ({"torque_2": 10.0}, {"stiffness_2": 0.0}, {"stiffness_2": -1.0}):

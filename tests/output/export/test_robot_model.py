@@ -77,9 +77,9 @@ def test_a_time_step_and_a_name_are_written() -> None:
 
 def test_what_is_refused() -> None:
     robot = arm()
-    with pytest.raises(MethodError, match=r"matlab holds one joint; a robot is written as mjcf, urdf, .* and bam"):
+    with pytest.raises(MethodError, match=r"matlab holds one joint; a robot is written as mjcf, urdf, .* and python"):
         export(robot, "matlab")
-    with pytest.raises(MethodError, match="urdf has no setting timestep; it has none: leave it out"):
+    with pytest.raises(MethodError, match="urdf has no setting timestep; it has: model, locked"):
         export(robot, "urdf", timestep=1e-3)
     with pytest.raises(MethodError, match="All numbers of a robot are behind its gears"):
         export(robot, "mjcf", side="motor")

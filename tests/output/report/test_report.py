@@ -277,6 +277,7 @@ def test_the_three_frequencies_are_marked() -> None:
         ("free-free", expected["free_free"]))] == marks[:3]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_emps_report_is_one_small_file(emps_path: Path, tmp_path: Path) -> None:
     page, answer = tmp_path / "emps.html", tmp_path / "out.json"
     words = ("--html", page, "--json", answer, "-q", "--set", 'joint.name="the axis"', "--set", "method.name=didim")

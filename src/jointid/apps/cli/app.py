@@ -24,6 +24,7 @@ from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.demo import demo
 from jointid.apps.cli.diagnose import advise, diagnosis, friction, intervals, methods, springs
+from jointid.apps.cli.doctor import doctor
 from jointid.apps.cli.identify import examine, identify, learn_controller, payload, tune
 from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
@@ -77,6 +78,7 @@ _WITHIN = Group("Commands")
 _EXAMPLES: dict[str, dict[Callable[..., Any], str]] = {
     "": {
         demo: "jointid demo",
+        doctor: "jointid doctor",
         serve: "jointid serve --open",
         reproduce: "jointid reproduce",
     },
@@ -120,7 +122,7 @@ def _ending(command: Callable[..., Any]) -> str:
 
 
 _ORDER: tuple[tuple[App, Group, tuple[Any, ...]], ...] = (
-    (app, _START, (demo, examine, data, serve, reproduce)),
+    (app, _START, (demo, examine, data, serve, reproduce, doctor)),
     (data, _WITHIN, (inspect, convert)),
     (app, _IDENTIFY, (identify, learn_controller, report, payload)),
     (app, _ASK, (diagnose, validate, compare, advise)),
@@ -196,7 +198,7 @@ def _explain(error: Exception) -> int:
         return _explain(RecordError(f"{error.filename} is longer than the name of a file may be; name another file."))
     return _say(
         f"jointid failed, which is a fault of ours ({type(error).__name__}: {error}); please report it with the "
-        "output of the same command and --debug.",
+        "output of the same command and --debug, and that of jointid doctor.",
         OUR_FAILURE,
     )
 

@@ -118,7 +118,7 @@ def report(
         results: folder of the results.
         false_alarm: chance that any joint is named where none drifted, for all joints together.
         details: all rows of every table, rather than a screen of them.
-        html: also write all of it as one HTML page.
+        html: also write all of it as one HTML page, with pictures of joints, days and changes.
         markdown: also write all of it as Markdown.
         csv: also write bias, scatter and coverage against the truth of simulated runs as a table.
     """
@@ -132,12 +132,11 @@ def report(
         require_extra(plots=False)
     found = report_of(results, false_alarm)
     table = None if csv is None else truth_csv(found.against_truth)
-    whole = found.to_document(details=True)
     show(found, details=details)
     if html is not None:
-        write_whole(html, page(whole))
+        write_whole(html, page(found.to_page()))
     if markdown is not None:
-        write_whole(markdown, whole.markdown())
+        write_whole(markdown, found.to_document(details=True).markdown())
     if csv is not None and table is not None:
         write_whole(csv, table)
 

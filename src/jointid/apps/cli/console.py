@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 from cyclopts import Parameter
 
 from jointid.apps.cli.places import NOTHING, Outputs
-from jointid.common.errors import JointidError, RecordError
+from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import BETWEEN, Detail, Pace, Progress, Suspicions, describe_time, ignore_progress
 from jointid.common.text import printable
 
@@ -96,24 +96,31 @@ class Inputs:
         outputs.spare("--record", self.record)
         file = load()
         outputs.spare(str(joint), *file.inputs(self.record))
-        return file
+        return file.of_record(self.record)
 
-    def identify(self, file: File[Any], *, checks: bool = True, judged: bool = False) -> tuple[Any, Estimate]:
+    def identify(
+        self, file: File[Any], *, checks: bool = True, judged: bool = False, whole: bool = False
+    ) -> tuple[Any, Estimate]:
         """Identify a joint or a robot from the record, as its file says, and return the record, too.
 
         Args:
             file: as `load` returns it.
             checks: whether to check the estimate.
             judged: as of `File.record`.
+            whole: whether to refuse a record that would be identified in windows.
 
         Raises:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
         from jointid import Estimate, Record
+        from jointid.estimation.identify import plan_windows
+        from jointid.estimation.result.parts import IN_WINDOWS
 
         record = file.record(self.record, judged=judged)
         if isinstance(record, Record):  # the engine of a robot is another
             ready(self.progress)
+            if whole and plan_windows(record, file.setup, file.method):
+                raise MethodError(IN_WINDOWS)
         suspicions, known = Suspicions(self.progress), list[Estimate]()
         try:
             try:
@@ -241,7 +248,7 @@ def ready(listener: Progress, *, derivatives: bool = True) -> None:
     """Load the compiled simulation and its derivatives, and explain a long compilation."""
     from jointid.simulation.warm_up import warm_up
 
-    said = "loading the simulation; the first time on a machine it is compiled, which takes some 10 to 20 s"
+    said = "loading the simulation; the first time on a machine it is compiled, in a minute or two of processor time"
     timer = threading.Timer(_PATIENCE, listener, [said])
     timer.daemon = True
     timer.start()

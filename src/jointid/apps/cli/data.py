@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.console import Several, deliver, show
 from jointid.apps.cli.places import Outputs
+from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
 
 Decimal: TypeAlias = Literal[".", ","]
@@ -41,7 +42,7 @@ def inspect(
         header: whether a text file names its columns, likewise.
         json: also write the answer as JSON to this file.
         figure: also save a picture of all channels, PNG, SVG or PDF by its suffix.
-        write: also write a joint file that reads the log, or a robot file where it has several axes.
+        write: also write a joint file that reads the log, or a robot file where it has several axes; never over a file.
         axis: number or name of the axis, for the joint file of one of several.
     """
     from jointid import figures
@@ -50,6 +51,8 @@ def inspect(
 
     outputs = Outputs({"--json": json, "--write": write}, {"--figure": figure})
     outputs.spare("FILE", file)
+    if write is not None and write.exists():
+        raise RecordError(f"{write} exists, and may hold what only you know; name another file, or remove it first.")
     found = look(file, **_reader_options(delimiter, decimal, header))
     text = ""
     if write is not None:  # what it refuses comes before any file

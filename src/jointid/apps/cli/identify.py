@@ -34,7 +34,7 @@ FAULTY = 3
 def examine(joint: Path, /, *, options: Options = DEFAULTS) -> int:
     """Check a record before its numbers are used.
 
-    It tells what is wrong with it, what it can tell, and what to change.
+    It tells what is wrong with it, what it can tell, and what to change; of [[records]] of each.
     The clock, the torque and its limit, the motion, the controller (where the motor's position was logged), then what
     is left once the joint is identified. Exit code 0 where nothing is wrong, 3 where something is.
 
@@ -46,26 +46,33 @@ def examine(joint: Path, /, *, options: Options = DEFAULTS) -> int:
     from jointid.diagnostics.examine_record import unreadable
 
     file = options.load(joint, options.outputs)
-    path = Path(file.record_path(options.record))
-    try:
-        record = file.record(options.record)
-    except RecordError as error:
-        if not path.exists():
-            raise
-        found = unreadable(error, path.stem)
-    else:
-        ready(options.progress)
-        found = examine(
-            record,
-            file.setup,
-            file.method,
-            filtering=file.filtering,
-            parameters=file.parameters,
-            shown=file.declared_numbers,
-            progress=options.progress,
-        )
-    deliver(found, options.json)
-    return 0 if found.healthy else FAULTY
+    several = options.record is None and file.only_lists
+    paths = file.listed if several else [Path(file.record_path(options.record))]
+    if len(paths) > 1 and options.json is not None:
+        raise MethodError(f"--json holds one record, and {joint} lists {len(paths)}; name one of them by --record.")
+    healthy = True
+    for path in paths:
+        one: File[Any] = file.of_record(path)
+        try:
+            record = one.record(path)
+        except RecordError as error:
+            if not path.exists():
+                raise
+            found = unreadable(error, path.stem)
+        else:
+            ready(options.progress)
+            found = examine(
+                record,
+                one.setup,
+                one.method,
+                filtering=one.filtering,
+                parameters=one.parameters,
+                shown=one.declared_numbers,
+                progress=options.progress,
+            )
+        deliver(found, options.json)
+        healthy &= found.healthy
+    return 0 if healthy else FAULTY
 
 
 def identify(
@@ -110,14 +117,16 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Record, Windowing, figures
+    from jointid import Record, Windowing, advise, figures
     from jointid.config import require_joint
+    from jointid.estimation.result.answer import told_bounds
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
     outputs.spare("--record", *records)
     first = records[0] if records else None
-    options = Options(record=first, changes=changes, axis=axis, json=json, quiet=quiet)
+    one = first if len(records) == 1 else None
+    options = Options(record=one, changes=changes, axis=axis, json=json, quiet=quiet)
     file: File[Any] = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
     if figure is not None and len(records) > 1:
         require_joint(file, "--figure of several records")
@@ -138,9 +147,7 @@ def identify(
     else:
         logged, estimate = options.identify(file)
     deliver(estimate, json, (figure, figures.torque), details=details)
-    if isinstance(logged, Record) and estimate.checks.bounds:
-        from jointid import advise
-
+    if isinstance(logged, Record) and told_bounds(estimate):
         show("\n" + wrap(str(advise(estimate, logged)), WIDTH, below=2))
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
@@ -260,7 +267,7 @@ def payload(
     """
     from jointid import IDIM, identify_payload
     from jointid.config.robot_file import RobotFile
-    from jointid.output.json import read_choices, read_identified
+    from jointid.output.json import load_estimate, read_choices
     from jointid.robots import identify_drive_gains
 
     outputs = Outputs({"--json": json})
@@ -282,7 +289,7 @@ def payload(
             "free; leave joints.parameters out."
         )
     if mass is None:
-        empty = file.record(without) if estimate is None else read_identified(estimate, file.setup)
+        empty = file.record(without) if estimate is None else load_estimate(estimate, file)
         found = identify_payload(
             file.setup, empty, file.record(with_), file.method, filtering=file.filtering, progress=options.progress
         )

@@ -12,12 +12,13 @@ from cyclopts import Parameter
 from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
 from jointid.apps.cli.places import Outputs
 from jointid.apps.cli.results import require_goal
-from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
     from jointid import AxisLimits, Record
     from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
+    from jointid.config.contents import File
     from jointid.config.robot_file import RobotFile
     from jointid.planning.designed import Design
 
@@ -67,7 +68,8 @@ class Rough:
         noise_log: standard deviation of white noise on each logged torque, N or N m.
         noise_force: that of a white force on the motor, held over each period of the controller.
         estimate: what identify --json wrote: values and intervals; without it the values of [parameters], all of them.
-        within: percent of each value, by which it may be off; 2 sigma. Without it the intervals of the estimate, or 0.
+        within: percent of each value, by which it may be off; 2 sigma: limits and intervals hold for joints or robots
+            drawn from that. Without it the intervals of the estimate of a joint, or 0.
         sample_time: of the test's log, s; without it that of the record.
     """
 
@@ -86,7 +88,7 @@ class Rough:
         """
         if self.noise_log or self.noise_force:
             return True
-        beside = {"--estimate": self.estimate, "--within": self.within, "--sample-time": self.sample_time}
+        beside = {"--estimate": self.estimate, "--sample-time": self.sample_time}
         if given := [name for name, value in beside.items() if value is not None]:
             raise MethodError(
                 f"{given[0]} counts where nothing is identified from a record; add --noise-log or --noise-force, or "
@@ -100,9 +102,8 @@ class Rough:
         Raises:
             MethodError: something is given that is of a joint alone.
         """
-        beside = {"--noise-force": self.noise_force, "--estimate": self.estimate, "--within": self.within}
-        if given := [name for name, value in beside.items() if value]:
-            raise MethodError(f"{given[0]} is of a joint; a robot is as its record or its model says: leave it out.")
+        if self.noise_force:
+            raise MethodError("--noise-force is of a joint; a robot's noise is that of its logs: give --noise-log.")
         found: dict[str, Any] = {"noise": [self.noise_log] * joints} if self.noise_log else {}
         return found if self.sample_time is None else found | {"sample_time": self.sample_time}
 
@@ -112,8 +113,6 @@ class Rough:
         Raises:
             JointidError: a value or a limit is missing, or no test could be simulated.
         """
-        import numpy as np
-
         from jointid import Noise, design
 
         loop = file.loop
@@ -123,9 +122,6 @@ class Rough:
             )
         free = [p.name for p in loop.joint.parameters if file.parameters.get(p.name, p).free]
         values, covariance = self._values(file, free)
-        if self.within is not None:
-            deviations = np.array([0.005 * self.within * abs(values[name]) for name in free])
-            covariance = np.diag(deviations**2)
         named = record is not None or file.source.first is not None
         present = file.record(record) if named else None
         fixed = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if p.name not in free}
@@ -140,7 +136,7 @@ class Rough:
         from jointid.output.json import reading
 
         if self.estimate is not None:
-            identified = reading.read_identified(self.estimate, file.joint, file.loop)
+            identified = reading.load_estimate(self.estimate, file).identified
             return identified.values, reading.read_covariance(self.estimate, free)
         stated = {name: p.start for name, p in file.parameters.items() if p.start is not None}
         missing = [p.name for p in file.joint.parameters if p.name not in stated]
@@ -166,6 +162,7 @@ def design(
     goal: str = "all",
     duration: float | None = None,
     injection: bool = True,
+    time_scale: float = 1.0,
     search_time: float = 60.0,
     motion: Path | None = None,
     out: Path | None = None,
@@ -189,12 +186,14 @@ def design(
             (what is known worst) or "all".
         duration: of the test, in s; without it that of the record.
         injection: whether the drive can add a signal to the torque.
+        time_scale: by how much slower the test is played than planned, as 2; the table has it beside full speed.
         search_time: that the search may take, in s.
         motion: a test of your own, predicted in the place of a search: a past record, or a table with its columns; of
             a joint also a table with the columns t (s), reference (m or rad) and, if a signal is added to the torque,
             injected (N, N m, or the torque's unit).
         out: also write the test into this folder: a CSV and a MAT file in the columns, units and sides of the joint
-            file, and a page on how to run it.
+            file, a page on how to run it, and, without a signal on the torque, the motion as a ROS 2 JointTrajectory
+            (YAML and bag), URScript and a table.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
     from jointid import design as run
@@ -208,7 +207,8 @@ def design(
     file = options.load(joint, outputs)
     asked: dict[str, Any] = {
         "goal": goal, "duration": duration, "search_time": search_time, "injection": injection,
-        "progress": options.progress,
+        "progress": options.progress, "within": rough.within,
+        "time_scale": time_scale,
     }  # fmt: skip
     if isinstance(file, JointFile):
         file = options.load_joint(joint, outputs, method="didim")
@@ -217,11 +217,13 @@ def design(
         if rough.stated:
             found = rough.plan(file, options.record, asked)
         else:
-            record, estimate = options.identify(file, checks=False)
+            options = replace(options, record=_choose_record(file, options.record))
+            file = file.of_record(options.record)
+            record, estimate = options.identify(file, checks=False, whole=True)
             found = run(estimate, record, **asked)
     else:
         asked |= {"limits": [limits.beside(one) for one in file.limits], **rough.of_robot(len(file.joints))}
-        found = _plan_robot(file, options, asked, None if motion is None else file.driving(motion))
+        found = _plan_robot(file, options, rough, asked, None if motion is None else file.driving(motion))
     found = lay_out(file, found)
     deliver(found, options.json, (figure, figures.draw))
     if out is not None:
@@ -229,26 +231,54 @@ def design(
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
 
 
-def _plan_robot(file: RobotFile, options: Options, asked: dict[str, Any], motion: tuple[Record, ...] | None) -> Design:
-    """Plan the test of a robot from a record, or from its model alone."""
+def _choose_record(file: File[Any], record: Path | None) -> Path | None:
+    """Return the record that a test is planned from: the named one, or of a list the first."""
+    if record is not None or not file.only_lists:
+        return record
+    show(f"Planned from {file.runs[0].file}, the first of [[records]]; name another by --record.")
+    return file.listed[0]
+
+
+def _plan_robot(
+    file: RobotFile, options: Options, rough: Rough, asked: dict[str, Any], motion: tuple[Record, ...] | None
+) -> Design:
+    """Plan the test of a robot from a record, from an earlier estimate, or from its model alone.
+
+    Raises:
+        MethodError: the robot is not identified from the record that the file names.
+    """
     from jointid import design
+    from jointid.output.json.reading import load_estimate
 
     # Of a motion that was never played nothing is logged: such a robot is predicted without.
     feed_forward = "none" if file.feed_forward == "logged" else file.feed_forward
     asked = file.design_settings | asked | {"motion": motion, "feed_forward": feed_forward}
     enough = motion is not None or all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
-    if options.record is not None or file.source.first is not None or not enough:
+    if rough.estimate is not None and options.record is not None:
+        raise MethodError("A robot is known from --record or from --estimate, and both are given; leave one out.")
+    named = options.record is not None or not enough or file.source.first is not None or file.only_lists
+    if rough.estimate is None and named:
+        said = "The record that the robot file names is not used, and the robot is as its model says"
         try:
-            records = file.record(options.record)
+            records = file.record(_choose_record(file, options.record))
             estimate = file.identify(records, options.progress, checks=False)
-        except JointidError as error:
+        except RecordError as error:  # references to simulate, or a log that is still to be made
             if options.record is not None or not enough:
                 raise
-            show(f"The record that the robot file names is not used, and the robot is as its model says: {error}")
+            show(f"{said}: {error}")
+        except MethodError as error:
+            if options.record is not None or not (enough and rough.noise_log):
+                raise MethodError(
+                    f"{error} Or state the noise of the logs by --noise-log: the test is then planned for the robot as "
+                    "its model says, or as an earlier --estimate does."
+                ) from error
+            show(f"{said}: {error}")
         else:
             return design(estimate, records, **asked)
-    sample_time = asked.pop("sample_time", None) or file.source.sample_time
-    return design(asked.pop("loop") or file.robot, sample_time=None if motion is not None else sample_time, **asked)
+    chosen = asked.pop("sample_time", None) or file.source.sample_time
+    sample_time = chosen if motion is None else None
+    known = file.robot if rough.estimate is None else load_estimate(rough.estimate, file)
+    return design(known, sample_time=sample_time, **asked)
 
 
 def _read(motion: Path, file: JointFile) -> Record:

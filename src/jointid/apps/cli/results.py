@@ -68,12 +68,12 @@ def report(
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
         plan: also plan the next test, for a goal as of design, within the limits of the file; it takes a minute.
         held_out: another record, that the estimate has not seen, which it is held against.
-        estimate: of a robot file what identify --json wrote, to report it with its record, and identify nothing.
+        estimate: what identify --json wrote, to report it with its record, and identify nothing.
     """
     from jointid import Report, design
     from jointid import validate as validate_estimate
     from jointid.config import JointFile
-    from jointid.output.json import read_choices
+    from jointid.output.json import load_estimate, read_choices
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
@@ -92,7 +92,6 @@ def report(
     asked = {"axis": options.axis, **choices, "plan": plan, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
     if isinstance(file, JointFile):
-        _refuse_saved_estimate(estimate)
         if plan is not None:
             require_goal(file, plan)
     else:
@@ -104,10 +103,10 @@ def report(
     system: Literal["joint", "robot"] = "joint" if isinstance(file, JointFile) else "robot"
     again = repetition(joint, Path(file.record_path(options.record)), asked, options.changes, html_name, system)
     settings = file.design_settings if plan is not None else {}
-    if estimate is None or isinstance(file, JointFile):
-        record, found = options.identify(file, judged=True)
+    if estimate is None:
+        record, found = options.identify(file, judged=True, whole=True)
     else:
-        record, found = file.record(options.record, judged=True), _read_or_identify(file, estimate)
+        record, found = file.record(options.record, judged=True), load_estimate(estimate, file)
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
     tuning = None if no_tuning else Aside(partial(tune_to_limit, found, file.axes[0].drive, file.declared_numbers))
     stated = Report.of(
@@ -139,15 +138,6 @@ def _deliver_report(stated: Report, checks: Sequence[Validation], json: Path | N
         if json is not None:
             write_whole(json, stated.answer())
     return [] if json is None else [json]
-
-
-def _refuse_saved_estimate(estimate: Path | None) -> None:
-    """Raise a `MethodError` if a saved estimate is given for the report of a joint."""
-    if estimate is not None:
-        raise MethodError(
-            "The report of a joint follows the criterion of its search, which a saved estimate does not have; leave "
-            "--estimate out, and the joint is identified from its record."
-        )
 
 
 def _with_test(stated: Report, plan: Callable[[], Design]) -> Report:
@@ -217,8 +207,8 @@ def validate(
         found = run(_read_or_identify(file, estimate, options.progress), file.record(options.record))
     else:
         estimate = _require_estimate(estimate)
-        identified = answers.read_identified(estimate, file.joint, file.loop)
-        record = options.load_joint(joint, method=identified.method, friction=choices.get("friction")).record(
+        identified = answers.load_estimate(estimate, file)
+        record = options.load_joint(joint, method=identified.settings.method, friction=choices.get("friction")).record(
             options.record
         )
         ready(options.progress)
@@ -308,11 +298,12 @@ def export(
     if not isinstance(file, JointFile):
         _refuse_options("A robot is written as bodies behind their gears", {"--side": side, "--fixed": fixed})
         found = _read_or_identify(file, estimate)
+        if language == "urdf" and file.model_path.suffix.lower() == ".urdf":
+            settings |= {"model": file.model_path, "locked": file.locked}
         exported = run(found, language, controllers=file.controllers, **settings)
         exported.save(out)
-        show(exported.note)
-        for one in exported.lost:
-            show(f"Left out: {one}.")
+        for line in (*filter(None, (exported.note,)), *(f"Left out: {one}." for one in exported.lost)):
+            show(line)
         show(f"Written: {out}")
         return
     estimate = _require_estimate(estimate)
@@ -320,7 +311,7 @@ def export(
         settings |= {"file": file, "folder": out.parent}
     model = read_joint_model(estimate, file.joint, file.name)
     with contextlib.suppress(JointidError):  # the export says what it lacks
-        under = answers.read_identified(estimate, file.joint).controller
+        under = answers.load_estimate(estimate, file.joint).settings.controller
         if file.loop is not None and under not in ("", law_fingerprint(file.loop)):
             show("The controller of the joint file is not the one the joint was identified under.")
     exported = run(model, language, side=side, controllers=file.controllers, **settings)
@@ -331,11 +322,11 @@ def export(
 
 def _read_or_identify(file: RobotFile, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
     """Return a robot's estimate: from its file, or else from the record that the robot file names."""
-    from jointid.output.json import read_identified
+    from jointid.output.json import load_estimate
 
-    if estimate is None:
-        return file.identify(file.record(), progress)
-    return read_identified(estimate, file.setup)
+    if estimate is not None:
+        return load_estimate(estimate, file)
+    return file.identify_together([], progress) if file.only_lists else file.identify(file.record(), progress)
 
 
 def _refuse_options(why: str, options: dict[str, object]) -> None:

@@ -85,11 +85,11 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
-    logged = replace(file.record(options.record), begin=0.0)
+    logged = replace(file.driving(options.record), begin=0.0)
     if estimate is None:
         values = file.values()
     else:
-        identified = answers.read_identified(estimate, file.joint, file.loop)
+        identified = answers.load_estimate(estimate, file).identified
         values = identified.values
         if any(not isinstance(effect, EncoderOffset) for effect in identified.effects):
             options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
@@ -105,7 +105,7 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
     if out is not None:
         from jointid.simulation.synthesis import as_record
 
-        file.write(as_record(logged, simulation), out)
+        file.write(as_record(logged, simulation, file.joint.force_unit), out)
     if options.json is not None:
         answer = answers.simulation_answer(simulation, file.joint, values, logged)
         answers.write(answer, options.json)
@@ -113,13 +113,13 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
 
 def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, options: Options) -> None:
     from jointid import simulate as run
-    from jointid.output.json import documents, read_identified, write
+    from jointid.output.json import documents, load_estimate, write
     from jointid.simulation.robots import tracking_errors
     from jointid.simulation.simulated import require_success
 
     loop, records, robot = file.loop, file.driving(options.record), file.robot
     if estimate is not None:
-        loop = replace(loop, robot=read_identified(estimate, file.setup).require_robot().robot())
+        loop = replace(loop, robot=load_estimate(estimate, file).require_robot().robot())
     found = require_success(run(loop, records), f"The simulation of {robot.name}")
     peaks = ", ".join(
         f"{name} {peak:.4g} {robot.torque_unit(k)}"

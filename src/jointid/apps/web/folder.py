@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.files import beside, is_full, write_whole
+from jointid.common.files import beside, is_full, open_file, write_whole
 from jointid.records.formats import format_of
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -61,8 +61,8 @@ class Limits:
     Attributes:
         upload: bytes of a record.
         joint_file: bytes of a joint file.
-        memory: bytes of address space of each process that reads or identifies, beside its libraries, where the
-            system bounds it (not Windows, not macOS); what the compiled simulation reserves is in it.
+        memory: bytes of memory of each process that reads or identifies, beside its libraries; see
+            `jointid.common.bounds`. What the compiled simulation reserves is in it.
         seconds: after which an identification is stopped.
         reading: seconds after which the reading of a record is stopped.
         form: seconds after which that of a joint file, or of a form, is.
@@ -100,15 +100,37 @@ class Run:
         The state is "running", "done", "refused", "failed", "cancelled", or "planning" while the next test is planned
         after it; `unplanned` is then the sentence on why there is none, and `before` the state that comes back.
         """
-        return read_json(self.folder / "run.json") or {
+        found = read_json(self.folder / "run.json") or {}
+        times = [found.get(key) or 0 for key in ("started", "ended")]
+        if isinstance(found.get("state"), str) and all(
+            isinstance(one, int | float) and 0 <= one < 1e10 for one in times
+        ):
+            return found
+        return {
             "state": "gone",
-            "sentence": "How it ended is not known: its folder was removed, or the disk is full.",
+            "sentence": "How it ended is not known: its folder was removed or damaged, or the disk is full.",
         }
 
     @property
     def active(self) -> bool:
         """Whether it is running or a test is being planned."""
         return self.status["state"] in ("running", "planning")
+
+    @property
+    def work(self) -> dict[str, Any]:
+        """What it identifies: `file`, the first record, and `files`, all that were sent.
+
+        Raises:
+            PageError: `work.json` is damaged, or names what is no file of its folder.
+        """
+        work = read_json(self.folder / "work.json") or {}
+        files = work.setdefault("files", [work.get("file")])  # as in earlier versions
+        if not isinstance(files, list) or not all(map(self.has, [work.get("file"), *files])):
+            raise PageError(
+                f"work.json of identification {self.number} is damaged: it names no file of its folder; press Identify "
+                "again."
+            )
+        return work
 
     @property
     def keeps_names(self) -> bool:
@@ -160,15 +182,18 @@ class Run:
 
     def read_progress(self) -> list[str]:
         """Return the complete lines of progress printed so far."""
-        try:
-            text = (self.folder / "progress.txt").read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return []
-        return text.split("\n")[:-1]
+        return self.read_text("progress.txt").replace("\r\n", "\n").split("\n")[:-1]
 
-    def has(self, name: str) -> bool:
+    def read_text(self, name: str) -> str:
+        """Return a text of its folder; empty if it has none."""
+        try:
+            return (self.folder / name).read_bytes().decode("utf-8", "replace") if self.has(name) else ""
+        except OSError:
+            return ""
+
+    def has(self, name: object) -> bool:
         """Return whether its folder has a file."""
-        return (self.folder / name).is_file()
+        return _is_in(self.folder, name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +205,7 @@ class Folder:
     @property
     def draft(self) -> dict[str, str]:
         """The entries of the form, by field."""
-        return self._read(DRAFT) or {}
+        return {key: text for key, text in (self._read(DRAFT) or {}).items() if isinstance(text, str)}
 
     def save_draft(self, draft: Mapping[str, str]) -> None:
         """Keep the entries of the form."""
@@ -188,12 +213,16 @@ class Folder:
 
     @property
     def record(self) -> dict[str, Any] | None:
-        """The record: `file` in this folder, `name` for the eye, `size` in bytes, `format`; None if there is none.
+        """The record: `file` in this folder, `name` for the eye, `size` in bytes, `format`; None if none is as stated.
 
         `more` has `file` and `name` of each further file, and `robot` says whether they are of a robot file.
         """
-        found = read_json(self.path / "record.json")
-        return found if found is None else {"more": [], "robot": False, **found}
+        found = {"more": [], "robot": False, "size": None, "format": "", **(read_json(self.path / "record.json") or {})}
+        every = [found, *(found["more"] if isinstance(found["more"], list) else [None])]
+        for one in every:
+            if not (isinstance(one, dict) and isinstance(one.get("name"), str) and _is_in(self.path, one.get("file"))):
+                return None
+        return found if isinstance(found["size"], int) else None
 
     @property
     def sent(self) -> dict[str, str]:
@@ -258,13 +287,13 @@ class Folder:
     @property
     def runs(self) -> list[Run]:
         """All identifications, the latest first."""
-        found = [Run(path) for path in (self.path / "runs").glob("*") if path.name.isdigit()]
-        return sorted(found, key=lambda run: -run.number)
+        paths = [path for path in (self.path / "runs").glob("*") if re.fullmatch("[0-9]{1,9}", path.name)]
+        return sorted((Run(path) for path in paths if _is_own(path)), key=lambda run: -run.number)
 
     def run(self, number: int) -> Run | None:
         """Return an identification by its number; None if unknown."""
         run = Run(self.path / "runs" / str(number))
-        return run if run.folder.is_dir() else None
+        return run if _is_own(run.folder) and run.folder.is_dir() else None
 
     def new_run(self, files: Mapping[str, str], made: Mapping[str, Any]) -> Run:
         """Make the folder of an identification that begins; its records have the names in it that its file says.
@@ -275,9 +304,11 @@ class Folder:
 
         Raises:
             RecordError: it cannot be written; there is nothing of it then.
+            PageError: a symbolic link is in its place.
         """
         runs = self.runs
         run = Run(self.path / "runs" / str(runs[0].number + 1 if runs else 1))
+        refuse_link(run.folder.parent, run.folder)
         run.folder.parent.mkdir(exist_ok=True)
         with beside(run.folder) as fresh:
             fresh.mkdir()
@@ -304,6 +335,29 @@ class Folder:
             elif run.active:
                 sentence = "The page was stopped before this had ended; press Identify again."
                 run.update(state="failed", sentence=sentence, ended=time.time())
+
+
+def _is_in(folder: Path, name: object) -> bool:
+    """Whether something is the name of a file in a folder, and no link or path to another one."""
+    if not isinstance(name, str) or "\0" in name or Path(name).name != name:
+        return False
+    return (folder / name).is_file() and not (folder / name).is_symlink()
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether a run's folder is no link to another one, nor the folder of all runs."""
+    return not (folder.is_symlink() or folder.parent.is_symlink())
+
+
+def refuse_link(*paths: Path) -> None:
+    """Refuse symbolic links, through which files elsewhere would be overwritten.
+
+    Raises:
+        PageError: one of the paths is a link.
+    """
+    for path in paths:
+        if path.is_symlink():
+            raise PageError(f"{path} is a symbolic link, which may lead out of the page's folder; remove it.")
 
 
 def link_files(folder: Path, files: Mapping[str, str], into: Path) -> None:
@@ -335,18 +389,23 @@ def _stamp(path: Path) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Return a file of ours, None if it is not there."""
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    """Return a file of ours, None if it is not there, damaged or a link to another one."""
+    if path.is_symlink():
         return None
-    return found
+    try:
+        with open_file(path) as file:
+            found = json.load(file)
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write a file of ours at once: who reads it sees the old one or the new one.
+    """Write a file of ours at once: who reads it sees the old one or the new one. A link there is replaced.
 
     Raises:
         RecordError: it cannot be written.
     """
+    if path.is_symlink():
+        path.unlink()
     write_whole(path, json.dumps(value, ensure_ascii=False))

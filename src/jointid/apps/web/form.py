@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +28,7 @@ from jointid.apps.web.guesses import find_unit
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
 from jointid.config import JointFile, dumps, loads
+from jointid.config.loading import parse_toml
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
@@ -124,16 +124,15 @@ def _name_files(tables: dict[str, Any], sent: Sequence[str]) -> dict[str, Any]:
         tables["robot"] = {**robot, "model": find(robot["model"], "robot", "model")}
     if isinstance(joined, list):
         tables["record"] = {**record, "files": [find(path, "record", "files") for path in joined]}
-    elif robot is not None:
-        if isinstance(record, dict):
-            tables["record"] = {**record, "file": find(record.get("file", records[0]), "record", "file")}
-    elif "records" in tables or len(records) > 1:
+    elif "records" in tables or (robot is None and len(records) > 1):
         rows = tables.get("records", [])
         if isinstance(rows, list) and all(isinstance(row, dict) for row in rows):
             named = [row | {"file": find(row.get("file", ""), "records", k, "file")} for k, row in enumerate(rows)]
             others = [name for name in records if all(row["file"] != name for row in named)]
             tables["records"] = [*named, *({"file": name} for name in others)]
         _drop(tables, ["record", "file"])
+    elif robot is not None and isinstance(record, dict):
+        tables["record"] = {**record, "file": find(record.get("file", records[0]), "record", "file")}
     if faults:
         raise JointFileError(faults)
     return tables
@@ -213,9 +212,10 @@ def make_robot_order(draft: Draft, sent: Sequence[str], folder: Path) -> tuple[s
     said = _parse(text, EXTRA)
     named = _name_files(dict(said), sent)
     made = text if named == said else tomli_w.dumps(named)
-    source = loads(made, folder).source
-    others = [] if source.files else [one for one in sent if one != source.file and not one.lower().endswith(MODELS)]
-    return made, [str(source.first), *others]
+    file = loads(made, folder)
+    first = file.runs[0].file if file.runs else str(file.source.first)
+    others = [] if file.source.files else [one for one in sent if one != first and not one.lower().endswith(MODELS)]
+    return made, [first, *others]
 
 
 def make_order(draft: Draft, file: str, *more: str) -> tuple[str, bool]:
@@ -411,6 +411,6 @@ def _parse(text: str, place: str) -> dict[str, Any]:
         JointFileError: it is no TOML.
     """
     try:
-        return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise JointFileError(Fault(f"{place} is not TOML ({error}); correct it.", (place,))) from None
+        return parse_toml(text)
+    except JointFileError as error:
+        raise JointFileError(Fault(f"{place}: {error}", (place,))) from None

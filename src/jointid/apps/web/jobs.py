@@ -15,12 +15,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jointid.apps.web.folder import FULL, Limits, PageError, Run, read_json, write_json
+from jointid.apps.web.folder import FULL, Limits, PageError, Run, read_json, refuse_link, write_json
 from jointid.apps.web.worker import NO_ROOM, REFUSED
+from jointid.common.bounds import TOO_LARGE
 from jointid.common.errors import Fault, JointFileError, JointidError
 from jointid.common.files import is_full
 
 _LOADING = "loading the simulation; the first time on a machine it is compiled, which takes some 20 s"
+_TOO_LARGE = (
+    "The record, or what is asked of it, is too large for the memory that this page gives one run; cut the record or "
+    "resample it slower, or use the command line, which has no such bound: jointid identify, or jointid identify "
+    "--window for a record of hours."
+)
 _LAST = 2000  # characters of what a failed process wrote
 _SIDE_BY_SIDE = 2  # processes that look at forms
 
@@ -159,6 +165,7 @@ class Jobs:
     async def _work(self, action: str, folder: Path, seconds: float, subject: str) -> None:
         """Run a worker to its end; what leaves this early, as a cancellation does, ends it."""
         (folder / "fault.json").unlink(missing_ok=True)
+        refuse_link(*folder.iterdir())
         with (folder / "progress.txt").open("ab") as progress, (folder / "log.txt").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "jointid.apps.web.worker"),
@@ -187,6 +194,8 @@ def _raise_fault(code: int, folder: Path) -> None:
     """Raise why a worker ended: its own sentences, or what its exit code says."""
     if code == NO_ROOM:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    if code == TOO_LARGE:
+        raise PageError(_TOO_LARGE)
     if code == REFUSED:
         with contextlib.suppress(OSError, ValueError):
             said = json.loads((folder / "fault.json").read_text(encoding="utf-8"))

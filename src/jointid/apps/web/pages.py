@@ -7,6 +7,7 @@ came in escaped. `AppState` is what all addresses share.
 from __future__ import annotations
 
 import asyncio
+import math
 import re
 import shutil
 from collections.abc import AsyncIterator, Collection, Mapping
@@ -92,8 +93,7 @@ class AppState:
         Raises:
             PageError: files that are on their way in have taken it.
         """
-        declared = request.headers.get("content-length", "")
-        size = min(int(declared), bound) if re.fullmatch("[0-9]{1,18}", declared) else bound
+        size = min(_declared_size(request, bound), bound)
         if self._arriving + size > self.limits.arriving:
             raise PageError("Other files are on their way in, and leave no room for this one; send it again later.")
         self._arriving += size
@@ -131,9 +131,17 @@ def format_size(size: float) -> str:
     return f"{size / 2**20:.0f} MB" if size >= 2**20 else f"{size / 2**10:.0f} kB"
 
 
+def _declared_size(request: Request, unknown: int) -> int:
+    """Return the bytes that a request declares, or a number for none."""
+    declared = request.headers.get("content-length", "")
+    return int(declared) if re.fullmatch("[0-9]{1,18}", declared) else unknown
+
+
 def bound_body(request: Request, bound: int, sentence: str) -> Request:
-    """Return a request whose body raises a `PageError` above a number of bytes."""
+    """Return a request whose body raises a `PageError` above a number of bytes, or at once if it declares more."""
     sent = 0
+    if _declared_size(request, 0) > bound:
+        raise PageError(sentence)
 
     async def receive() -> Sent:
         nonlocal sent
@@ -233,22 +241,34 @@ def show_joint(state: AppState, refusal: Exception | None = None, imported: str 
 
 
 def show_run(state: AppState, run: Run) -> Response:
-    """Show steps 4 and 5: progress, then the answer, while its report is written and after."""
+    """Show steps 4 and 5: progress, then the answer, while its report is written and after.
+
+    Raises:
+        PageError: its files are damaged.
+    """
+    from jinja2 import UndefinedError
+
     status = run.status
     answer = read_json(run.folder / "answer.json")
     about = read_json(run.folder / "about.json") or {}
-    texts = {name: run.folder / name for name in ("answer.txt", "learned.txt", "resonance.txt", "axis.svg")}
-    return _render(
-        "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
-        plan=read_json(run.folder / "plan.json"), tuning=read_json(run.folder / "tuning.json"),
-        unexplained=[] if answer is None else _build_errors(answer),
-        goals=_list_goals(answer), no_goal=_say_no_goal(answer),
-        elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
-        checks=[] if answer is None else _build_checks(answer, read_json(run.folder / "marks.json") or {}),
-        runs=[(one, one.status) for one in state.folder.runs],
-        texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
-        title=_title_run(run, about, answer), checked=about.get("checked", True),
-    )  # fmt: skip
+    texts = ("answer.txt", "learned.txt", "resonance.txt", "axis.svg")
+    try:
+        return _render(
+            "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(),
+            answer=answer, plan=read_json(run.folder / "plan.json"), tuning=read_json(run.folder / "tuning.json"),
+            unexplained=[] if answer is None else _build_errors(answer),
+            goals=_list_goals(answer), no_goal=_say_no_goal(answer),
+            elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
+            checks=[] if answer is None else _build_checks(answer, read_json(run.folder / "marks.json") or {}),
+            runs=[(one, one.status) for one in state.folder.runs],
+            texts={name: run.read_text(name) for name in texts},
+            title=_title_run(run, about, answer), checked=about.get("checked", True),
+        )  # fmt: skip
+    except (LookupError, TypeError, ValueError, AttributeError, UndefinedError) as error:
+        raise PageError(
+            f"answer.json of identification {run.number}, or a file beside it, is damaged ({error!r}); press Identify "
+            "again."
+        ) from error
 
 
 def _title_run(run: Run, about: Mapping[str, Any], answer: Mapping[str, Any] | None) -> str:
@@ -367,7 +387,7 @@ def _tell_value(p: Mapping[str, Any]) -> str:
         return "not identifiable" if p["lower_bound"] is None else f"> {number(p['lower_bound'], 3)} {p['unit']}"
     if p["std"] is None:
         return f"{number(p['value'])} {p['unit']}{'' if p['free'] else ', fixed'}"
-    return f"{interval(p['value'], 2 * p['std'])} {p['unit']}"
+    return f"{interval(p['value'], 2 * math.hypot(p['std'], p.get('lack_of_fit', 0.0)))} {p['unit']}"
 
 
 def _build_errors(answer: Mapping[str, Any]) -> list[tuple[str, ...]]:

@@ -377,9 +377,8 @@ async def plan_test(request: Request) -> Response:
             )
         await state.jobs.require_idle(yields=False)
         (run.folder / "progress.txt").unlink(missing_ok=True)
-        work = read_json(run.folder / "work.json") or {}
         asked = {"goal": goal[:_GOAL], "seconds": state.limits.planning}
-        write_json(run.folder / "work.json", work | asked)
+        write_json(run.folder / "work.json", run.work | asked)
         run.update(state="planning", before=run.status["state"], unplanned="")
     state.jobs.start_planning(run)
     return state.redirect(f"/runs/{run.number}#plan")
@@ -430,12 +429,13 @@ async def _events(run: Run, begin: int) -> AsyncIterator[str]:
 
 def _bundle(run: Run) -> tuple[Path, str]:
     """Return an archive of the answer and the stem of its record; in it `jointid identify` repeats it."""
-    work = read_json(run.folder / "work.json") or {}
+    work = run.work
     path, files = run.folder / BUNDLE, [run.folder / name for name in FILES if run.has(name)]
-    if not path.exists() or path.stat().st_mtime_ns <= max(file.stat().st_mtime_ns for file in files):
+    if not run.has(BUNDLE) or path.stat().st_mtime_ns <= max(file.stat().st_mtime_ns for file in files):
+        path.unlink(missing_ok=True)  # it may be a link, which would be followed
         with beside(path) as fresh, zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in files:
                 archive.write(file, file.name)
-            for name in work.get("files", [work["file"]]):
+            for name in work["files"]:
                 archive.write(run.folder / name, name)
     return path, Path(work["file"]).stem

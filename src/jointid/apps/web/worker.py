@@ -2,7 +2,8 @@
 
 A file may be damaged and a fit may take hours: whatever becomes of the process, the page stays up, and its memory is
 bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json` for what
-the person can mend, 3 for a disk that is full. It ends when the page does, whose end it hears on its standard input.
+the person can mend, 3 for a disk that is full, 5 for too little memory. It ends when the page does, whose end it hears
+on its standard input.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from jointid.apps.web.folder import CHECKED, PREVIEW, Run, link_files, write_json
+from jointid.common.bounds import LIBRARIES, TOO_LARGE, limit_resource, measure_memory
 from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import is_full, write_whole
 
@@ -32,12 +34,6 @@ REFUSED, NO_ROOM = 2, 3
 
 _MOMENT = 3.0  # seconds that the first report waits for what belongs into it
 _FOLLOWS = "It is still being computed, and follows in this place."
-
-_TOO_LARGE = (
-    "The record, or what is asked of it, is too large for the memory that this page gives one run; cut the record or "
-    "resample it slower, or use the command line, which has no such bound: jointid identify, or jointid identify "
-    "--window for a record of hours."
-)
 
 
 def preview(folder: Path) -> None:
@@ -113,6 +109,7 @@ def identify(folder: Path) -> None:
     """
     from jointid import Record
     from jointid.config import load
+    from jointid.estimation.result.parts import IN_WINDOWS
     from jointid.simulation.warm_up import warm_up
 
     work = _read_work(folder)
@@ -139,6 +136,9 @@ def identify(folder: Path) -> None:
         raise file.explain(error, record, _print_progress) from error
     write_json(folder / "about.json", about | {"checked": True})
     _write_answer(folder, estimate)
+    if estimate.data.windows is not None:
+        _write_tuning(folder, IN_WINDOWS)
+        return
     _print_progress("writing the report")
     _write_report(folder, file, estimate, record)
 
@@ -282,10 +282,12 @@ def main(action: str, folder: Path) -> int:
     try:
         try:
             ACTIONS[action](folder)
-        except (JointidError, MemoryError) as error:
+        except MemoryError:
+            return TOO_LARGE
+        except JointidError as error:
             if is_full(error):
                 raise
-            faults = (_TOO_LARGE,) if isinstance(error, MemoryError) else getattr(error, "faults", (str(error),))
+            faults = getattr(error, "faults", (str(error),))
             places = [getattr(fault, "place", ()) for fault in faults]
             fault = {"faults": faults, "places": places, "of_form": isinstance(error, JointFileError)}
             write_whole(folder / "fault.json", json.dumps(fault))
@@ -298,9 +300,7 @@ def main(action: str, folder: Path) -> int:
 
 
 if __name__ == "__main__":
-    from jointid.records.formats.reader_program import LIBRARIES, address_space, limit_resource
-
     threading.Thread(target=_end_with_the_page, daemon=True).start()
     # Beside the libraries: one that is loaded at the limit fails in ways of its own, not with `MemoryError`.
-    limit_resource("RLIMIT_AS", address_space() + LIBRARIES + int(sys.argv[3]))
+    limit_resource("RLIMIT_AS", measure_memory() + LIBRARIES + int(sys.argv[3]))
     sys.exit(main(sys.argv[1], Path(sys.argv[2])))

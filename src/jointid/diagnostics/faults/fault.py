@@ -232,7 +232,7 @@ class FaultTest:
         if 2 * self.std >= abs(self.size):
             return ""
         size = number(abs(factor * self.size), 3 if spread else 2)
-        interval = f" +- {number(2 * factor * self.std, 2)}" if spread else ""
+        interval = f" ± {number(2 * factor * self.std, 2)}" if spread else ""
         return f"{size}{interval} {unit}"
 
 

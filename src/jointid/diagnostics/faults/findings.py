@@ -6,17 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from jointid.common.messages import Message
-from jointid.common.text import format_signed, number
+from jointid.common.text import format_signed, join, number
 from jointid.common.transmission import Side
 from jointid.diagnostics.faults.fault import Fault, FaultTest, Measure, Shown, call_number
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.friction import FRICTIONS, LoadDependentFriction, StribeckFriction
+from jointid.models.friction import FRICTIONS, StribeckFriction
 from jointid.records.record import Channel
 from jointid.uncertainty.verdict import Reason, Status
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most
+_EXCLUDED, _WHOLE = 2.0, 1.0  # deviations; a share that says nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +147,27 @@ class AxisFaults:
             said += f"; a part of the residual looks like {alike} and is not: the motor position excludes that"
         assumed = self.assumed
         also = {} if assumed is None else assumed.values
+        if excluded := self.excluded_sizes:
+            said += f"; it excludes {join([words for _, words in excluded.values()])} or more"
+            also = {**also, "excluded": {name: size for name, (size, _) in excluded.items()}}
         said += "" if assumed is None else f"; {assumed}"
         return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least, **also}),)
+
+    @property
+    def excluded_sizes(self) -> dict[str, tuple[float, str]]:
+        """The least excluded size of each fault of the mechanics, in SI or as a share, and in words.
+
+        It is two deviations above the size that its test shows.
+        """
+        found = {}
+        for s in self.tests:
+            most = max(abs(s.size) + _EXCLUDED * s.std, 0.0)
+            if s.name == "backlash" and s.shape:
+                most *= 2 * s.shape
+                found[s.name] = most, f"a backlash of {number(most, 2)} {self.on_side('position')}"
+            elif s.fault.mechanical and s.fault.measure is Measure.SHARE and most < _WHOLE:
+                found[s.name] = most, f"a {s.title} by {number(100 * most, 2)} %"
+        return found
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -178,7 +198,7 @@ class AxisFaults:
         assert finding.law is not None
         law, s = finding.law, finding.test
         clause = f"it may be that {law.words}, which this record does not exclude"
-        share = f"{number(s.size, 2)} +- {number(2 * s.std, 2)}, where 0 is as declared and 1 is that"
+        share = f"{number(s.size, 2)} ± {number(2 * s.std, 2)}, where 0 is as declared and 1 is that"
         said = f"{clause} ({share}){self._describe_changes(finding, 'it would change')}"
         said += f"; see the drive's manual, or record a faster motion: if so, declare {law.remedy}"
         said += "; if it has the log's period, declare that" if law.rate else ""
@@ -243,8 +263,7 @@ class AxisFaults:
         # IDIM takes what is linear in its parameters on the measured motion.
         stepped = [] if self.of_loop else [law for law in laws if law in FRICTIONS and FRICTIONS[law]().stepped]
         tried = " or ".join(f'"{law}"{" (by didim)" if law in stepped else ""}' for law in laws)
-        spring = not self.of_loop and LoadDependentFriction.name in laws
-        said = f"; to identify it, declare the joint with {'a spring, and ' if spring else ''}{table} = {tried}"
+        said = f"; to identify it, declare the joint with {table} = {tried}"
         if self.of_loop:
             return f"{said}, as jointid diagnose {'springs' if table == 'spring' else table} tells"
         speed = finding.test.shape if StribeckFriction.name in laws else None

@@ -101,6 +101,13 @@ def _vary_limit(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSign
             yield FaultSignature(LIMIT, problem.filter(simulate(level) - unlimited), level)
 
 
+def _along_limit(motion: AxisMotion) -> Iterator[FaultSignature]:
+    """Yield the part of a logged command beyond each of some lower limits."""
+    size = np.abs(motion.torque)
+    for level in (share * float(np.max(size)) for share in _LEVELS):
+        yield FaultSignature(LIMIT, np.sign(motion.torque) * np.maximum(size - level, 0.0), level)
+
+
 def _torque_per_unit(problem: ClosedLoopProblem) -> float:
     """Return the torque on the joint per unit of the controller output."""
     controller = problem.loop.controller
@@ -124,7 +131,7 @@ def free_number(problem: ClosedLoopProblem, name: str, start: float) -> tuple[Cl
 
 
 LIMIT = Fault(
-    "limit", "limit of the controller's output", vary=_vary_limit, one_sided=True,
+    "limit", "limit of the controller's output", vary=_vary_limit, along=_along_limit, one_sided=True,
     describe=lambda finding, check, _: "the controller's output stops at "
     f"{number(finding.value or finding.test.shape, 4)} {check.on_side('torque')}, which is not declared",
     measure=Measure.SHARE, free=_free_limit, value=lambda problem, value: value * _torque_per_unit(problem),

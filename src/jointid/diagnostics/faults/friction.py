@@ -178,16 +178,18 @@ def _try_load_friction(joint: FlexibleJoint, _: Simulation, values: Mapping[str,
         yield Trial(LOAD_DEPENDENT_FRICTION, other, grows, _LOSS, without=without)
 
 
-def _vary_motor_load_friction(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
-    """Yield the signature of a motor's friction that grows with the torque through the spring."""
+def _vary_load_friction(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    """Yield the signature of a motor's friction that grows with the torque through the spring, or of a rigid joint."""
     joint, run, values = problem.joint, problem.simulate(x), problem.values(x)
-    if not isinstance(joint, FlexibleJoint) or not joint.friction.linear or run.load_position is None:
+    if not joint.friction.linear:
         return
-    assert run.load_velocity is not None
-    wound, rate = run.motor_position - run.load_position, run.motor_velocity - run.load_velocity
-    force = -np.abs(joint.spring.torque(values, wound, rate)) * np.sign(run.motor_velocity)
-    for raw in respond_to_force(problem, x, force):
-        yield FaultSignature(MOTOR_LOAD_FRICTION, problem.filter(raw), raw=raw)
+    fault, through = LOAD_DEPENDENT_FRICTION, run.push
+    if isinstance(joint, FlexibleJoint):
+        assert run.load_position is not None and run.load_velocity is not None
+        wound, rate = run.motor_position - run.load_position, run.motor_velocity - run.load_velocity
+        fault, through = MOTOR_LOAD_FRICTION, joint.spring.torque(values, wound, rate)
+    for raw in respond_to_force(problem, x, -np.abs(through) * np.sign(run.motor_velocity)):
+        yield FaultSignature(fault, problem.filter(raw), raw=raw)
 
 
 def _describe_load_friction(said: str, finding: Finding, _: AxisFaults, spread: bool) -> str:
@@ -198,15 +200,15 @@ def _describe_load_friction(said: str, finding: Finding, _: AxisFaults, spread: 
 LOAD_DEPENDENT_FRICTION = Fault(
     "load_dependent_friction", "friction that grows with the load's torque",
     describe=partial(_describe_load_friction, "the load's friction grows with its torque"),
-    try_mechanics=_try_load_friction, along=_along_load, mechanical=True, one_sided=True, kin="load friction",
-    measure=Measure.SHARE,
+    try_mechanics=_try_load_friction, vary=_vary_load_friction, along=_along_load, mechanical=True, one_sided=True,
+    kin="load friction", measure=Measure.SHARE,
     reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(LoadDependentFriction.name,),
 )  # fmt: skip
 MOTOR_LOAD_FRICTION = Fault(
     "motor_load_friction", "motor friction that grows with the load's torque",
     describe=partial(_describe_load_friction, "the motor's friction grows with the load's torque"),
-    vary=_vary_motor_load_friction, mechanical=True, one_sided=True, kin="load friction", measure=Measure.SHARE,
-    reason=Reason.FRICTION_NOT_AS_MODELLED,
+    vary=_vary_load_friction, mechanical=True, one_sided=True, kin="load friction", measure=Measure.SHARE,
+    reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(LoadDependentFriction.name,),
 )  # fmt: skip
 
 
@@ -219,17 +221,24 @@ def _try_changing(joint: FlexibleJoint, run: Simulation, values: Mapping[str, fl
             yield Trial(CHANGING_FRICTION, other, still | falls, _LOST, shape, without)
 
 
-def _describe_changing(finding: Finding, _: AxisFaults, spread: bool) -> str:
+def _along_time(motion: AxisMotion) -> Iterator[FaultSignature]:
+    """Yield friction that falls over the record, by one unit at its end."""
+    gone = np.linspace(0.0, 1.0, motion.velocity.size)
+    for shape, column in ((VISCOUS, motion.velocity), (COULOMB, np.sign(motion.velocity))):
+        yield FaultSignature(CHANGING_FRICTION, -gone * column, shape)
+
+
+def _describe_changing(finding: Finding, check: AxisFaults, spread: bool) -> str:
     s = finding.test
     kind, way = "Coulomb" if s.shape == COULOMB else "viscous", "falls" if s.size > 0 else "rises"
-    size = s.show_size("%", spread=spread, factor=100.0)
+    size = s.show_size("%", spread=spread, factor=100.0) if check.of_loop else ""  # along a motion it is no share
     return f"the {kind} friction {way} over the record" + (f", by {size}" if size else "")
 
 
 CHANGING_FRICTION = Fault(
     "changing_friction", "friction that changes over the record", describe=_describe_changing,
-    try_mechanics=_try_changing, mechanical=True, measure=Measure.SHARE, reason=Reason.FRICTION_NOT_AS_MODELLED,
-    table="friction", laws=(DriftingFriction.name,),
+    try_mechanics=_try_changing, along=_along_time, mechanical=True, measure=Measure.SHARE,
+    reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(DriftingFriction.name,),
 )  # fmt: skip
 
 ASYMMETRIC_FRICTION = Fault(

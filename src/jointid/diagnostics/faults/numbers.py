@@ -85,7 +85,7 @@ def _describe_difference(name: str, s: FaultTest, *, spread: bool) -> str:
         return f"{_FACTOR} factor ({name} alone would be about {times} as large)"
     if share - deviation <= -1:
         return f"{name} is at least {number(100 * (abs(share) - deviation), 2)} % smaller than declared"
-    percent = number(100 * abs(share), 2) + (f" +- {number(100 * deviation, 2)}" if spread else "")
+    percent = number(100 * abs(share), 2) + (f" ± {number(100 * deviation, 2)}" if spread else "")
     return f"{name} is {percent} % {'larger' if share > 0 else 'smaller'} than declared"
 
 
@@ -103,7 +103,7 @@ def describe_in_drive(there: DriveNumber, s: FaultTest, law: Mapping[str, float]
         return f"{name} is at {bound} {show(there, value + 2 * s.std, law)}, {declared}"
     stated = there.of(value, law)
     far = max(abs(there.of(value + by, law) - stated) for by in (-2 * s.std, 2 * s.std))
-    interval = f" +- {number(far, 2)}" if spread else ""
+    interval = f" ± {number(far, 2)}" if spread else ""
     digits = max(3, 1 + math.ceil(-math.log10(abs(share))))  # so many that the two are not the same
     return f"{name} is {number(stated, digits)}{interval} {there.unit}, {declared}"
 

@@ -21,6 +21,7 @@ reference over a time, which makes it later by half of that; so the time follows
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
@@ -34,16 +35,15 @@ from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis, Shown
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
-from jointid.diagnostics.faults.numbers import REFERENCE_DELAY
+from jointid.diagnostics.faults.numbers import DELAY, REFERENCE_DELAY, VELOCITY_FILTER
 from jointid.diagnostics.hypothesis_fits import MORE, Fit, follow, pose
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_present_sample
+from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder, numbers_of, with_present_sample
 from jointid.models.controllers.servo_base import LONGEST_DELAY, DiagramController, Interpolation
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
 from jointid.records.resampling import default_interpolation, fill_in, update_interval
-from jointid.simulation.loop_input import prepare
 
 TIMES_FASTER = (2, 4, 8, 16)
 """Than the log: at these rates a drive may run whose period is not declared."""
@@ -55,6 +55,7 @@ _WAITS: tuple[tuple[Interpolation, int], ...] = (("linear", 0), ("linear", 1), (
 _SCREENED = 4  # samples of the log: of a mean that shows whether the reference is late
 _PASSES = 3  # in which the time of a delay or a mean is found
 _NEARLY = 0.5  # periods
+_TIME, _SHORT = "velocity_filter.time_constant", 1e-3  # s: where the search of a filter begins
 _HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is the velocity half a period ago
 
 
@@ -248,9 +249,9 @@ def prepare_anew(problem: ClosedLoopProblem, law: OtherLaw, record: Record) -> C
     Raises:
         RecordError, MethodError: the record, or the law, cannot be at that period.
     """
-    loop = replace(problem.loop, controller=law.controller)
-    record = record if law.reference is None else record.with_channels({"reference": law.reference})
-    return replace(problem, loop=loop, experiment=prepare(loop, record))
+    return problem.under(
+        law.controller, record if law.reference is None else record.with_channels({"reference": law.reference})
+    )
 
 
 def refit(
@@ -286,20 +287,43 @@ def refit_other_laws(problem: ClosedLoopProblem, x: FloatArray, asked: Set[str])
         x: (free,) its parameters.
         asked: names of what may be other in a law.
     """
+    if FILTERED.name in asked:
+        yield from _refit_filtered(problem, x)
     if _has_free_law(problem):
         return
     for law in list_other_laws(problem.loop.controller, problem.experiment.law.period):
         if not asked >= {one.name for one in law.parts}:
             continue
-        other = replace(
-            problem,
-            loop=replace(problem.loop, controller=law.controller),
-            experiment=problem.experiment.with_law(problem.experiment.law_of(law.controller)),
-        )
         try:
-            yield refit(problem, x, law, other, x)
+            yield refit(problem, x, law, under(problem, law.controller), x)
         except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable under it is not that of the record
             continue
+
+
+def under(problem: ClosedLoopProblem, controller: Controller) -> ClosedLoopProblem:
+    """Return a problem under another law of the same period."""
+    loop = replace(problem.loop, controller=controller)
+    return replace(problem, loop=loop, experiment=problem.experiment.with_law(problem.experiment.law_of(controller)))
+
+
+def _refit_filtered(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Refit]:
+    """Yield the problem with its velocity filtered, solved again; a delay that is free stays free beside the filter."""
+    controller: Any = problem.loop.controller
+    free = numbers_of(controller).keys() & {p.name for p in problem.free}
+    if getattr(controller, "velocity_filter", None) != (1.0,) or not free <= {DELAY.name}:
+        return
+    period = problem.experiment.law.period
+    with contextlib.suppress(JointidError, np.linalg.LinAlgError):
+        start = under(problem, replace(controller, velocity_filter=FirstOrder(max(_SHORT, period))))
+        wider = start.freeing(_TIME)
+        found = wider.values(descend(wider, wider.vector(problem.values(x)), _SOLVED).x)
+        if found[_TIME] > _NEARLY * period:
+            filtered = replace(controller, velocity_filter=FirstOrder(found[_TIME]))
+            size = f"{1e3 * found[_TIME]:.3g} ms"
+            words = f"the velocity passes a filter, such as one of first order with {size}"
+            remedy = f'velocity_filter = {{ kind = "first_order", time_constant = "{size}" }}'
+            other = under(problem, filtered)
+            yield refit(problem, x, OtherLaw((FILTERED,), words, remedy, filtered), other, other.vector(found))
 
 
 def _describe_laws(finding: Finding, check: AxisFaults, _: bool) -> str:
@@ -399,6 +423,7 @@ AVERAGED = Fault(
     judge=_judge_mean, clause=_say_mean,
 )  # fmt: skip
 LATE = replace(REFERENCE_DELAY, describe=_describe_laws, correct=None)
+FILTERED = replace(VELOCITY_FILTER, describe=_describe_laws, correct=None)
 PRESENT_SAMPLE = Fault(
     "present_sample",
     "integral that takes in the present sample",

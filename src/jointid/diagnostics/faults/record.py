@@ -22,7 +22,7 @@ from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import LAW_GAIN, say_times
 from jointid.diagnostics.hypothesis_fits import MORE, Fit, fit_flexible, follow
-from jointid.diagnostics.model_free import SHORTEST
+from jointid.diagnostics.model_free import SHORTEST, compare_law
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, grid_starts
@@ -186,6 +186,7 @@ def _judge_mode(declared: Hypothesis, _: Fit | None, least: float) -> tuple[floa
     return FlexibleJoint.frequencies(values)["free_free"], found.error
 
 
+_BY_LAW, _OFF = 0.1, 1.5  # of the torque; times: a factor that the law and the position show
 FLEXIBLE = Fault(
     "flexible", "flexible joint", judge=_judge_mode,
     clause='the joint is flexible (model = "flexible"), with a mode near {value} Hz',
@@ -276,6 +277,21 @@ def _check_length(reference: Channel, needed: float, what_for: str) -> Message |
         lasts = f"it has {number(seconds, 2)} s of motion{'' if both_ways else ', one way only'}"
         clause = f"the record is too short {what_for}: {lasts}; {SHORTEST:g} s or more, both ways, would do"
     return Message(Reason.RECORD_TOO_SHORT, clause, {"seconds": seconds, "needed": SHORTEST}, clause)
+
+
+def find_torque_scale(record: Record, loop: ClosedLoop) -> Message | None:
+    """Return the factor of a torque beside that of the law for the motor's position; None near 1, or without both.
+
+    The mechanics have no part in it, and a signal that is added to the torque keeps its own scale.
+    """
+    law = compare_law(record, loop)
+    if law is None or law.left_in_time > _BY_LAW or not law.gain > 0 or max(law.gain, 1 / law.gain) < _OFF:
+        return None
+    size = "large" if law.gain > 1 else "small"
+    clause = f"the torque is {say_times(law.gain)} too {size} for the declared law and the logged motor position"
+    words = f"{clause}: check its unit, its torque constant and its side of the gear, and the gains of the law"
+    cause = {"cause": "torque_scale", "value": law.gain, "error": law.left_in_time}
+    return Message(Reason.CAUSE_FOUND, words, {"causes": [cause], "declared_error": None}, clause)
 
 
 def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:

@@ -122,7 +122,8 @@ def _along_bend(motion: AxisMotion) -> Iterator[FaultSignature]:
 
 COMPLIANCE = Fault(
     "compliance", "gear that bends", "changes of the acceleration: a gear that bends",
-    lambda *_: "a part of the torque follows changes of the acceleration, as where a gear bends",
+    lambda *_: "a part of the torque is what a spring in this joint makes, as where a gear bends: declare its spring, "
+    "or identify below its mode by a lower filtering.cutoff",
     along=_along_bend, mechanical=True, reason=Reason.LOAD_NOT_RIGID,
 )  # fmt: skip
 

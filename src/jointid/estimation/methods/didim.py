@@ -37,6 +37,7 @@ and the best few are refined: half of such a grid is unstable for a fast loop, a
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -45,10 +46,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Suspicion
-from jointid.common.parameters import Parameter
+from jointid.common.messages import Detail, Suspicion, ignore_progress
+from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.descent import History, Solved, free_more, least_squares, or_moving
+from jointid.estimation.descent import History, Solved, free_more, glancing, least_squares, or_moving
 from jointid.estimation.methods.force_in_loop import (
     allow_for_force,
     instruments,
@@ -66,7 +67,7 @@ from jointid.estimation.methods.registry import (
     Task,
 )
 from jointid.estimation.methods.regressor_steps import REPRODUCED, RegressorSteps, describe_unstable
-from jointid.estimation.methods.stiffness_search import StiffnessSearch, search_by_simplex
+from jointid.estimation.methods.stiffness_search import NOTHING, StiffnessSearch, search_by_simplex
 from jointid.estimation.outputs import check_outputs
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
@@ -75,7 +76,7 @@ from jointid.estimation.result.build_result import build_closed_loop_result
 from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
 from jointid.estimation.starts.rigid_joint import Start, rigid_starts
-from jointid.models.controllers import REFERENCE
+from jointid.models.controllers import REFERENCE, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.solvers.nelder_mead import NelderMead
@@ -91,7 +92,8 @@ _LEAST_ERROR = 'set method.form = "least-squares"'
 _LEAST_SQUARES = 'set method.minimiser = "least-squares"'
 _TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}
 _SIMPLEX_TOLERANCE = 1e-4  # that of fminsearch
-_NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
+_DELAY = "delay"
+_DELAYS = (0.0, 0.003, 0.006, 0.009)  # s: those of drives and their buses
 _RIGID, _FLEXIBLE = ("rigid",), ("flexible",)
 
 
@@ -186,6 +188,8 @@ class DIDIM(Method):
     frequencies: Mapping[str, float] = field(
         default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
     )
+    near: bool = field(default=False, repr=False, compare=False)
+    """Whether a free delay is known to be near the declared one: no setting, but what the checks found."""
 
     @classmethod
     def paper(cls, model: str = "rigid", frequency: float | None = 30.0) -> DIDIM:
@@ -229,6 +233,58 @@ class DIDIM(Method):
         """
         return self._identify_rigid(task) if task.joint.model == "rigid" else self._identify_flexible(task)
 
+    def _near_delay(self, task: Task, history: History) -> tuple[Task, list[Start]]:
+        """Return the task at the best of several delays, and a start, where the delay is free and none is declared.
+
+        A wrong delay turns the phase of a mode and of the loop, which other joints explain as well: a rough search
+        begins at each of a row of delays, and the best end decides.
+        """
+        loop = task.loop
+        assert loop is not None
+        if self.near or _DELAY not in self.free or numbers_of(loop.controller).get(_DELAY) != 0.0:
+            return task, []
+        ends = list[Solved]()
+        for late in _DELAYS:
+            under = replace(task, loop=replace(loop, controller=with_numbers(loop.controller, {_DELAY: late})))
+            history.progress(Detail(f"looking for the delay near {1e3 * late:g} ms"))
+            with contextlib.suppress(MethodError):  # no joint is stable with it
+                ends.append(self._glance(under, history))
+        if not ends:
+            return task, []
+        values = min(ends, key=lambda end: end.norm).values
+        law = with_numbers(loop.controller, {_DELAY: values[_DELAY]})
+        return replace(task, loop=replace(loop, controller=law)), [Start(values, None)]
+
+    def _glance(self, task: Task, history: History) -> Solved:
+        """Return the end of a rough search with the delay free, from the one that the task declares."""
+        assert task.loop is not None
+        flexible = task.joint.model == "flexible"
+        around = _at_rest(task.record, self) if flexible else INITIAL_STATE
+        problem = with_linear_laws(torque_problem(task.record, task.loop, task.filtering, task.parameters, around))
+        if flexible:
+            own = replace(task, loop=problem.loop, joint=problem.joint)
+            cutoffs = self.frequency, self.rigid_cutoff
+            return StiffnessSearch(problem, own, *cutoffs, self._tolerance, history).glance(_DELAY)
+        resting = problem.keeping(self._first_sample(problem))
+        wider, ends = resting.freeing(_DELAY), list[Solved]()
+        for start in rigid_starts(problem, self.start, ignore_progress).values():
+            with contextlib.suppress(MethodError):
+                x = self._first_positions(resting, start, history)[0]
+                ends.append(history.solve(wider, glancing(wider), wider.vector(resting.values(x))))
+        if not ends:
+            raise MethodError(describe_unstable(resting, resting.vector({})))
+        return min(ends, key=lambda end: end.norm)
+
+    def _declared(self, solved: Solved, task: Task) -> Solved:
+        """Return an end under the delay that was declared; the free one stays what it is."""
+        problem, loop = solved.problem, task.loop
+        assert loop is not None
+        if problem.loop.controller == loop.controller:
+            return solved
+        law = problem.experiment.law_of(loop.controller)
+        loop = replace(problem.loop, controller=loop.controller)
+        return solved._replace(problem=replace(problem, loop=loop, experiment=problem.experiment.with_law(law)))
+
     def solve(self, task: Task, history: History) -> Solved:
         """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
         return (
@@ -236,21 +292,22 @@ class DIDIM(Method):
         )
 
     def _identify_rigid(self, task: Task) -> FitResult:
+        history, given = History(task.progress), task
+        task, near = self._near_delay(task, history)
         assert task.loop is not None
         declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)
         problem = with_linear_laws(declared)
         if problem is not declared and self.form != "least-squares":
             declared.joint.require_linear("A fixed point of a regressor takes", _LEAST_ERROR)
             declared.joint.require_no_ripple("A fixed point of a regressor takes", _LEAST_ERROR)
-        history = History(task.progress)
         starts = rigid_starts(problem, self.start, task.progress)
-        solved, how = self._search(problem, list(starts.values()), history)
+        solved, how = self._search(problem, [*near, *starts.values()], history)
         if problem is not declared:
             solved = history.finish(solved, self._tolerance)
             solved = from_linear_laws(declared, solved, self._tolerance, history)
         if self.free:
             aside = history if problem is not declared else History(task.progress)  # which keeps the trace of the steps
-            solved = free_more(solved, self.free, self._tolerance, aside)
+            solved = self._declared(free_more(solved, self.free, self._tolerance, aside), given)
             history.tally.evaluations += aside.tally.evaluations if aside is not history else 0
         problem, x, end = solved.problem, solved.x, solved.solution
         run, error, J = solved.run or problem.simulate(x), end.residual, -end.jacobian
@@ -341,7 +398,10 @@ class DIDIM(Method):
         Raises:
             MethodError: the loop cannot be simulated there, or runs away.
         """
-        x, steps = problem.vector(start.values), self._steps(problem, history)
+        # A regression keeps no bounds; an inertia of the wrong sign is that of a torque of the wrong sign.
+        x, inertias = problem.vector(start.values), [p.quantity is Quantity.INERTIA for p in problem.free]
+        x = np.where(inertias, x, Bounds.of(problem.free).clip(x))
+        steps = self._steps(problem, history)
         if start.nominal_inertia and self.scaled_iterations:
             x = steps.scale_gains(problem, start)[0].x
         there, counted = problem.values(x), history.count_evaluations(problem)
@@ -361,16 +421,17 @@ class DIDIM(Method):
     def _identify_flexible(self, task: Task) -> FitResult:
         record, progress = task.record, task.progress
         history = History(progress)
-        solved, simulations = self._solve_flexible(task, history)
+        solved, simulations = self._solve_flexible(self._near_delay(task, history)[0], history)
         starts = solved.solution.starts
         if self.free:
             solved = free_more(solved, self.free, self.stopping_tolerance("flexible"), history)
+            solved = self._declared(solved, task)
         problem, x = solved.problem, solved.solution.x
         error, J = history.count_evaluations(problem).linearise(x)
         run = problem.simulate(x)
         history.tally.evaluations += 1
         stop, converged = solved.solution.message, solved.solution.converged
-        if np.linalg.norm(error) > _NOTHING * problem.size:
+        if np.linalg.norm(error) > NOTHING * problem.size:
             stop = f"no answer: the search ended where the model explains little of the torque ({stop})"
             converged = False
         names = [p.name for p in problem.free]
@@ -409,6 +470,8 @@ class DIDIM(Method):
         search = StiffnessSearch(linear, own, self.frequency, self.rigid_cutoff, tolerance, history)
         solved, simulations = search.search()
         if linear is not problem:
+            if _DELAY in self.free:  # a gap is found where torque and motion are in time alone
+                solved = free_more(solved, (_DELAY,), tolerance, history)
             solved = from_linear_laws(problem, solved, tolerance, history)
         return solved, simulations
 

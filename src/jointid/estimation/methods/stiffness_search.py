@@ -28,9 +28,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Progress, Suspicion
+from jointid.common.messages import Detail, Doubt, Progress, Suspicion, ignore_progress
 from jointid.common.parameters import Bounds, Quantity
-from jointid.estimation.descent import History, Solved, least_squares, or_moving, roughly
+from jointid.estimation.descent import History, Solved, glancing, least_squares, or_moving, roughly
 from jointid.estimation.methods.registry import Method, Task, method_of
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -59,8 +59,11 @@ _SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer the
 _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
 _LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot be identified
 _LOWER_AGAIN = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
-_NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
+NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
+_LITTLE = 0.3  # of the torque: an end that leaves so much may be a false minimum
 _REFINED = 6  # starts that are refined at most, until two of them end together; or twice as many, see above
+_GLANCED = 2  # of them in a first look
+_DOUBTED = 0.1  # of the torque: where the first starts leave so much, what is declared may be wrong
 _HELD = 1e-3  # of its start: so little of a number is left where its bound at 0 holds it
 _BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
@@ -106,21 +109,22 @@ class StiffnessSearch:
             rigid = rough_rigid_joint(self.task, self.cutoff, tell)
         except MethodError as error:
             # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
-            tell(Suspicion("without a rigid joint to begin with", error))
+            tell(Doubt("without a rigid joint to begin with", error))
             return self._without_rigid_joint(), 0
         try:
             solved = self._from_rigid_joint(rigid)
         except MethodError as error:
             if self.frequency is not None:
                 raise
-            tell(Suspicion("with other inertias than that joint's", error))
+            tell(Doubt("with other inertias than that joint's", error))
             solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
         assert rigid.settings.filtering.cutoff is not None
         edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
         if self.frequency is None and self._explains_little(solved):  # its inertia may be far off: noise moves the axis
             tell("the search ended where the model explains little; beginning again with other inertias")
             with contextlib.suppress(MethodError):
-                solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
+                again = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
+                solved = self._better_of(solved, again)
         for lower in () if self.cutoff else _LOWER_AGAIN:
             if not self._explains_little(solved):
                 break
@@ -132,12 +136,36 @@ class StiffnessSearch:
                 tell(Suspicion(f"not below {edge / lower:.3g} Hz", error))
                 break
             simulations += rigid.simulations
-            solved = self._from_rigid_joint(rigid)
+            solved = self._better_of(solved, self._from_rigid_joint(rigid))
         return solved, simulations
 
+    def glance(self, *names: str) -> Solved:
+        """Return the best rough end of a few starts with more of the surroundings free, on the whole band of the log.
+
+        Raises:
+            MethodError: the loop cannot be simulated at any start.
+        """
+        values = None
+        with contextlib.suppress(MethodError):
+            values = rough_rigid_joint(self.task, self.cutoff, ignore_progress).values
+        wide = self._on_band(math.inf)
+        ends = []
+        for candidate in explore(wide, values, self.frequency, self.history)[:_GLANCED]:
+            on = self._on_band(candidate.frequency).freeing(*names)
+            end = self.history.solve(on, glancing(on), on.vector(candidate.values))
+            left = wide.freeing(*names).residual(end.x)
+            ends.append(end._replace(solution=replace(end.solution, residual=left)))
+        return min(ends, key=lambda end: end.norm)
+
     def _explains_little(self, solved: Solved) -> bool:
+        return self._share_left(solved) > _LITTLE
+
+    def _better_of(self, first: Solved, second: Solved) -> Solved:
+        return min(first, second, key=self._share_left)
+
+    def _share_left(self, solved: Solved) -> float:
         left = self.history.count_evaluations(solved.problem).residual(solved.x)
-        return bool(np.linalg.norm(left) > _NOTHING * solved.problem.size)
+        return float(np.linalg.norm(left)) / solved.problem.size
 
     def _from_rigid_joint(self, rigid: FitResult) -> Solved:
         found = self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
@@ -161,7 +189,7 @@ class StiffnessSearch:
             solved = self._refine(explore(wide, follows, self.frequency, history))
         except MethodError:
             solved = self._refine(explore_widely(wide, follows, history))
-        if solved.norm > _NOTHING * solved.problem.size:
+        if solved.norm > NOTHING * solved.problem.size:
             raise MethodError(
                 "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
                 "reference, and the controller's gains and delay."
@@ -181,6 +209,9 @@ class StiffnessSearch:
             near = bool(np.any(x - low < _HELD * (start - low)))
             ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x, near))
             cost, mode, x, held = min(ends, key=lambda end: end[0])
+            if len(ends) == _GLANCED and cost > _DOUBTED * wide.size:
+                said = f"the first leave {100 * cost / wide.size:.0f} % of the torque"
+                history.progress(Doubt("searching from other starts", said))
             together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, *_ in ends)
             if (together > 1 or len(ends) >= _REFINED) and not (held and self._repeats(mode, x)):
                 break

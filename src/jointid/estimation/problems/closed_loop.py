@@ -26,10 +26,11 @@ from jointid.estimation.problems.base import (
     of_law,
     surrounding,
 )
-from jointid.models.controllers import POSITION, REFERENCE, SampledLaw, number, with_numbers
+from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number, with_numbers
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, decimate_all
+from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
+from jointid.records.signals.position_noise import noise_limit_of_computed
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
 from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.loop_input import LoopInput, prepare
@@ -94,9 +95,22 @@ class ClosedLoopProblem(RecordProblem):
         kept = tuple(p for p in self.parameters if p.name not in names)
         return replace(self, parameters=(*kept, *new))
 
+    def under(self, controller: Controller, record: Record) -> ClosedLoopProblem:
+        """Return the problem with its record prepared for another controller.
+
+        Raises:
+            RecordError, MethodError: the record, or the law, cannot be at that period.
+        """
+        loop = replace(self.loop, controller=controller)
+        return replace(self, loop=loop, experiment=prepare(loop, record))
+
     def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
-        return decimate_all([columns], self.filtering, self.sample_time)[0]
+        return self._filter_all([columns])[0]
+
+    def _filter_all(self, signals: Sequence[FloatArray]) -> list[FloatArray]:
+        rows, samples = decimate_all(signals, self.filtering, self.sample_time), len(signals[0])
+        return rows if self.seen is None else [drop_ends(one, self.filtering, samples) for one in rows]
 
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters, its torque as the log should show it."""
@@ -189,13 +203,14 @@ class ClosedLoopProblem(RecordProblem):
             # The earlier it failed the worse: a search must see which way to go.
             size = float(np.sqrt(np.mean(self.measured**2)))
             error = np.full_like(error, FAILED * size * (2.0 - run.finished))
-        return tuple(decimate_all([error, *columns], self.filtering, self.sample_time))
+        return tuple(self._filter_all([error, *columns]))
 
     @property
     def kept(self) -> NDArray[np.intp]:
-        """The samples that rows of the residual are taken at, (rows,): the last one always."""
+        """The samples that rows of the residual are taken at, (rows,): the last one, if no ends are dropped."""
         samples, keep = self.measured.size, self.filtering.decimation or 1
-        return np.arange((samples - 1) % keep, samples, keep)
+        rows = np.arange((samples - 1) % keep, samples, keep)
+        return rows if self.seen is None else drop_ends(rows, self.filtering, samples)
 
     def cells(self, simulation: Simulation) -> Cells:
         """Return the cell of position and velocity of the simulated motor for each row of the residual."""
@@ -336,7 +351,9 @@ def torque_problem(
     return ClosedLoopProblem(
         (*parameters, *around),
         measured,
-        filtering.resolve(experiment.sample_time, loop.joint.model),
+        filtering.resolve(
+            experiment.sample_time, loop.joint.model, noise_limit_of_computed([record], experiment.sample_time)
+        ),
         loop,
         experiment,
         seen,

@@ -37,6 +37,7 @@ from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.controller_torque import seen_position
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.solve import Tally
 from jointid.uncertainty.position_dependent_error import Repeatable, cells
@@ -326,12 +327,16 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
     assert record.torque is not None
     experiment = prepare(like.loop, record)
     problem = replace(like, measured=record.torque.values[: experiment.samples], experiment=experiment, seen=None)
+    # What an integral holds is one constant along the log, and no window's own.
+    seen = None if experiment.law.integrates else seen_position(record, like.loop)
     inputs, period = experiment.inputs, experiment.law.period
     torque = float(problem.filter(problem.measured)[0])  # a single sample has all of the noise
     velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
     torque += disturbed * float(np.std(problem.measured))
     velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
     position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
+    if seen is not None and record.motor_position is not None:
+        problem = replace(problem, seen=seen, measured=seen.torque(record.motor_position.values)[: experiment.samples])
     return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
 
 

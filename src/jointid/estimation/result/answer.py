@@ -15,12 +15,13 @@ from typing import Any
 
 from jointid.common.document import Mark
 from jointid.common.messages import Message
-from jointid.common.text import format_signed, interval, join, number, round_to
+from jointid.common.text import format_signed, in_words, interval, join, number, round_to
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, show_value
 from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import (
     AGAINST_EVERY_VALUE,
+    CHECK_DECLARED,
     MOTION_MEASURED,
     POOR_FIT,
     Reason,
@@ -35,6 +36,8 @@ _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTIO
 _OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
 _IF_CONTROLLER = "You can rely on it if the controller is as declared, which was not checked"
 _IF_SCALE = "You can rely on it if the scale of the controller's gains is right, which positions do not show"
+SLIGHT = 1e-3
+"""Share of a value that no decision depends on; the log of a simulator without noise shows smaller faults."""
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 
 
@@ -137,8 +140,10 @@ def _undetermined_message(estimate: EstimateParts, asked: EstimatedParameter) ->
 
 
 def told_bounds(estimate: EstimateParts) -> tuple[StiffnessBound, ...]:
-    """Return the bounds of a refused stiffness; none where the model does not explain the torque they come from."""
-    return estimate.checks.bounds if estimate.fit.filtered_error <= POOR_FIT else ()
+    """Return the bounds of a refused stiffness; none where loop or model are not those of the torque they come from."""
+    loop = loop_verdict(estimate)
+    wrong = estimate.fit.filtered_error > POOR_FIT or (loop is not None and loop.status is Status.FAILED)
+    return () if wrong else estimate.checks.bounds
 
 
 def _values(asked: EstimatedParameter | None, mode: float | None) -> dict[str, Any]:
@@ -175,6 +180,8 @@ def _refusal_message(estimate: EstimateParts) -> Message:
     for one in () if known is None else known.physical:
         if one.combination.quantity == "inertia":
             words += f"; the whole inertia is {interval(one.value, 2 * one.std)} {one.combination.unit}"
+            if loop is not None and loop.status is Status.UNKNOWN:
+                words += " if the controller is as declared, which was not checked"
     return Message(Trust.REFUSED, words, {"reasons": [], "parameters": []})
 
 
@@ -183,11 +190,11 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     against = _reasons_against(estimate, asked)
     if against:
         return _not_yet(against)
-    moved = [row for row in estimate.params.rows if row.name in moved_by_loop(estimate, threshold=2.0)]
+    moved = [row for row in estimate.params.rows if row.name in _moved_out(estimate)]
     if moved:
-        symbols, fault = join([row.symbol for row in moved]), loop_verdict(estimate)
+        names, fault = join([in_words(row.name) for row in moved]), loop_verdict(estimate)
         assert fault is not None
-        words = f"You can rely on it, but not on {symbols}: {fault.reasons[0].brief}"
+        words = f"You can rely on it, but not on {names}: {fault.reasons[0].brief}"
         return Message(
             Trust.PARTLY,
             words,
@@ -201,7 +208,8 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     loop = loop_verdict(estimate)
     unchecked = estimate.settings.loop is not None and (loop is None or loop.status is Status.UNKNOWN)
     if unchecked or _scale_is_declared(estimate):
-        return Message(Trust.NOT_CHECKED, _IF_CONTROLLER if unchecked else _IF_SCALE, values)
+        words = (_IF_CONTROLLER if unchecked else _IF_SCALE) + _if_unit(estimate)
+        return Message(Trust.NOT_CHECKED, words, values)
     words = "You can rely on it"
     if loop is not None and loop.status is Status.FAILED:
         words += ": what is wrong with loop or log moves it by less than its interval"
@@ -209,7 +217,7 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
 
 
 def _fit_only(estimate: EstimateParts) -> Message:
-    left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.fit.compared} is not explained"
+    left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
     reasons, words = list[str](), f"Checked by its fit only ({left}): validate it on another record"
     if MOTION_MEASURED in estimate.checks.warnings:  # another record has the same bias
         reasons, words = [str(Reason.MOTION_MEASURED)], f"Checked by its fit only ({left}): {MOTION_MEASURED}"
@@ -236,6 +244,9 @@ def _known_of_robot(estimate: EstimateParts) -> Message:
     return Message(Found.PARAMETERS, words, values)
 
 
+_NAMED = (Reason.CAUSE_FOUND, Reason.LOOP_NOT_AS_DECLARED)  # what is wrong is said before its effects
+
+
 def _trust_of_robot(estimate: EstimateParts) -> Message:
     """Return whether to rely on the estimate of a robot."""
     verdicts = estimate.checks.verdicts
@@ -243,7 +254,7 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
     failed = [v.reasons[0] for v in verdicts if v.status is Status.FAILED and v.subject is not Subject.STIFFNESS]
     against = [one for one in failed if one.code is not Reason.AT_BOUND]  # that speaks against one parameter
     if against:
-        return _not_yet(against)
+        return _not_yet(sorted(against, key=lambda one: one.code not in _NAMED))
     values: dict[str, Any] = {"reasons": [], "parameters": []}
     refused = [row.name for row in estimate.params.rows if row.value is None]
     if any(v.status is Status.FAILED for v in of_springs):
@@ -255,16 +266,22 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
     if loop is None or loop.status is Status.UNKNOWN:
         untested = () if loop is None else loop.reasons[0].values.get("axes", ())
         which = f"controller of {join(untested)} is" if untested else "controllers are"
-        words = f"You can rely on it if the {which} as declared, which was not checked"
+        words = f"You can rely on it if the {which} as declared, which was not checked{_if_unit(estimate)}"
         return Message(Trust.NOT_CHECKED, words, values)
     if _scale_is_declared(estimate):
-        return Message(Trust.NOT_CHECKED, _IF_SCALE, values)
+        return Message(Trust.NOT_CHECKED, _IF_SCALE + _if_unit(estimate), values)
     return Message(Trust.RELIABLE, "You can rely on it", values)
 
 
 def _scale_is_declared(estimate: EstimateParts) -> bool:
     """Test whether the declared gains alone tell the scale of the torque."""
     return any(v.subject is Subject.SCALE and v.status is Status.UNKNOWN for v in estimate.checks.verdicts)
+
+
+def _if_unit(estimate: EstimateParts) -> str:
+    """Return a further condition, where a position may be in degrees."""
+    scales = [v.reasons[0].values for v in estimate.checks.verdicts if v.subject is Subject.SCALE]
+    return ", and if its position is in rad, not degrees" if any(values.get("turns") for values in scales) else ""
 
 
 class Against(StrEnum):
@@ -289,7 +306,7 @@ def _reasons_against(estimate: EstimateParts, asked: EstimatedParameter) -> list
     found = list(_effects(estimate, asked))
     for reason in () if loop is None else loop.reasons:
         by = reason.values["changes"].get(asked.name, 0.0) if reason.code is Reason.LAW_UNDECIDED else 0.0
-        if asked.value is not None and asked.stderr and abs(by) > 2.0 * asked.stderr:
+        if asked.value is not None and asked.stderr and _leaves_interval(asked, by):
             words = f"it would be {number(asked.value + by, 4)} {asked.unit} if {reason.values['condition']}, "
             words += "which this record does not exclude; see the drive's manual"
             found.append(replace(reason, clause=words))
@@ -297,7 +314,7 @@ def _reasons_against(estimate: EstimateParts, asked: EstimatedParameter) -> list
         return found
     # A second fault was found beside the first one, corrected; another law that is not excluded is none.
     faults = [loop.reasons[0], *(one for one in loop.reasons[1:2] if "suspect" in one.values)]
-    held = [row.symbol for row in estimate.params.rows if row.of_joint and row.at_bound is not None]
+    held = [in_words(row.name) for row in estimate.params.rows if row.of_joint and row.at_bound is not None]
     if held:  # what is wrong is made up for by parameters: by how much a fault moves the others says little then
         words = f"{join(held)} {'end' if len(held) > 1 else 'ends'} at a bound"
         found = [*found, Message(Against.HELD, words)]
@@ -306,7 +323,7 @@ def _reasons_against(estimate: EstimateParts, asked: EstimatedParameter) -> list
     mechanics = [one for one in loop.reasons if one.code in _OF_MECHANICS and asked.name in _OF_SPRING]
     gross = not any("changes" in reason.values for reason in loop.reasons)
     unexplained = any(one.code is Against.TORQUE_UNEXPLAINED for one in found)
-    if gross or unexplained or asked.name in moved_by_loop(estimate, threshold=2.0):
+    if gross or unexplained or asked.name in _moved_out(estimate):
         return [*faults, *found]
     return [*mechanics, *found]
 
@@ -323,7 +340,8 @@ def _effects(estimate: EstimateParts, asked: EstimatedParameter) -> Iterator[Mes
         yield Message(Against.ENCODER_LAG, words, {"lag": checks.encoder_lag.lag})
     yield from (one for v in checks.verdicts for one in v.reasons if one.code in AGAINST_EVERY_VALUE)
     if not fit.filtered_error <= POOR_FIT:  # nor is it where the error is no number
-        left = f"{number(100 * fit.filtered_error, 2)} % of the {fit.compared} is not explained"
+        left = f"{number(100 * fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
+        left += f": {CHECK_DECLARED}" if _scale_is_declared(estimate) else ""
         yield Message(Against.TORQUE_UNEXPLAINED, left, {"remaining": fit.filtered_error})
     if asked.at_bound is not None:
         yield Message(Against.AT_BOUND, "at a bound it does not follow the record")
@@ -363,6 +381,17 @@ def moved_by_loop(estimate: EstimateParts, threshold: float = 0.0) -> Mapping[st
     rows = {row.name: row.stderr or 0.0 for row in estimate.params.rows}
     total = sum_changes(() if loop is None else loop.reasons)
     return {name: by for name, by in total.items() if abs(by) > threshold * rows.get(name, 0.0)}
+
+
+def _moved_out(estimate: EstimateParts) -> Mapping[str, float]:
+    """Return the changes by `moved_by_loop` that leave an interval."""
+    changes, rows = moved_by_loop(estimate), {row.name: row for row in estimate.params.rows}
+    return {name: by for name, by in changes.items() if name not in rows or _leaves_interval(rows[name], by)}
+
+
+def _leaves_interval(row: EstimatedParameter, by: float) -> bool:
+    """Test whether a change of a parameter is more than two standard errors, and not slight."""
+    return abs(by) > max(2.0 * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0))
 
 
 def sum_changes(reasons: Sequence[Message]) -> dict[str, float]:
@@ -444,7 +473,7 @@ def _consequence_of_loop(estimate: EstimateParts, asked: EstimatedParameter, ver
         return f"The {value} may be used: it is as right as the scale of the controller's gains."
     doubted = trust.code is Trust.NOT_YET
     speaks = doubted and any(str(one.code) in trust.values["reasons"] for one in verdict.reasons)
-    by, far = moved_by_loop(estimate).get(asked.name), moved_by_loop(estimate, 2.0)
+    by, far = moved_by_loop(estimate).get(asked.name), _moved_out(estimate)
     change = "" if not by else f" by {format_signed(by, 2)} {asked.unit}"
     if verdict.good is None and speaks:
         return f"Do not use the {value} before this is known."
@@ -454,6 +483,6 @@ def _consequence_of_loop(estimate: EstimateParts, asked: EstimatedParameter, ver
         effect = f": correcting this changes it{change}, more than its interval" if asked.name in far else ""
         return f"Do not use the {value} before this is corrected{effect}."
     effect = f"changes it{change}, less than its interval" if by else "does not change it"
-    others = [estimate[name].symbol for name in far]
+    others = [f"the {in_words(name)}" for name in far]
     begin = f"This says nothing against the {value}" if doubted else f"The {value} may be used"
     return f"{begin}: correcting this {effect}.{f' Do not use {join(others)}.' if others else ''}"

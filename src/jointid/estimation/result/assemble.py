@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Documented
@@ -14,6 +15,9 @@ from jointid.records.checks import EncoderLag
 from jointid.records.record import Record
 from jointid.uncertainty.verdict import Subject, Verdict, bounds_verdict
 
+if TYPE_CHECKING:
+    from jointid.estimation.robots.problem import SolvedRobot
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class FitResult(EstimateParts):
@@ -23,6 +27,7 @@ class FitResult(EstimateParts):
         problem, x: the closed loop that was simulated, and its free parameters; None for other methods.
         record: the one record; None for several, for a log in windows or for a robot.
         records: of the joints of a robot.
+        solved: of a robot that was simulated along one log; None elsewhere.
         at_bounds: values of the parameters that were kept at a bound, by name.
         before, after: warnings before and after those of the method.
         encoder_lag: that hides the spring between both encoders, where they were read.
@@ -34,6 +39,7 @@ class FitResult(EstimateParts):
     x: FloatArray | None = None
     record: Record | None = None
     records: tuple[Record, ...] = ()
+    solved: SolvedRobot | None = None
     at_bounds: Mapping[str, float] | None = None
     before: tuple[str, ...] = ()
     after: tuple[str, ...] = ()
@@ -86,9 +92,11 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
         torque_constant: with its unit, where all values are proportional to it.
     """
     checked = checked or CheckResults()
+    known = fit.checks.known
+    undetermined = {*fit.undetermined, *(() if known is None else known.undetermined)}
     rows = tuple(
         replace(p, value=None, stderr=None, identifiable=False)
-        if p.name in fit.undetermined
+        if p.name in undetermined
         else _row(p, fit.at_bounds or {}, checked.widenings)
         for p in fit.params.rows
     )

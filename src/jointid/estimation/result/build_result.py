@@ -61,7 +61,7 @@ class Visibility:
 
     Attributes:
         verdict: whether its stiffness is reported, and why not.
-        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that move its torque.
+        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that it determines.
         rigid_error: (rows,) what it leaves.
         bounds: where the stiffness is refused.
         simulations: that all this took.
@@ -312,11 +312,16 @@ def _refuse(
         if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name) and p.quantity in ADDED
     )
     parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
-    rows = tuple(
-        replace(p, value=None, stderr=None, identifiable=False) if p.name.startswith(parted) and p.free else p
-        for p in params.rows
-    )
-    return replace(params, rows=rows), replace(stated, parameters=(), physical=sums, directions=(), limitations=())
+    rows = []
+    for p in params.rows:
+        if p.free and p.name in spring.rigid_std:  # of both joints: a spring that is not shown narrows no interval
+            rows.append(replace(p, value=spring.rigid[p.name], stderr=spring.rigid_std[p.name]))
+        elif p.free and (p.name.startswith(parted) or (p.of_joint and p.name in spring.rigid)):
+            rows.append(replace(p, value=None, stderr=None, identifiable=False))
+        else:
+            rows.append(p)
+    stated = replace(stated, parameters=(), physical=sums, directions=(), limitations=(), undetermined=())
+    return replace(params, rows=tuple(rows)), stated
 
 
 def _sum_of(p: Parameter, unit: str) -> Combination:

@@ -10,6 +10,7 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, data_frame, write
@@ -18,6 +19,7 @@ from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.parts import EstimateParts
 from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.position_forces import Motion
 from jointid.records.signals.filtering import Filtering
 
 if TYPE_CHECKING:
@@ -143,17 +145,87 @@ class Estimate(EstimateParts, Documented):
         """
         refused = [p.name for p in self.params.rows if p.of_joint and p.value is None]
         if refused:
+            remedy = "identify the joint as rigid" if "stiffness" in refused else "fix one of them"
             raise MethodError(
                 f"{', '.join(refused)} cannot be determined from this record, so this estimate predicts no torque; "
-                "identify the joint as rigid."
+                f"{remedy}."
             )
         settings, data = self.settings, self.data
         log = {p.name: p.value for p in self.params.rows if p.name == "current_lag" and p.value is not None}
-        law = "" if settings.loop is None else law_fingerprint(settings.loop)
+        law = settings.controller or ("" if settings.loop is None else law_fingerprint(settings.loop))
         return IdentifiedJoint(
             settings.method, settings.joint, settings.loop, {**self.values, **log}, settings.filtering, settings.delay,
             data.record, data.fingerprints, law, settings.effects, settings.timing,
         )  # fmt: skip
+
+    def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
+        """Return the columns of the torque of a motion.
+
+        Times the parameters, in the order of `values`, they are `torque`. A spring does not deflect in this motion, so
+        that motor and load move alike.
+
+        Args:
+            q: (samples,) position of a joint, or (samples, n) of the joints of a robot, rad or m, on the side that was
+                identified; without samples, a number or (n,).
+            v: the velocity, in the same shape.
+            a: the acceleration, in the same shape.
+
+        Returns:
+            (samples, parameters), of a robot (samples, n, parameters); without samples, less the first.
+
+        Raises:
+            MethodError: the three have not one shape, a friction is not linear in its parameters, or effects beside the
+                joint were identified.
+        """
+        motion = [np.asarray(one, dtype=np.float64) for one in (q, v, a)]
+        axes: tuple[int, ...] = () if self.robot is None else (len(self.robot.model),)
+        shape = motion[0].shape
+        if {one.shape for one in motion} != {shape} or shape not in (axes, (*shape[:1], *axes)):
+            expected = "(samples,)" if self.robot is None else f"(samples, {axes[0]}) or ({axes[0]},)"
+            received = ", ".join(str(one.shape) for one in motion)
+            raise MethodError(f"Position, velocity and acceleration have one shape, {expected}; received {received}.")
+        rows = [one.reshape(-1, *axes) for one in motion]
+        if self.robot is not None:
+            kept = [self.robot.names.index(name) for name in self.values]
+            columns = self.robot.regressor(*rows)[:, :, kept]
+        else:
+            if self.settings.effects:
+                raise MethodError(
+                    "The torque of a motion has no effects beside the joint, as a drift; identify the joint without "
+                    "effects."
+                )
+            moved, joint = Motion(*rows), self.settings.joint
+            columns = joint.regressor(moved, moved).sum(axis=0)
+        return columns.reshape(*shape, -1)
+
+    def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
+        """Return the torque of a motion, as for a feed-forward, N m or N, as the log has it.
+
+        Args:
+            q: position, see `regressor`.
+            v: velocity.
+            a: acceleration.
+
+        Returns:
+            The torque, in the shape of the position.
+
+        Raises:
+            MethodError: see `regressor`; or a value is refused.
+
+        Example:
+            >>> import jointid as ji
+            >>> axis = ji.twin("L19", noise="none")
+            >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), axis.loop.controller)
+            >>> estimate = ji.identify(axis.record, loop, filtering=ji.Filtering(cutoff=5.0), checks=False)
+            >>> values, torque = estimate.values, estimate.torque(0.1, 0.2, 3.0)
+            >>> sums = 3.0 * values["inertia"] + 0.2 * values["viscous"] + values["coulomb"] + values["offset"]
+            >>> bool(abs(torque - sums) < 1e-9)
+            True
+        """
+        columns = self.regressor(q, v, a)
+        if columns.shape[-1] != len(self.values):
+            self.identified  # noqa: B018 - it says what is refused
+        return np.asarray(columns @ np.array([*self.values.values()]))
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.

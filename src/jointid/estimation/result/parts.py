@@ -29,7 +29,7 @@ from jointid.uncertainty.identifiability import Identifiability, Known
 from jointid.uncertainty.model_tests import ChiSquareTest
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
-from jointid.uncertainty.verdict import StiffnessBound, Verdict
+from jointid.uncertainty.verdict import StiffnessBound, Subject, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +262,8 @@ class Fit:
         stop: why the search ended, in a sentence; converged: whether that is a good end.
         interrupted: True if the last pass over a long log was: the estimate is of its beginning.
         axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
+        position_rms: of the simulated motor position's error where it was logged under a controller, in m or rad, by
+            the name of the joint in its robot, "" for a joint alone.
     """
 
     measured: FloatArray
@@ -282,6 +284,7 @@ class Fit:
     at_limit: float = 0.0
     interrupted: bool = False
     axis_errors: Mapping[str, float] = field(default_factory=dict)
+    position_rms: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def iterations(self) -> int:
@@ -381,6 +384,13 @@ class Windows:
     duration: float
 
 
+IN_WINDOWS = (
+    "The estimate is of a record in windows, whose torque it does not keep; identify a part of the record, by "
+    "record.start and record.stop."
+)
+"""What needs the torque of the whole record says so."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Data:
     """The record, or records, that were identified from.
@@ -428,6 +438,7 @@ class Settings:
         effects: torques beside the joint's own model; their parameters follow the joint's.
         weighting: of the rows of several records, in words.
         timing: reading of a torque of unstated timing; None where it was stated, or nothing else tried.
+        controller: of an estimate from a file the fingerprint of the law that it was identified under.
     """
 
     method: str
@@ -439,6 +450,7 @@ class Settings:
     effects: tuple[Effect, ...] = ()
     weighting: str = ""
     timing: Timing | None = None
+    controller: str = ""
 
     @property
     def joint(self) -> Joint:
@@ -489,6 +501,12 @@ class EstimateParts:
         if self.robot is None:
             raise MethodError("This needs the estimate of a robot, and received that of a joint; identify a robot.")
         return self.robot
+
+    @property
+    def signal(self) -> str:
+        """The name of the signal that the fit compares, such as a torque computed from the position."""
+        computed = any(verdict.subject is Subject.SCALE for verdict in self.checks.verdicts)
+        return f"{self.fit.compared}{' computed from the position' if computed else ''}"
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""

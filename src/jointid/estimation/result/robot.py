@@ -110,9 +110,27 @@ class IdentifiedRobot(ABC):
         """True if the robot was identified under its controllers."""
         return hasattr(self.setup, "controllers")
 
+    @property
+    @abstractmethod
+    def of_standard(self) -> FloatArray:
+        """Weights in each parameter of the links' inertial parameters, then of the rotors, (parameters, 11 n)."""
+
     @abstractmethod
     def sums(self, prior: Robot) -> Sums:
         """Return the parameters as sums of the numbers of a robot of this tree."""
+
+    @abstractmethod
+    def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters).
+
+        Args:
+            q: (samples, n) positions of the joints, rad or m.
+            v: (samples, n) their velocities.
+            a: (samples, n) their accelerations.
+
+        Raises:
+            MethodError: a friction is not linear in its parameters.
+        """
 
     @abstractmethod
     def robot(self) -> Robot:

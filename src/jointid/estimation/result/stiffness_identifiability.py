@@ -47,6 +47,7 @@ from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import Solution
+from jointid.uncertainty.identifiability import find_separable
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 from jointid.uncertainty.profile import Profiling, profile_compliance
@@ -133,8 +134,8 @@ def visible(
     else:
         verdict = Verdict(Subject.STIFFNESS, Status.PASSED, (Message(Reason.STIFFNESS_SHOWN, said),))
     runs += 0 if made is None else made.simulations
-    stated = zip(names, judged.covariance.std, slopes.T, strict=True)
-    std = {name: float(one) for name, one, column in stated if column.any()}
+    stated = zip(names, judged.covariance.std, slopes.any(axis=0) & find_separable(slopes), strict=True)
+    std = {name: float(one) for name, one, determined in stated if determined}
     notes = tuple(one for one in judged.warnings if one.code is InLoop.FORCE)
     return Visibility(verdict, values, std, error, bounds, runs, notes)
 

@@ -12,7 +12,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Tone, Verdicts
 from jointid.common.errors import MethodError
-from jointid.common.text import format_signed, in_words, interval, number, uniform
+from jointid.common.parameters import POSITION_UNIT
+from jointid.common.text import format_position, format_signed, in_words, interval, number, uniform
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.log_windows import VISITS
 from jointid.estimation.result.agreement import DriftTest
@@ -69,7 +70,7 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
 
 
 def _count_checks(estimate: EstimateParts) -> str:
-    """Count the checks that passed, and those that are noted."""
+    """Return the numbers of passed and of noted checks, in words."""
     marks = [mark_of(estimate, verdict) for verdict in estimate.checks.verdicts]
     passed, noted = marks.count(True), marks.count("noted")
     if passed == len(marks):
@@ -183,12 +184,31 @@ def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, s
         if details:
             left = f" ({fit.borders[0]} + {fit.borders[1]} samples at the ends left out)"
             rows = f" ({fit.rows} rows)"
+        known = math.isfinite(fit.relative_error)  # a long log keeps no raw torque
+        raw = f"{100 * fit.relative_error:.4f} % raw{left}, " if known else ""
         yield (
             f"{fit.compared} error",
-            f"{100 * fit.relative_error:.4f} % raw{left}, {100 * fit.filtered_error:.4f} % filtered{rows}",
+            f"{raw}{100 * fit.filtered_error:.4f} % filtered{rows}"
+            f"{estimate.signal.removeprefix(fit.compared).replace(' comp', ', comp')}",
         )
+    if fit.position_rms:
+        yield "position error", describe_positions(estimate)
     if checks.drift is not None:
         yield "drift", describe_drift(checks.drift, estimate.params.rows)
+
+
+def describe_positions(estimate: EstimateParts) -> str:
+    """Return the errors of the simulated motor positions, in mm or degrees."""
+    each = []
+    for name, rms in estimate.fit.position_rms.items():
+        robot = None if estimate.robot is None else estimate.robot.model
+        unit = (
+            POSITION_UNIT[estimate.settings.joint.kind]
+            if robot is None
+            else robot.position_unit(robot.names.index(name))
+        )
+        each.append(f"{name} {format_position(rms, unit)}".strip())
+    return f"{', '.join(each)} rms"
 
 
 def _effort(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
@@ -274,7 +294,7 @@ def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> st
     for name in drift.names:
         trend, scatter, unit = trends[name], agreement[name], units[name]
         line = (
-            f", {number(trend.per_hour, 3)} +- {number(2 * trend.std, 2)} {unit} per hour"
+            f", {number(trend.per_hour, 3)} ± {number(2 * trend.std, 2)} {unit} per hour"
             if abs(trend.per_hour) > _SHOWN * trend.std
             else ", without a trend"
         )
@@ -530,8 +550,10 @@ def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Blo
         for row, formula in zip(estimate.params.rows, part.formulas, strict=True)
         if row.symbol != formula and (details or row.name != row.symbol)
     )
+    positions = Facts((("position error", describe_positions(estimate)),)) if estimate.fit.position_rms else None
     return (
         errors_table(part.model, errors, "of the record it was identified from"),
+        *((positions,) if positions is not None else ()),
         parameters_table(estimate, details=details),
         *((Heading("Sums that the parameters stand for"), Listing(sums)) if sums else ()),
     )

@@ -33,6 +33,8 @@ _THIN = 1e-6  # of a body's second moments: what a rod or a plate is given acros
 _FLOOR = 1e-10  # of the largest variance of a correlation: rounding
 _POSES = 1000
 _SETTLED = 1e-6  # relative, of the search
+_TIGHTER = 3.0  # times, from search to search, that errors are smaller
+_NEARLY = 1e-2  # relative, of a search whose errors are not yet those of the estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,34 +88,42 @@ def consistent_robot(estimate: EstimateParts, prior: Robot | None = None) -> Con
         slopes[10 * n :, 10 * n :] = np.eye(n)
         return standard, slopes
 
-    def residual(x: FloatArray) -> FloatArray:
+    def residual(x: FloatArray, larger: float = 1.0) -> FloatArray:
         standard, _ = unpack(x)
         off = sums @ np.concatenate([standard, x[11 * n :]]) - stated.values
         near = np.concatenate([(x[: 10 * n] - theta0) / scales, (x[10 * n : 11 * n] - rotors0) / sizes]) / _SPREAD
-        return np.concatenate([whiten @ off, near])
+        return np.concatenate([whiten @ off / larger, near])
 
-    def jacobian(x: FloatArray) -> FloatArray:
+    def jacobian(x: FloatArray, larger: float) -> FloatArray:
         _, slopes = unpack(x)
         found = np.zeros((len(whiten) + 11 * n, x.size))
-        found[: len(whiten), : 11 * n] = whiten @ stated.of_standard @ slopes
-        found[: len(whiten), 11 * n :] = whiten @ stated.of_others
+        found[: len(whiten), : 11 * n] = whiten @ stated.of_standard @ slopes / larger
+        found[: len(whiten), 11 * n :] = whiten @ stated.of_others / larger
         found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / _SPREAD
         return found
 
     lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), stated.least])
     others = np.where(np.isfinite(stated.least), np.abs(stated.others), stated.others)
     # From its bound a search does not move a rotor.
-    start = np.concatenate([theta0, np.where(unknown, 0.1 * links.max(), rotors0), others])
-    start = np.maximum(start, np.where(np.isfinite(lower), 1e-9, -np.inf))
-    found = least_squares(
-        residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", ftol=_SETTLED, xtol=_SETTLED, max_nfev=1000
-    )
-    standard, _ = unpack(found.x)
-    robot = stated.robot(standard[: 10 * n].reshape(n, 10), standard[10 * n :], found.x[11 * n :])
-    misfit = float(np.sqrt(np.mean(residual(found.x)[: len(whiten)] ** 2)))
-    off = np.abs(sums @ np.concatenate([standard, found.x[11 * n :]]) - stated.values) / _positive(
-        stated.covariance.std
-    )
+    x = np.concatenate([theta0, np.where(unknown, 0.1 * links.max(), rotors0), others])
+    x = np.maximum(x, np.where(np.isfinite(lower), 1e-9, -np.inf))
+
+    def misfit_of(x: FloatArray) -> float:
+        return float(np.sqrt(np.mean(residual(x)[: len(whiten)] ** 2)))
+
+    # Small errors make a narrow curved valley, in which one search stops far from the model: a wrist of 2 m.
+    larger = max(misfit_of(x), 1.5)
+    while larger > 1.0:
+        larger = max(larger / _TIGHTER, 1.0)
+        settled = _NEARLY if larger > 1.0 else _SETTLED
+        x = least_squares(
+            residual, x, jacobian, bounds=(lower, np.inf), args=(larger,), x_scale="jac", ftol=settled, xtol=settled,
+            max_nfev=1000,
+        ).x  # fmt: skip
+    standard, _ = unpack(x)
+    robot = stated.robot(standard[: 10 * n].reshape(n, 10), standard[10 * n :], x[11 * n :])
+    misfit = misfit_of(x)
+    off = np.abs(sums @ np.concatenate([standard, x[11 * n :]]) - stated.values) / _positive(stated.covariance.std)
     worst = tuple(found_robot.names[k] for k in np.argsort(-off) if off[k] > MISFIT)
     return ConsistentRobot(robot, misfit, worst, least_inertia(robot))
 

@@ -130,11 +130,12 @@ def rigid_robot_start(
         if run.outcome is RobotOutcome.FINISHED:
             return x, run
         failures.append(f"at the {name} start {run.outcome.value}.")
+    alone = ", in SI units and not in a drive's whole numbers," if any(one.computed for one in records) else ","
     raise MethodError(
         "The robot cannot be simulated where its search begins: "
         + " ".join(failures)
-        + " Check the controllers' gains, and their period where they run faster than the log, "
-        "the signs and units of torques and references, and the joints' places."
+        + f" Check the controllers' gains{alone} and their period where "
+        "they run faster than the log, the signs and units of torques and references, and the joints' places."
     )
 
 

@@ -234,6 +234,10 @@ def drive_side_problem(
         raise MethodError(
             'filtering.timing is "as_sampled"; on the drive side of a robot when a torque acts matters: leave it out.'
         )
+    if records[-1].payload:
+        raise MethodError(
+            "A payload of a record is taken by IDIM and DIDIM; received one on the drive side: leave it out."
+        )
     model = "flexible" if any(robot.flexible) else "rigid"
     motion = motion_of_robot(robot, records, filtering or Filtering(), "The drive side of a robot", model, _SMEAR)
     still = [name for name, share in zip(robot.names, np.mean(motion.moving, axis=0), strict=True) if share < _MOVES]

@@ -7,8 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds
+from jointid.common.text import join
+from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run
 from jointid.models.robots.robot import Robot
@@ -16,6 +19,7 @@ from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import robot_with
 from jointid.simulation.robots import RobotOutcome, RobotRun
 from jointid.uncertainty.covariance import Covariance, robust, with_measured_motion
+from jointid.uncertainty.identifiability import find_separable
 
 SETTLED = 0.02
 """Standard deviations: the largest change of a parameter that ends the search."""
@@ -35,7 +39,7 @@ class RobotFit:
         sigma: (n,) sizes of the joints' filtered errors, N m or N.
         relative_error: (n,) of the filtered torques, a share each.
         iterations: that were made. converged: whether they settled.
-        run: at the values.
+        run: at the values. slopes: (rows, free) of its filtered torques by what is searched, not weighted.
         information: (parameters, parameters) triangle R, of which ``R' R`` is the information on what is searched, for
             white errors. Beside it the covariance has lost what is known of the sum of two that are not known.
     """
@@ -48,6 +52,7 @@ class RobotFit:
     iterations: int
     converged: bool
     run: RobotRun | RobotDriveSideRun | RobotRuns
+    slopes: FloatArray
     information: FloatArray
 
     @property
@@ -85,6 +90,8 @@ def fixed_point(
     """Iterate with the regressor of the simulated motion from a valid start."""
     bounds, size, floor = Bounds.of(problem.free), problem.sizes, problem.floor
     arrived, made = False, 0
+    # What no position shows never settles: the integral takes whatever is added.
+    told = [not (problem.integrates and p.name.rpartition(".")[2] in CONSTANT) for p in problem.free]
     for number in range(iterations):
         error, W = problem.error(run), problem.regressor(run)
         step, std, left = problem.step(W, error)
@@ -93,7 +100,7 @@ def fixed_point(
         share = problem.norms(error) / size
         progress(Detail(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint"))
         after = bounds.clip(x + step)
-        arrived = bool(np.all(np.abs(after - x) <= settled * std))
+        arrived = bool(np.all((np.abs(after - x) <= settled * std)[told]))
         made = number + 1
         x, run = _take_step(problem, x, after, run)
         if arrived:
@@ -113,7 +120,17 @@ def conclude(
     """Return the fit at an end, with the covariance of instruments Z, (rows, free), beside slopes J; both not weighted.
 
     Of least squares the instruments are the slopes.
+
+    Raises:
+        MethodError: a friction that grows with the torque is not told from others; see `find_separable`.
     """
+    apart = zip(problem.parameters.names, find_separable(J), strict=True)
+    together = [name for name, separable in apart if not separable]
+    if any(name.endswith("friction_per_torque") for name in together):
+        raise MethodError(
+            f"The records do not tell {join(together)} apart: where the torque never brakes, a share of it scales them "
+            "all. Identify records with other known loads in one fit, or brake harder."
+        )
     error = problem.error(run)
     problem = problem.reweight(error, x.size)
     weights = problem.weights(error.size)
@@ -131,6 +148,7 @@ def conclude(
         made,
         settled,
         run,
+        J,
         np.asarray(np.linalg.qr(J * weights[:, np.newaxis], mode="r")),
     )
 

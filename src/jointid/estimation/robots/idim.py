@@ -127,11 +127,8 @@ class InverseModelRobot(IdentifiedRobot):
 
     def sums(self, prior: Robot) -> Sums:
         """Return base parameters and friction as sums of the numbers of a robot of this tree."""
-        n, terms, size = len(prior), friction_terms(prior), len(self.base)
+        terms, size = friction_terms(prior), len(self.base)
         friction = self.values[size:]
-        of_standard = np.zeros((self.values.size, 11 * n))
-        of_standard[:size] = self.base.grouping
-        of_standard[size + np.array(offset_indices(prior))] = self.base.offsets
         of_others = np.vstack([np.zeros((size, friction.size)), np.eye(friction.size)])
         least = np.array([-np.inf if term.number is Friction.OFFSET else 0.0 for term in terms])
 
@@ -143,7 +140,19 @@ class InverseModelRobot(IdentifiedRobot):
                 joints.append(replace(joint_with_friction(joint.rigid, own), rotor_inertia=float(rotors[k])))
             return replace(prior.with_inertials(inertials), joints=tuple(joints))
 
-        return Sums(self.values, self.covariance, of_standard, of_others, friction, least, build_robot)
+        return Sums(self.values, self.covariance, self.of_standard, of_others, friction, least, build_robot)
+
+    @property
+    def of_standard(self) -> FloatArray:
+        """Weights in each parameter of the links' inertial parameters, then of the rotors, (parameters, 11 n)."""
+        found = np.zeros((self.values.size, 11 * len(self.model)))
+        found[: len(self.base)] = self.base.grouping
+        found[len(self.base) + np.array(offset_indices(self.model))] = self.base.offsets
+        return found
+
+    def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the columns of the motors' torques, (samples, n, parameters)."""
+        return base_columns(self.model, self.base, q, v, a)
 
     def robot(self) -> Robot:
         """Return the robot that was identified, of rigid joints: what is grouped stands in the first of its sum."""
@@ -184,7 +193,7 @@ def identify_robot(
     settings, robot = settings or IDIM(), model if isinstance(model, Robot) else model.robot
     base, logs = base_parameters(robot), each_log(records)
     motions = motions_of_logs(robot, logs, filtering or Filtering())
-    columns = [base_columns(robot, base, motion) for motion in motions]
+    columns = [base_columns(robot, base, motion.q, motion.v, motion.a) for motion in motions]
     each = [base_rows(robot, base, *one) for one in zip(motions, columns, strict=True)]
     rows = replace(
         each[0], Y=join_rows([one.Y for one in each], len(robot)), W=join_rows([one.W for one in each], len(robot))

@@ -10,9 +10,8 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,13 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.models.robots.base_parameters import formula_of, group_columns
+from jointid.models.robots.base_parameters import (
+    INERTIAL_ORDER,
+    formula_of,
+    group_columns,
+    name_sum,
+    standard_symbols,
+)
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
@@ -97,16 +102,29 @@ class RobotParameters:
             grouping=np.vstack([self.grouping, alone]),
         )
 
+    @property
+    def of_standard(self) -> FloatArray:
+        """Weights in each parameter of the links' inertial parameters, then of the rotors, (parameters, 11 n)."""
+        found = np.zeros((len(self.places), 11 * len(self.base.inertials)))
+        both = np.hstack([np.eye(len(self.places)), self.grouping])
+        for place, column in zip((*self.places, *self.dropped), both.T, strict=True):
+            if (i := standard_index(place, self.base.rotors)) is not None:
+                found[:, i] = column
+        return found
+
     def formulas(self, robot: Robot) -> tuple[str, ...]:
-        """Return the sums that the parameters stand for, as text; of one that stands alone its symbol."""
-        places = (*self.places, *self.dropped)
-        symbols = tuple(
-            one.symbol if one and not _is_inertia(place) else _name_parameter(place, robot, self.base, False).symbol
-            for place, one in zip_longest(places, self.parameters)
-        )
-        both = np.hstack([np.eye(len(self.names)), self.grouping])
-        firsts = (symbols.index(one.symbol) for one in self.parameters)
-        return tuple(formula_of(row, first, symbols) for row, first in zip(both, firsts, strict=True))
+        """Return the sums that the parameters stand for, as text; of one that stands alone its symbol.
+
+        Only inertias are parts of sums.
+        """
+        symbols, found = standard_symbols(robot), list[str]()
+        for one, place, row in zip(self.parameters, self.places, self.of_standard, strict=True):
+            kept = standard_index(place, self.base.rotors)
+            if kept is None:
+                found.append(formula_of(np.append(row, 1.0), row.size, (*symbols, one.symbol)))
+            else:
+                found.append(formula_of(row, name_sum(robot, row, kept)[2], symbols))
+        return tuple(found)
 
     def group(self, numbers: RobotNumbers) -> FloatArray:
         """Return the parameters of a robot with these numbers, each with what is grouped with it, (parameters,).
@@ -156,9 +174,6 @@ def robot_parameters(
     logs = [logarithmic and _positive(place, numbers) for place in places]
     parameters = [_name_parameter(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
-    for row, i in enumerate(kept):
-        if (other := _first_of_link(places, i, dropped, sums[row])) is not None:
-            parameters[i] = replace(parameters[i], name=parameters[other].name, symbol=parameters[other].symbol)
     found = RobotParameters(
         tuple(parameters[i] for i in kept),
         tuple(places[i] for i in kept),
@@ -167,6 +182,12 @@ def robot_parameters(
         tuple(places[i] for i in dropped),
         sums[:, dropped],
     )
+    named = list(found.parameters)
+    for row, (place, weights) in enumerate(zip(found.places, found.of_standard, strict=True)):
+        if (at := standard_index(place, numbers.rotors)) is not None:
+            name, symbol, _ = name_sum(robot, weights, at)
+            named[row] = replace(named[row], name=name, symbol=symbol)
+    found = replace(found, parameters=tuple(named))
     return found.add(*_of_laws(robot, numbers)) if whole else found
 
 
@@ -190,13 +211,12 @@ def joint_of(place: NumberPlace, rotors: IntArray) -> int:
     return int(own[0]) if own.size else place.row
 
 
-def _first_of_link(places: Sequence[NumberPlace], kept: int, dropped: Sequence[int], weights: FloatArray) -> int | None:
-    """Return the inertial parameter that names the sum of a rigid joint's rotor with its link; None of another."""
-    rotor = places[kept]
-    if rotor.of is not NumberOf.MASS or rotor.column != 0:
-        return None
-    own = (i for i in dropped if places[i].of is NumberOf.LINK and places[i].row == rotor.row)
-    return next((i for i in own if abs(weights[i] - 1.0) < _WHOLE), None)
+def standard_index(place: NumberPlace, rotors: IntArray) -> int | None:
+    """Return the place among a robot's standard parameters, links then rotors; None of what is no inertia."""
+    if place.of is NumberOf.LINK:
+        return len(SYMBOLS) * place.row + place.column
+    is_rotor = place.of is NumberOf.MASS and place.column == 0
+    return len(SYMBOLS) * rotors.size + joint_of(place, rotors) if is_rotor else None
 
 
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
@@ -270,7 +290,7 @@ def _order_parameters(robot: Robot, numbers: RobotNumbers, offsets: bool, rising
         NumberPlace(NumberOf.SPRING, int(i), column) for column in (0, 1) for i in np.flatnonzero(numbers.flexible)
     ]
     rotors = [NumberPlace(NumberOf.MASS, int(row), 0) for row in numbers.rotors]
-    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(len(SYMBOLS))]
+    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in INERTIAL_ORDER]
     return (*friction, *constant, *springs, *rotors, *links)
 
 
@@ -290,11 +310,6 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPla
     rows = columns.reshape(-1, len(places))
     sizes = np.linalg.norm(rows, axis=0)
     return np.where(sizes > _FELT * np.max(sizes), rows, 0.0)
-
-
-def _is_inertia(place: NumberPlace) -> bool:
-    """Return True for a rotor's inertia, which may be the first of a sum named after its link."""
-    return place.of is NumberOf.MASS and place.column == 0
 
 
 def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:

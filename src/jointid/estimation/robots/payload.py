@@ -22,6 +22,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError, require_type
 from jointid.common.messages import Progress, ignore_progress, name_progress, no_choice
+from jointid.common.parallel import one_thread
 from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit_robot
 from jointid.estimation.methods.didim import DIDIM
@@ -36,7 +37,7 @@ from jointid.estimation.robots.idim import InverseModelRobot, solve_rows
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.regression import base_rows, join_rows, motions_of_logs, require_slow_samples
 from jointid.estimation.robots.simulated import SimulatedRobot
-from jointid.estimation.unknown_timing import UNSTATED_SAID, all_stated, cover_both_readings, read_as
+from jointid.estimation.unknown_timing import UNSTATED_SAID, all_stated, cover_both_readings, read_as_identified
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_indices
 from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
@@ -196,6 +197,17 @@ def _verdict(name: str, value: float, std: float) -> str:
     return "roughly known" if _TWO * std < abs(value) else "not significant"
 
 
+def _refuse_payloads(*given: Sequence[Record] | EstimateParts) -> None:
+    """Refuse records with a known payload: what is identified would be what is carried beside it."""
+    for log in given:
+        if not isinstance(log, EstimateParts) and any(record.payload for record in log):
+            raise MethodError(
+                "A record states its payload, which is to be identified here; leave payload_mass of [[records]], or "
+                "Record.payload, out."
+            )
+
+
+@one_thread()
 def identify_payload(
     model: Robot | RobotLoop | RobotDriveSide,
     empty: Sequence[Record] | EstimateParts,
@@ -228,6 +240,7 @@ def identify_payload(
     )
     if method is not None:
         method.require_settings_of("robot")
+    _refuse_payloads(empty, loaded)
     robot = model if isinstance(model, Robot) else model.robot
     by_rows = isinstance(method, IDIM) or (method is None and isinstance(model, Robot))
     name = "idim" if by_rows else "drive_side" if isinstance(model, RobotDriveSide) else "didim"
@@ -261,7 +274,7 @@ def identify_payload(
     if by_rows:
         together = difference = payload_difference(first, second)
         if not isinstance(empty, EstimateParts):
-            empty, loaded = (read_as(log, one.settings.timing) for log, one in ((empty, first), (loaded, second)))
+            empty, loaded = (read_as_identified(log, one.settings) for log, one in ((empty, first), (loaded, second)))
             together = payload_of_both_records(robot, empty, loaded, settings, filtering)
     else:
         together = difference = payload_of_torques(first, second, same_friction=False)
@@ -543,6 +556,7 @@ def identify_drive_gains(
         raise MethodError(
             f"The payload's mass is {known.get('m', 0.0):g} kg; expected a positive one, as it was weighed."
         )
+    _refuse_payloads(empty, loaded)
     warnings = []
     for which, log in (("without the payload", empty), ("with it", loaded)):
         check_robot_records(log, robot)

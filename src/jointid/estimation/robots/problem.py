@@ -20,7 +20,8 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, decimate_all
+from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
+from jointid.records.signals.position_noise import noise_limit_of_computed
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
@@ -108,6 +109,11 @@ class RobotProblem(ABC, Generic[Run]):
         """True if the motors move as measured; a force in the loop then biases least squares."""
         return False
 
+    @property
+    def integrates(self) -> bool:
+        """True if torques are computed under an integral, whose content hides a constant torque."""
+        return False
+
     @abstractmethod
     def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Run:
         """Simulate a robot, and keep what its derivatives need."""
@@ -164,7 +170,8 @@ class RobotProblem(ABC, Generic[Run]):
 
     def decimate_each(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
-        return np.concatenate(decimate_all(each, self.filtering, self.sample_time))
+        rows = decimate_all(each, self.filtering, self.sample_time)
+        return np.concatenate([self.drop_ends(one, len(each[0])) for one in rows])
 
     def decimate(self, signals: FloatArray) -> FloatArray:
         """Return signals, (samples, n), filtered, one joint after the other, (rows,), not weighted."""
@@ -186,7 +193,12 @@ class RobotProblem(ABC, Generic[Run]):
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of one joint, (samples, columns), filtered, (rows, columns)."""
         del joint
-        return decimate_all([columns], self.filtering, self.sample_time)[0]
+        return self.drop_ends(decimate_all([columns], self.filtering, self.sample_time)[0], len(columns))
+
+    def drop_ends(self, rows: FloatArray, samples: int) -> FloatArray:
+        """Return the filtered rows of a joint, without the ends of a computed torque."""
+        del samples
+        return rows
 
     def by_joint(self, rows: FloatArray) -> FloatArray:
         """Return rows as (n, instants)."""
@@ -311,6 +323,11 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
         """The references, (samples, n)."""
         return self.experiment.references
 
+    @property
+    def integrates(self) -> bool:
+        """Whether a controller of computed torques has an integral."""
+        return any(seen is not None and seen.experiment.law.integrates for seen in self.seen)
+
     def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotRun:
         """Simulate a robot."""
         return run_robot(self.experiment, numbers, keep=keep or any(self.seen), stride=self.stride)
@@ -318,6 +335,10 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
     def roughly(self) -> Self:
         """Return the problem simulated in steps twice as long."""
         return replace(self, stride=COARSE)
+
+    def drop_ends(self, rows: FloatArray, samples: int) -> FloatArray:
+        """Return filtered rows of a joint, without the ends if a torque of the log is computed from positions."""
+        return drop_ends(rows, self.filtering, samples) if any(self.seen) else rows
 
     def predict(self, run: RobotRun) -> FloatArray:
         """Return the torque of a run as the log shows it, or as it is computed from its positions, (samples, n)."""
@@ -372,6 +393,11 @@ class SumOfRobotProblems(RobotProblem[RobotRuns]):
         return self.parts[0].motion_measured
 
     @property
+    def integrates(self) -> bool:
+        """Whether torques of a log are computed under an integral."""
+        return any(part.integrates for part in self.parts)
+
+    @property
     def sample_time(self) -> float:
         """Of the first log, s."""
         return self.parts[0].sample_time
@@ -414,6 +440,21 @@ class SumOfRobotProblems(RobotProblem[RobotRuns]):
         return join_rows(list(each), self.sigma.size)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedRobot:
+    """The problem of a robot's log with its run at the estimate.
+
+    Attributes:
+        problem: that was solved, or is evaluated anew.
+        run: at the estimate.
+        slopes: (rows, free) of its filtered torques by what is searched, not weighted.
+    """
+
+    problem: RobotProblem[Any]
+    run: RobotRun | RobotDriveSideRun
+    slopes: FloatArray
+
+
 def add_problems(parts: Sequence[RobotProblem[Any]]) -> RobotProblem[Any]:
     """Return the problem of all logs, with the parameters and the filtering of the first."""
     first = parts[0]
@@ -446,5 +487,6 @@ def robot_problem(
             measured[:, j] = one.torque(record.motor_position.values)[:samples]
     require_torques(loop.robot, measured.T)
     model = "flexible" if any(loop.robot.flexible) else "rigid"
-    resolved = (filtering or Filtering()).resolve(experiment.clock.sample_time, model)
+    sample_time = experiment.clock.sample_time
+    resolved = (filtering or Filtering()).resolve(sample_time, model, noise_limit_of_computed(records, sample_time))
     return RobotLoopProblem(measured, resolved, parameters, np.std(measured, axis=0) + 1e-300, experiment, seen=seen)

@@ -24,6 +24,7 @@ from jointid.estimation.problems.rest import SMEAR, steady_weights
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.base_parameters import BaseParameters, inverse_columns
 from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_columns, friction_terms
+from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
@@ -108,7 +109,7 @@ class RobotMotion:
 
     Attributes:
         q, v, a: (samples, n) positions of the joints and their derivatives.
-        torque: (samples, n) of the motors, behind their gears.
+        torque: (samples, n) of the motors, behind their gears, without that of the record's payload.
         moving: (samples, n) 0 where a motor rests or turns round, else 1.
         sample_time: s.
         filtering: resolved.
@@ -228,11 +229,14 @@ def motion_of_robot(
     velocity = settle(velocity)
     moving = [steady_weights(each, filtering.position_cutoff, sample_time, smear, few=0.0)[1] for each in velocity.T]
     joints = np.linalg.inv(robot.coupling).T
+    motion = smooth @ joints, velocity @ joints, acceleration @ joints
+    measured = np.column_stack(torques)
+    if payload := records[-1].payload:  # its torque is known
+        carried = inverse_columns(robot, *motion)[:, :, -len(SYMBOLS) - len(robot) : -len(robot)] @ payload
+        measured -= through_window(carried.T[:, :, np.newaxis], filtering)[:, :, 0].T
     return RobotMotion(
-        smooth @ joints,
-        velocity @ joints,
-        acceleration @ joints,
-        np.column_stack(torques),
+        *motion,
+        measured,
         np.column_stack(moving),
         sample_time,
         filtering,
@@ -251,10 +255,9 @@ def motions_of_logs(robot: Robot, logs: Sequence[Sequence[Record]], filtering: F
     ]
 
 
-def base_columns(robot: Robot, base: BaseParameters, motion: RobotMotion) -> FloatArray:
+def base_columns(robot: Robot, base: BaseParameters, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
     """Return the columns of base parameters, then of the motors' friction, (samples, n, parameters)."""
-    links = inverse_columns(robot, motion.q, motion.v, motion.a)[:, :, base.chosen]
-    return np.concatenate([links, friction_columns(robot, motion.v)], axis=2)
+    return np.concatenate([inverse_columns(robot, q, v, a)[:, :, base.chosen], friction_columns(robot, v)], axis=2)
 
 
 def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion, columns: FloatArray | None = None) -> Rows:
@@ -266,7 +269,7 @@ def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion, columns: 
         motion: of it.
         columns: of `base_columns`, where they are known.
     """
-    W = motion.decimate_columns(base_columns(robot, base, motion) if columns is None else columns)
+    W = motion.decimate_columns(base_columns(robot, base, motion.q, motion.v, motion.a) if columns is None else columns)
     names = (*base.names, *(term.name(robot) for term in friction_terms(robot)))
     return Rows(motion.thinned_torque(), W, names, len(robot), len(robot))
 

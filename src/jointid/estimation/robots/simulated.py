@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, unit_of
 from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.outputs import position_rms
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict, Sums
@@ -27,17 +28,26 @@ from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.flexible import identify_flexible_robot
-from jointid.estimation.robots.numbers import RobotParameters, joint_of, robot_parameters
-from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, add_problems, robot_problem
+from jointid.estimation.robots.numbers import RobotParameters, joint_of, robot_parameters, standard_index
+from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, SolvedRobot, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
+from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, robot_with, with_values
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.robot_numbers import (
+    MassNumbers,
+    NumberOf,
+    NumberPlace,
+    RobotNumbers,
+    robot_with,
+    stribeck_share,
+    with_values,
+)
+from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, motion_at
 from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
@@ -68,6 +78,38 @@ class SimulatedRobot(IdentifiedRobot):
         log = self.numbers().log
         return float(log[0, 0]) if log.size else None
 
+    @property
+    def of_standard(self) -> FloatArray:
+        """Weights in each parameter of the links' inertial parameters, then of the rotors, (parameters, 11 n)."""
+        found = self.parameters.of_standard
+        return np.pad(found, ((0, len(self.names) - len(found)), (0, 0)))
+
+    def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters)."""
+        robot, numbers = self.model, self.numbers()
+        robot.require_linear_friction("A regressor takes", "simulate the robot")
+        motor = v @ robot.coupling.T
+        links, found = inverse_columns(robot, q, v, a), np.zeros((*v.shape, len(self.values)))
+        behind = np.linalg.inv(robot.coupling)  # what acts on a link, on the motors
+        for k, place in enumerate((*self.parameters.places, *self.parameters.kept)):
+            if place.of is NumberOf.LINK:
+                found[:, :, k] = links[:, :, 10 * place.row + place.column]
+            elif place.of is NumberOf.MASS:
+                j = joint_of(place, numbers.rotors)
+                of_motor = place.row == numbers.rotors[j]
+                speed = (motor if of_motor else v)[:, j]
+                column = {
+                    MassNumbers.VISCOUS: speed,
+                    MassNumbers.FORWARDS: np.maximum(speed, 0.0),
+                    MassNumbers.BACKWARDS: np.minimum(speed, 0.0),
+                    MassNumbers.COULOMB: np.sign(speed),
+                    MassNumbers.RISE: np.sign(speed) * stribeck_share(numbers.masses[place.row], speed),
+                    MassNumbers.OFFSET: np.ones_like(speed),
+                    MassNumbers.INERTIA: links[:, j, 10 * len(robot) + j],
+                }.get(MassNumbers(place.column), np.zeros_like(speed))
+                found[:, :, k] = column[:, np.newaxis] * (np.eye(len(robot)) if of_motor else behind)[j]
+        return found
+
     def robot(self) -> Robot:
         """Return the robot that was identified: what is grouped stands in the parameter that is kept."""
         return robot_with(self.model, self.numbers())
@@ -83,21 +125,14 @@ class SimulatedRobot(IdentifiedRobot):
                 f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
                 "leave this spring out of the robot file, or excite its mode."
             )
-        n, parameters, numbers = len(prior), self.parameters, RobotNumbers.of(prior)
+        parameters, numbers = self.parameters, RobotNumbers.of(prior)
         size = len(parameters.places)
         numbers = replace(numbers, beside=parameters.base.beside, log=parameters.base.log)
         fixed = np.array([place.read(parameters.base) for place in parameters.kept])
         numbers = with_values(numbers, parameters.kept, fixed)
         places = (*parameters.places, *parameters.dropped)
-        both = np.hstack([np.eye(len(parameters.places)), parameters.grouping])
-        of_standard, apart = np.zeros((len(both), 11 * n)), list[int]()
-        for column, place in enumerate(places):
-            if place.of is NumberOf.LINK:
-                of_standard[:, 10 * place.row + place.column] = both[:, column]
-            elif place.of is NumberOf.MASS and place.column == 0:
-                of_standard[:, 10 * n + int(np.flatnonzero(numbers.rotors == place.row)[0])] = both[:, column]
-            else:
-                apart.append(column)
+        both = np.hstack([np.eye(size), parameters.grouping])
+        apart = [column for column, place in enumerate(places) if standard_index(place, numbers.rotors) is None]
         own = tuple(places[column] for column in apart)
         about = np.array(
             [place.read(self.numbers() if c < len(both) else numbers) for c, place in zip(apart, own, strict=True)]
@@ -112,7 +147,7 @@ class SimulatedRobot(IdentifiedRobot):
         covariance = replace(
             self.covariance, std=self.covariance.std[:size], correlation=self.covariance.correlation[:size, :size]
         )
-        return Sums(self.values[:size], covariance, of_standard, both[:, apart], about, least, build_robot)
+        return Sums(self.values[:size], covariance, self.of_standard[:size], both[:, apart], about, least, build_robot)
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot."""
@@ -193,7 +228,7 @@ def identify_simulated_robot(
     if not fit.converged:
         stop = f"did not settle {steps}: allow more by method.{longer}, or record longer and livelier motions"
     kind = "of springs, rotors and links" if springs else "of rigid joints"
-    return build_robot_result(
+    result = build_robot_result(
         [record for log in logs for record in log],
         part,
         _rows(part, parameters),
@@ -210,6 +245,16 @@ def identify_simulated_robot(
             *((_WITHOUT,) if springs and not any(one.shown for one in springs) else ()),
         ),
     )
+    if len(logs) > 1:
+        return result
+    run = cast("RobotRun", fit.run)
+    result = replace(result, solved=SolvedRobot(replace(problem, parameters=parameters), run, fit.slopes))
+    if method[0] != "didim":
+        return result
+    own = cast("Any", problem)
+    rotors, instants = parameters.numbers(fit.values).rotors, own.experiment.clock.log_index
+    simulated = motion_at(run, instants).position[:, rotors]
+    return replace(result, fit=replace(result.fit, position_rms=position_rms(robot.names, logs[0], simulated)))
 
 
 def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
@@ -280,6 +325,24 @@ def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
     masses = numbers.masses.copy()
     masses[:, 1:] = found.masses[:, 1:]
     return replace(numbers, masses=masses, log=found.log)
+
+
+def solve_again(part: SimulatedRobot, records: Sequence[Record], filtering: Filtering | None) -> SolvedRobot:
+    """Return the problem of an identified robot, with its run and slopes, from the records it was identified from.
+
+    Raises:
+        RecordError, MethodError: as of the identification; or the robot cannot be simulated.
+    """
+    found = problem_of(part.setup, records, part.parameters, filtering)
+    problem: RobotProblem[Any] = replace(found, parameters=part.parameters)  # with those of the record
+    x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
+    run = problem.run(x)
+    if run.outcome is not RobotOutcome.FINISHED:
+        raise MethodError(
+            f"The identified robot cannot be simulated along the record: {run.outcome.value}; give the record that it "
+            "was identified from."
+        )
+    return SolvedRobot(problem, run, problem.slopes(run, x))
 
 
 def errors_of(problem: RobotProblem[Any], numbers: RobotNumbers) -> FloatArray:

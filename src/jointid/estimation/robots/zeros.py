@@ -54,7 +54,7 @@ class EncoderZero:
     def __str__(self) -> str:
         return (
             f"the torques fit an encoder of {self.joint} that reads 0 where the joint of the model is at "
-            f"{self.zero:.4g} +- {2.0 * self.stderr:.2g} rad: the model then leaves {100 * self.residual:.3g} instead "
+            f"{self.zero:.4g} ± {2.0 * self.stderr:.2g} rad: the model then leaves {100 * self.residual:.3g} instead "
             f"of {100 * self.residual_without:.3g} % of the torques"
         )
 
@@ -149,7 +149,9 @@ def _fit(robot: Robot, motions: Sequence[RobotMotion]) -> _Fit:
 def _fit_samples(robot: Robot, motions: Sequence[RobotMotion]) -> _Fit:
     """Return the fit to samples as they are: faster, and close enough for a grid."""
     base, n = base_parameters(robot), len(robot)
-    W = np.concatenate([base_columns(robot, base, one) * one.moving[:, :, np.newaxis] for one in motions])
+    W = np.concatenate(
+        [base_columns(robot, base, one.q, one.v, one.a) * one.moving[:, :, np.newaxis] for one in motions]
+    )
     Y = np.concatenate([one.torque * one.moving for one in motions])
     return _solve(W.transpose(1, 0, 2).reshape(-1, W.shape[2]), Y.T.ravel(), n)
 

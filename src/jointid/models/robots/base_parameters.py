@@ -23,7 +23,8 @@ from jointid.models.robots.robot import Robot
 _POSES = 60  # random ones, times the joints in rows
 _ZERO = 1e-8  # of a column: what is left of one that is a sum of others
 _NOTHING = 1e-11  # of the largest column in its unit: the rounding of one that is 0
-_ORDER = (4, 5, 6, 8, 9, 7, 1, 2, 3, 0)  # within a link: what is kept first; m, mz and Iyy are passed on to its parent
+INERTIAL_ORDER = (4, 5, 6, 8, 9, 7, 1, 2, 3, 0)
+"""Inertial parameters of a link, those first that are kept: m, mz and Iyy are passed on to its parent."""
 
 
 def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
@@ -60,8 +61,8 @@ class BaseParameters:
     """The base parameters of a robot: sums of its standard parameters.
 
     Attributes:
-        names: (base,) of the sums: the symbol of an inertial parameter, or "elbow.rotor_inertia" of a rotor apart.
-        symbols: (base,) of the first parameter of each sum.
+        names: (base,) of the sums: the symbol of an inertial parameter, or "elbow.rotor_inertia" of a rotor alone.
+        symbols: (base,) of the parameter that names each sum.
         formulas: (base,) the sums, as text. offset_formulas: (n,) likewise of the offsets of the motors' friction.
         units: (base,).
         chosen: (base,) which standard parameters come first; their columns are those of the base parameters.
@@ -105,8 +106,8 @@ def base_parameters(robot: Robot) -> BaseParameters:
     dimensions = np.array([*n * ([0] + 3 * [1] + 6 * [2]), *n * [3]])  # columns of one number are in one unit
     largest = np.array([norms[dimensions == kind].max() for kind in range(4)])
     columns[:, norms <= _NOTHING * largest[dimensions]] = 0.0
-    # Links from the base outwards, each rotor behind its link: a rotor joins its link's sum where it can.
-    order = np.array([part for k in range(n) for part in (*(10 * k + i for i in _ORDER), 10 * n + k)])
+    # Rotors first, as in a simulation: what a slide lifts is then its mass, and the rotor no part of other sums.
+    order = np.array([*range(10 * n, 11 * n), *(10 * k + i for k in range(n) for i in INERTIAL_ORDER)])
     kept, sums = group_columns(np.column_stack([np.tile(np.eye(n), (_POSES, 1)), columns[:, order]]))
     first = order[np.array(kept[n:]) - n]
     grouping, offsets = np.zeros((first.size, 11 * n)), np.zeros((n, 11 * n))
@@ -114,17 +115,42 @@ def base_parameters(robot: Robot) -> BaseParameters:
     rotors = tuple("kg" if link.kind == "prismatic" else "kg m2" for link in robot.links)
     symbols, units = standard_symbols(robot), (*n * UNITS, *rotors)
     of_offsets = tuple(FrictionTerm(k, Friction.OFFSET).symbol for k in range(n))
-    of_rotors = tuple(name_of("rotor_inertia", joint.name) for joint in robot.joints)
+    names, own, begins = zip(
+        *(name_sum(robot, row, int(i)) for row, i in zip(grouping, first, strict=True)), strict=True
+    )
     return BaseParameters(
-        tuple((*symbols[: 10 * n], *of_rotors)[i] for i in first),
-        tuple(symbols[i] for i in first),
-        tuple(formula_of(row, int(i), symbols) for row, i in zip(grouping, first, strict=True)),
+        names,
+        own,
+        tuple(formula_of(row, i, symbols) for row, i in zip(grouping, begins, strict=True)),
         tuple(formula_of(row, k, (*of_offsets, *symbols)) for k, row in enumerate(np.hstack([np.eye(n), offsets]))),
         tuple(units[i] for i in first),
         first,
         grouping,
         offsets,
     )
+
+
+def name_sum(robot: Robot, weights: FloatArray, kept: int) -> tuple[str, str, int]:
+    """Return name and symbol of a sum, and the standard parameter that its formula begins with.
+
+    A rotor that is part of a sum gives it no name.
+
+    Args:
+        robot: whose joints it names.
+        weights: (11 n,) of the sum.
+        kept: the standard parameter that stands for the sum.
+    """
+    n = len(robot)
+    if kept >= 10 * n:
+        joint = robot.joints[kept - 10 * n].name
+        link = 10 * (kept - 10 * n) + np.array(INERTIAL_ORDER)
+        own = link[np.abs(weights[link] - 1.0) < _ZERO]
+        if not own.size:
+            quantity = "rotor_inertia" if np.count_nonzero(weights) == 1 else "inertia"
+            return name_of(quantity, joint), symbol_of(quantity, kept - 10 * n), kept
+        kept = int(own[0])
+    symbol = inertial_symbol(SYMBOLS[kept % 10], kept // 10)
+    return symbol, symbol, kept
 
 
 def group_columns(columns: FloatArray) -> tuple[list[int], FloatArray]:
@@ -160,7 +186,7 @@ def formula_of(weights: FloatArray, first: int, symbols: tuple[str, ...]) -> str
     terms = [symbols[first]]
     for i in np.flatnonzero(weights):
         if i != first:
-            factor = abs(weights[i])
+            factor = float(f"{abs(weights[i]):.9g}")  # rounding would decide on the last of four digits
             times = "" if abs(factor - 1.0) < _ZERO else f" * {number(factor, 4)}"
             terms.append(f"{'-' if weights[i] < 0 else '+'} {symbols[i]}{times}")
     return " ".join(terms)

@@ -1,18 +1,21 @@
 """The names and symbols of a robot's parameters, the same for every method.
 
 A number of a motor or a spring is named by its joint and what it is, "elbow.viscous". A base parameter is a sum, and is
-named by the symbol of its first inertial parameter, "Izz1".
+named by the symbol of its first inertial parameter, "Izz1". The sum of a rotor and its link about an axis that is none
+of the link's frame is "elbow.inertia".
 """
 
 from __future__ import annotations
 
 _SYMBOLS = {
+    "inertia": "ZZ",
     "rotor_inertia": "Ia",
     "viscous": "Fv",
     "viscous_forwards": "Fv+",
     "viscous_backwards": "Fv-",
     "coulomb": "Fc",
     "stribeck_force": "FS",
+    "friction_per_torque": "mu",
     "offset": "offset",
     "stiffness": "K",
     "damping": "D",

@@ -226,7 +226,7 @@ def _actuators(
         return tuple(
             Actuator(
                 joint.name, link.kind, joint.rotor_inertia, joint.viscous, joint.coulomb, None, law,
-                (*lost, *law.lost),
+                (*lost, *law.lost, *_limit_lost(law, None)),
             )
             for joint, link, law in zip(simplify_joints(model), model.links, each, strict=True)
         )  # fmt: skip
@@ -249,10 +249,17 @@ def _actuators(
         rise = (model.values["stribeck_force"], model.values["stribeck_speed"])
     else:
         lost += friction_left_out(model)
-    lost += [*ripple_left_out(model), *effects_left_out(model), *law.lost]
+    lost += [*ripple_left_out(model), *effects_left_out(model), *law.lost, *_limit_lost(law, peak)]
     return (
         Actuator(model.name, model.kind, model.motor.inertia, mass.viscous, mass.coulomb, rise, law, tuple(lost), peak),
     )
+
+
+def _limit_lost(law: PDLaw, peak: tuple[float, float] | None) -> list[str]:
+    """Return a sentence on an effort limit that no controller and no motor declares."""
+    if law is _NO_LAW or law.limit < math.inf or peak is not None:
+        return []
+    return ["the effort limit, which no controller.limit declares: the simulator does not limit the torque"]
 
 
 def _commands(law: PDLaw, timestep: float) -> tuple[int, list[str]]:

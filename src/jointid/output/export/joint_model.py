@@ -17,6 +17,7 @@ from typing import Any
 
 from jointid import __version__
 from jointid.common import text
+from jointid.common.document import optional_number
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.transmission import OtherSide, Side
@@ -29,7 +30,6 @@ from jointid.models.springs import LinearSpring, Piece, Spring
 from jointid.output.export.pd_law import PDLaw
 from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, Json
-from jointid.output.json.reading import optional_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,7 +350,8 @@ def _parameter(found: Mapping[str, Any], name: str, symbol: str, unit: str) -> E
         raise ValueError
     value, std, bound = (optional_number(found[key]) for key in ("value", "std", "lower_bound"))
     free, identifiable = bool(found["free"]), bool(found["identifiable"])
-    return EstimatedParameter(name, symbol, unit, value, std, free, identifiable, bound)
+    lacking = optional_number(found.get("lack_of_fit")) or 0.0  # files of older versions state none
+    return EstimatedParameter(name, symbol, unit, value, std, free, identifiable, bound, lack_of_fit=lacking)
 
 
 _LONGEST = 48  # of the 63 characters that MATLAB reads of a name: what is put before and behind it stays readable

@@ -161,7 +161,7 @@ def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[st
     if isinstance(law, DriftingFriction):
         viscous, coulomb = (f"({{}} + {prefix}{part}_drift * time)" for part in PARTS)
     if isinstance(law, LoadDependentFriction | WoundLoadDependentFriction) and prefix != "motor_":
-        coulomb = f"({{}} + {prefix}friction_per_torque * abs(spring))"
+        coulomb = f"({{}} + {prefix}friction_per_torque * abs({'spring' if model.flexible else 'torque'}))"
     (one, other), (back, behind) = forwards, backwards
     return (viscous.format(one), coulomb.format(other)), (viscous.format(back), coulomb.format(behind))
 

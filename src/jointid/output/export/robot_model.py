@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import join
+from jointid.config.robot_model import read_model
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import MISFIT, consistent_robot
 from jointid.models.robots.inertial import is_physical, mass_properties
@@ -20,6 +23,7 @@ from jointid.models.springs import Piece
 from jointid.output.export.joint_model import number
 from jointid.output.export.pd_law import PDLaw
 from jointid.output.export.robots import Control, add_servo, add_spring, format_xml, require_timestep
+from jointid.output.export.urdf_in_place import replace_in_urdf
 
 _DOWN = np.array([0.0, 0.0, -9.81])  # gravity of URDF, which has no word for it
 _FAR, _STRONG = "1000.0", "1000000000.0"  # limits that URDF asks for and nothing here knows
@@ -46,10 +50,13 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
             )
         found = consistent_robot(model)
         if found.misfit > MISFIT:
+            worst = found.worst[:_MOST_NAMES]
+            links = dict(zip(found.robot.names, (link.name for link in found.robot.links), strict=True))
+            resisting = join([*dict.fromkeys(links[model.params[name].axis] for name in worst)])
             raise MethodError(
                 f"No bodies near those of the model fit the estimate: the nearest are {found.misfit:.3g} standard "
-                f"deviations off, rms; expected at most {MISFIT:g}. Correct the model or the record; furthest off: "
-                f"{join(found.worst[:_MOST_NAMES])}."
+                f"deviations off, rms; expected at most {MISFIT:g}. Correct the model of {resisting} or the record; "
+                f"furthest off: {join(worst)}."
             )
         model = found.robot
         note = (
@@ -65,12 +72,26 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
     return model, note
 
 
-def robot_urdf(robot: Robot, laws: Sequence[PDLaw | None] = ()) -> tuple[str, tuple[str, ...]]:
-    """Return a robot as URDF, which has no laws, and its losses."""
+def robot_urdf(
+    robot: Robot,
+    laws: Sequence[PDLaw | None] = (),
+    *,
+    model: str | os.PathLike[str] | None = None,
+    locked: Mapping[str, float] = MappingProxyType({}),
+) -> tuple[str, tuple[str, ...]]:
+    """Return a robot as URDF, which has no laws, and its losses.
+
+    With the URDF that it was read from as `model`, it is that file with other `<inertial>` and `<dynamics>`; `locked`
+    are its joints that stand still, see `load_robot`.
+    """
     del laws
     lost, robot = losses_of_drives(robot), replace(robot, joints=simplify_joints(robot))
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
+    if model is not None:
+        raw = read_model(model)
+        text, more = replace_in_urdf(raw, robot, locked, lambda joint: (joint.viscous, joint.coulomb))
+        return text, (*lost, *more)
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
         lost.append("how the base stands, and gravity other than 9.81 m/s2: turn it where the model is used")
     root = ET.Element("robot", name=robot.name)

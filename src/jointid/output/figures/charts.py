@@ -29,11 +29,14 @@ from jointid.common.charts import (
     decimate,
     stride,
 )
+from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.validation import Validation
+from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.position_forces import Motion
 
 if TYPE_CHECKING:
@@ -93,14 +96,17 @@ class AxisSignals:
     def of(cls, estimate: Estimate, motion: Motion | None = None) -> AxisSignals:
         """Return the signals of an estimate, whose record has the motion."""
         fit, settings = estimate.fit, estimate.settings
+        if estimate.data.windows is not None:
+            raise MethodError(IN_WINDOWS)
         compared = np.zeros(fit.measured.size, dtype=np.bool_)
         compared[fit.borders[0] : compared.size - fit.borders[1]] = True
         length = POSITION_UNIT[settings.joint.kind]
         unit = length if fit.compared == "position" else estimate.data.torque_unit
-        return cls._of(
+        found = cls._of(
             ("", unit, length), settings.method, settings.joint.transmission, estimate.data.sample_time,
             (fit.measured, fit.predicted), compared, fit.relative_error, motion,
         )  # fmt: skip
+        return replace(found, quantity=f"{found.quantity}{estimate.signal.removeprefix(fit.compared)}")
 
     @classmethod
     def of_validation(cls, found: Validation) -> list[AxisSignals]:
@@ -464,7 +470,7 @@ def convergence_chart(estimate: Estimate) -> Chart | None:
 
 def bounds_chart(estimate: Estimate) -> Chart | None:
     """Return the lower bound of a refused stiffness, by the load's share of the inertia; None if it is not refused."""
-    known = [b for b in estimate.checks.bounds if b.stiffness is not None and b.frequency is not None]
+    known = [b for b in told_bounds(estimate) if b.stiffness is not None and b.frequency is not None]
     if not known:
         return None
     share = np.array([b.share for b in known])

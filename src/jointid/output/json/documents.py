@@ -108,7 +108,7 @@ SHAPES: Mapping[str, Shape] = {
         "jointid.validation/2",
         f"test method record resampled identified_from channels compared answer {_ERRORS} "
         "better_than_nominal=better bodies_better_than_nominal=bodies_better samples_left_out=borders initial "
-        "simulations warnings axes",
+        "simulations warnings causes other_axes axes",
     ),
     "ValidatedAxis": keys(
         f"name unit position_unit transmission answer=prediction {_ERRORS} tracking_rms autocorrelation white_band "
@@ -138,8 +138,10 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
     "Diagnosis": document_shape(
-        "jointid.diagnosis/1", "name method answer explained as_declared feed_forward zeros sentences reasons axes"
+        "jointid.diagnosis/1",
+        "name method answer explained as_declared feed_forward zeros cause tool sentences reasons axes",
     ),
+    "RobotCause": keys("name joints words value"),
     "EncoderZero": keys("joint zero stderr residual residual_without"),
     "AxisDiagnosis": {
         **keys(

@@ -19,6 +19,8 @@ from jointid.estimation.result.parts import bounds_on_other_side, known_on_other
 from jointid.estimation.result.summary import describe_drift
 from jointid.models.disturbances import Drift, Effect, EncoderOffset
 from jointid.models.position_forces import PositionHarmonics
+from jointid.models.robots.base_parameters import standard_symbols
+from jointid.models.robots.inertial import SYMBOLS
 
 Json: TypeAlias = dict[str, Any]
 Shape: TypeAlias = "str | Callable[[Any], object] | Mapping[str, Shape]"
@@ -111,7 +113,7 @@ def _effects(estimate: Estimate) -> tuple[Effect, ...]:
 
 def _controller_sha256(estimate: Estimate) -> str | None:
     loop = estimate.settings.loop
-    return None if loop is None else law_fingerprint(loop)
+    return estimate.settings.controller or (None if loop is None else law_fingerprint(loop))
 
 
 def _correlation(estimate: Estimate) -> FloatArray | None:
@@ -179,6 +181,7 @@ _OF_A_JOINT: Shape = document_shape(
         "torque_sha256": lambda estimate: estimate.data.fingerprint or None,
     },
     correlation=_correlation,
+    position_rms=lambda estimate: estimate.fit.position_rms.get(""),
     other_side=_other_side,
     controller_sha256=_controller_sha256,
     effects=_effects,
@@ -190,9 +193,19 @@ _OF_A_JOINT: Shape = document_shape(
 def _parameters_of_robot(estimate: Estimate) -> Json:
     """Return each parameter with its axis, its nominal value and the sum that it stands for."""
     part = estimate.require_robot()
-    rows = zip(estimate.params.rows, part.nominal, part.formulas, strict=True)
-    own: dict[str, Shape] = PARAMETER | keys("axis")
-    return {row.name: take(row, own) | {"nominal": float(n), "formula": formula} for row, n, formula in rows}
+    robot, own = part.model, PARAMETER | keys("axis")
+    places = [{"link": link.name} for link in robot.links for _ in SYMBOLS] + [{"joint": name} for name in robot.names]
+    named = list(zip(standard_symbols(robot), places, strict=True))
+    rows = zip(estimate.params.rows, part.nominal, part.formulas, part.of_standard, strict=True)
+    return {
+        row.name: take(row, own)
+        | {
+            "nominal": float(nominal),
+            "formula": formula,
+            "parts": {symbol: of | {"weight": w} for (symbol, of), w in zip(named, weights.tolist(), strict=True) if w},
+        }
+        for row, nominal, formula, weights in rows
+    }
 
 
 _OF_A_ROBOT: Shape = document_shape(
@@ -200,7 +213,7 @@ _OF_A_ROBOT: Shape = document_shape(
     "answer settings.method settings.variant data.channels free=params.names "
     "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error fit.compared "
     "samples_left_out=fit.borders fit.rows settings.filtering "
-    "torque_timing=settings.timing fit.simulations fit.converged fit.stop "
+    "torque_timing=settings.timing settings.delay fit.simulations fit.converged fit.stop "
     "intervals=params.basis checks.warnings checks.verdicts",
     model=always("robot"),
     parameters=_parameters_of_robot,
@@ -213,6 +226,7 @@ _OF_A_ROBOT: Shape = document_shape(
             "robot.model.name joints=robot.model.names nominal_left=robot.nominal_errors robot.springs robot.log_delay"
         ),
         "left": lambda estimate: [*estimate.fit.axis_errors.values()],
+        "position_rms": lambda estimate: dict(estimate.fit.position_rms),
     },
 )
 

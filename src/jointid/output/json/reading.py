@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jointid import ClosedLoop, Filtering
+from jointid import ClosedLoop
 from jointid.common.arrays import FloatArray
+from jointid.common.document import optional_number
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.files import open_file
+from jointid.config.contents import File
 from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
-from jointid.estimation.methods.registry import METHODS, method_of
-from jointid.estimation.result.estimate import Estimate, IdentifiedJoint
-from jointid.estimation.unknown_timing import read_timing
+from jointid.estimation.methods.registry import METHODS
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
@@ -26,44 +27,50 @@ from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, ROBOT_R
 from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA, Json
 
 if TYPE_CHECKING:
-    from jointid.estimation.robots.saved import RobotSystem
+    from jointid.estimation.saved import RobotSystem, System
 
 _LARGEST = 2**26  # bytes of a file: the page of a report on 25 s has 3 MB
 _DIGITS = 300  # of a whole number
+_DAMAGE = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, MethodError)
 _REMEDY = "give the file that identify --json wrote"
 _REMEDY_OF_REPORT = "give what identify --json or report --html wrote"
 
 
-@overload
-def read_identified(path: str | Path, system: Joint, loop: ClosedLoop | None = None) -> IdentifiedJoint: ...
+def load_estimate(path: str | Path, system: File[Any] | System) -> Estimate:
+    """Return the estimate of a joint or a robot from the file that keeps it.
 
-
-@overload
-def read_identified(path: str | Path, system: RobotSystem) -> Estimate: ...
-
-
-def read_identified(
-    path: str | Path, system: Joint | RobotSystem, loop: ClosedLoop | None = None
-) -> IdentifiedJoint | Estimate:
-    """Return the identified joint or robot of an estimate's JSON file; it predicts torques as the estimate does.
+    It predicts, is compared, validated, reported and exported as when it was identified. The measured and predicted
+    torque, and the tests of them, are not in the file.
 
     Args:
-        path: what `Estimate.save` or `identify --json` wrote.
-        system: the joint, or the robot, under its controllers where the method simulates them. Geometry is not in the
-            file; that of the robot must give the sums of parameters that the file states.
-        loop: of a joint, used where its method simulates one.
-
-    Returns:
-        Of a joint the part of its estimate that predicts a torque. Of a robot the estimate without its torques, which
-        `validate`, `export`, `diagnose` and `Report.of` take as a new one.
+        path: what `Estimate.save`, `identify --json` or `report --html` wrote.
+        system: what was identified: a joint file or a robot file from `load`, or a joint or a robot, alone, under its
+            controllers, or along the motion of its motor. Geometry is not in the file of an estimate; that of the robot
+            must give the sums of parameters that the file states.
 
     Raises:
-        RecordError: the file is no estimate, belongs to another model or to another side of its transmission, or
-            refuses a value, without which no torque can be predicted.
+        RecordError: the file cannot be read, is no estimate, or belongs to another model or another side of its
+            transmission; of a robot, or of several records with parameters of their own, a value is missing without
+            which no torque can be predicted.
+
+    Example:
+        >>> import tempfile
+        >>> import jointid as ji
+        >>> axis = ji.twin("L19", noise="none")
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), axis.loop.controller)
+        >>> estimate = ji.identify(axis.record, loop, filtering=ji.Filtering(cutoff=5.0), checks=False)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     kept = ji.load_estimate(estimate.save(f"{folder}/kept.json"), loop)
+        >>> kept["inertia"].value == estimate["inertia"].value
+        True
     """
-    if not isinstance(system, Joint):
-        return _read_robot(path, read_answer(path), system)
-    answer, joint = read_joint_answer(path), system
+    from jointid.estimation.saved import RobotSystem
+
+    model, answer = system.setup if isinstance(system, File) else system, read_answer(path)
+    if isinstance(model, RobotSystem):
+        return _read_robot(path, answer, model)
+    joint, loop = (model, None) if isinstance(model, Joint) else (model.joint, model)
+    answer = _require_joint(path, answer)
     if (stated := answer.get("transmission")) != (declared := plain(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_gear_text(stated)}, and this joint has {_gear_text(declared)}; correct "
@@ -76,14 +83,9 @@ def read_identified(
             f"{path} has {', '.join(own)} of each of its records, so it predicts no torque of another; identify these "
             "records without own."
         )
-    if refused := _refused_parameters(answer, joint):
-        raise RecordError(
-            f"{path} refuses {', '.join(refused)}, which its record did not tell, so it predicts no torque; identify "
-            "the joint as rigid."
-        )
     try:
-        return _build_joint(answer, joint, loop)
-    except (KeyError, TypeError, ValueError, OverflowError, MethodError):
+        return _build_joint(answer, joint, loop if isinstance(loop, ClosedLoop) else None)
+    except _DAMAGE:
         raise RecordError(
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
             "parameters in these units; identify with this joint file first."
@@ -91,15 +93,15 @@ def read_identified(
 
 
 def _read_robot(path: str | Path, answer: Json, system: RobotSystem) -> Estimate:
-    from jointid.estimation.robots.saved import build_robot_estimate
+    from jointid.estimation.saved import build_estimate
 
     if answer.get("schema") != ESTIMATE_SCHEMA or answer.get("model") != "robot":
         raise RecordError(f"{path} is no estimate of a robot; {_REMEDY}.")
     try:
-        return build_robot_estimate(answer, system)
+        return build_estimate(answer, system)
     except RecordError as error:
         raise RecordError(f"{path} does not fit this robot: {error}.") from None
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, MethodError):
+    except _DAMAGE:
         raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.") from None
 
 
@@ -124,14 +126,6 @@ def read_covariance(path: str | Path, names: Sequence[str]) -> FloatArray:
     except (KeyError, TypeError, ValueError, IndexError):
         raise RecordError(f"{path} has no interval of each of {', '.join(names)}; {_REMEDY}.") from None
     return np.asarray(together * np.outer(std, std))
-
-
-def _refused_parameters(answer: Json, joint: Joint) -> list[str]:
-    """Return the parameters of the joint that an answer has without a value."""
-    found = answer.get("parameters")
-    stated = found if isinstance(found, dict) else {}
-    given = {p.name: stated.get(p.name) for p in joint.parameters}
-    return [name for name, one in given.items() if isinstance(one, dict) and one.get("value", 0.0) is None]
 
 
 def _gear_text(transmission: object) -> str:
@@ -170,8 +164,8 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            raw = file.read(_LARGEST + 1)  # a device may have no end
+        with open_file(path) as file:
+            raw = file.read(_LARGEST + 1)
         if len(raw) > _LARGEST:
             size = max(path.stat().st_size, len(raw))
             raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
@@ -203,9 +197,10 @@ def _update(answer: Json) -> Json:
         record = {"torque_unit": answer.get("torque_unit")} | records[0] | {"torque_sha256": None}
         record["name"] = ", ".join(str(one["name"]) for one in records)
         filtering = records[0]["filtering"] if several else answer["filtering"]
+        worst = max(one["filtered_error_percent"] for one in records) if several else None
     except (KeyError, TypeError, IndexError):
         return answer
-    return {"controller_sha256": None} | answer | {
+    return {"controller_sha256": None, "verdicts": [], "filtered_error_percent": worst} | answer | {
         "schema": ESTIMATE_SCHEMA, "method": "didim",
         "variant": "DIDIM by least squares" if several else "DIDIM in windows", "record": record,
         "filtering": filtering, "delay": 0.0, "relative_error_percent": None,
@@ -225,7 +220,10 @@ def read_joint_answer(path: str | os.PathLike[str]) -> Json:
     Raises:
         RecordError: the file cannot be read, or holds no JSON object, or the estimate of a robot.
     """
-    answer = read_answer(path)
+    return _require_joint(path, read_answer(path))
+
+
+def _require_joint(path: str | os.PathLike[str], answer: Json) -> Json:
     if answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot":
         raise RecordError(f"{path} is the estimate of a robot; expected that of one joint: {_REMEDY}.")
     return answer
@@ -243,38 +241,22 @@ def _whole(digits: str) -> int:
     return int(digits)
 
 
-def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
+def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Estimate:
+    from jointid.estimation.saved import build_estimate
+
     found = answer["parameters"]
     same = answer["schema"] == ESTIMATE_SCHEMA and (answer["model"], answer["kind"]) == (joint.model, joint.kind)
     same = same and all(answer.get(part) == plain(getattr(joint, part)) for part in ("gravity", "ripple"))
-    if not same or any(found[p.name]["unit"] != joint.unit(p) for p in joint.parameters):
-        raise ValueError
     effects = tuple(EFFECTS[given.pop("kind")](**given) for given in map(dict, answer.get("effects", [])))
     every = (*joint.parameters, *effect_parameters(effects))
-    names = (*(p.name for p in every), *(name for name in ("current_lag",) if name in found))
-    values = {name: float(found[name]["value"]) for name in names}
-    if not all(math.isfinite(value) for value in (*values.values(), float(answer["delay"]))):
+    if (
+        not same
+        or any(found[p.name]["unit"] != joint.unit(p) for p in joint.parameters)
+        or {p.name for p in every} - set(found)
+    ):
         raise ValueError
-    given = answer["filtering"]
-    names = ("position_cutoff", "cutoff", "decimation", "timing", "aliasing")
-    filtering = Filtering(borders=tuple(given["borders"]), **{name: given[name] for name in names})
-    method = answer["method"]
-    if method not in tuple(METHODS):
-        raise ValueError
-    record = answer["record"]
-    return IdentifiedJoint(
-        method,
-        joint,
-        loop if method_of(method).needs_controller else None,
-        values,
-        filtering,
-        float(answer["delay"]),
-        str(record["name"]),
-        _fingerprints(answer),
-        str(answer["controller_sha256"] or ""),
-        effects,
-        read_timing(answer),
-    )
+    law = str(answer["controller_sha256"] or "")
+    return build_estimate(answer, joint, loop, effects=effects, controller=law)
 
 
 def read_report(path: str | Path) -> ReportedEstimate:
@@ -366,7 +348,7 @@ def _build_robot_report(answer: Json, label: str) -> ReportedEstimate:
 
 def _name_of_sum(name: str, p: Mapping[str, Any]) -> str:
     """Return the name of a parameter with what else is in it: by two methods the same name may have other sums."""
-    others = [one for one in re.findall(r"[A-Za-z][\w+-]*", str(p["formula"])) if one != p["symbol"]]
+    others = [one for one in re.findall(r"(?<!\w)[A-Za-z][\w+-]*", str(p["formula"])) if one != p["symbol"]]
     return f"{name} with {', '.join(sorted(others))}" if others else name
 
 
@@ -390,16 +372,3 @@ def _quantity(name: str, symbol: str, p: Mapping[str, Any], **further: bool) -> 
     """Return a parameter or combination of a document; `symbol` is the key of its symbol."""
     value, std = optional_number(p["value"]), optional_number(p["std"])
     return ReportedQuantity(name, str(p[symbol]), str(p["unit"]), value, std, **further)
-
-
-def optional_number(value: object) -> float | None:
-    """Return a number of a document, None for null.
-
-    Raises:
-        ValueError: it is a text, or not finite.
-    """
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError
-    return float(value)

@@ -19,6 +19,7 @@ from jointid.diagnostics.diagnose import FeedForwardName, diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.output.figures.charts import report_charts
@@ -113,6 +114,8 @@ class Report:
             (validation,) = checks or (None,)
             return cls(RobotReportData(estimate, found, validation, controllers), name, again)
         estimate.require_joint()
+        if estimate.data.windows is not None:
+            raise MethodError(IN_WINDOWS)
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)
 

@@ -17,6 +17,7 @@ from jointid import __version__
 from jointid.common.charts import Cells, Chart
 from jointid.common.document import Block, Code, Paragraph, Picture
 from jointid.common.errors import RecordError
+from jointid.common.files import open_file
 from jointid.common.matplotlib_backend import svg
 from jointid.common.parallel import Aside
 from jointid.output.figures.bokeh_backend import plot
@@ -108,7 +109,7 @@ def repetition(
         text = joint.read_text(encoding="utf-8")
         digest = hashlib.sha256()
         date = _find_date(record)
-        with record.open("rb") as file:
+        with open_file(record) as file:
             while block := file.read(_BLOCK):
                 digest.update(block)
     except OSError as error:

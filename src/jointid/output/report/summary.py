@@ -10,7 +10,7 @@ from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.answer import Trust, consequence, mark_of, told_bounds
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.summary import parameters_table
+from jointid.estimation.result.summary import describe_positions, parameters_table
 from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
 from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
@@ -91,10 +91,12 @@ def _results(estimate: Estimate) -> Iterator[str]:
         yield f"The search did not end well, and the values are where it stopped: {fit.stop}."
     kind = "inverse model's" if estimate.settings.method == "idim" else "simulated"
     yield (
-        f"The {kind} {fit.compared} errs by {100 * fit.relative_error:.2f} % of the measured one, and by "
+        f"The {kind} {estimate.signal} errs by {100 * fit.relative_error:.2f} % of the measured one, and by "
         f"{100 * fit.filtered_error:.2f} % after the filter through which both were compared. Numbers after ± are two "
         "standard deviations."
     )
+    if fit.position_rms:
+        yield f"The simulated motor position errs by {describe_positions(estimate)}."
     known = [b for b in told_bounds(estimate) if b.stiffness is not None and b.frequency is not None]
     if known:
         unit = estimate["stiffness"].unit

@@ -62,7 +62,7 @@ _OTHER_UNITS = frozenset({
     "bar", "Pa", "J", "g", "kg", "dB", "ppm", "m/s²", "m/s^2", "m/s2", "rad/s²", "rad/s2",
     "LU", "Inkr", "Inkr.", "Arms", "Aeff", "A_eff", "A rms", "Apk", "Vrms",
 })  # fmt: skip
-_LONG, _LONG_BLOCK = 2**26, 100_000  # bytes of a file that is read in blocks of so many rows
+_LONG, _LONG_BLOCK = 2**25, 100_000  # bytes of a file that is read in blocks of so many rows
 _BEGINNING = 1000  # lines, that tell how those of a long file are written
 _RUN = ("=", "+", "-", "@")  # with these a cell begins that a spreadsheet program takes for a formula
 _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, of a name, of a line end

@@ -11,6 +11,7 @@ import contextlib
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -22,7 +23,8 @@ from typing import IO, Any
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import ExtraError, JointidError, RecordError
+from jointid.common.bounds import LATE, TOO_LARGE
+from jointid.common.errors import ExtraError, JointFileError, JointidError, RecordError
 from jointid.records.formats.table import Block, NotStreamedError, Table, format_size
 
 SECONDS = 10.0
@@ -37,12 +39,15 @@ MEMORY = 2**31
 # How many times its seconds a file may take by the clock, where the time of the processor is bounded too: a disk in the
 # network may pause for minutes, and a machine do other things.
 _BUSY = 6.0 if sys.platform == "win32" else 30.0
+_OUT_OF_TIME = (LATE, -getattr(signal, "SIGXCPU", LATE))  # exit codes
 _PROGRAM = Path(__file__).with_name("reader_program.py")
 _PACKAGE = Path(__file__).parents[3]  # the folder with this package, which need not be installed
 _NUMBER = 8  # bytes
+_REMEDY = "log or copy it again, or convert it to CSV or NPY by what wrote it"
 _DESCRIPTION = 2**28  # bytes of an answer without its numbers
 _SENTENCES: dict[str, type[JointidError]] = {
     "RecordError": RecordError, "NotStreamedError": NotStreamedError, "ExtraError": ExtraError,
+    "JointFileError": JointFileError,
 }  # fmt: skip
 
 
@@ -226,6 +231,7 @@ class _Session:
     name: str
     options: dict[str, Any]
     reader: ReaderProcess
+    remedy: str
 
     @property
     def size(self) -> int:
@@ -243,7 +249,10 @@ class _Session:
         try:
             return self.reader.ask(order, _BUSY * self.seconds)
         except _EndedError:
-            raise RecordError(self._explain_end(self.reader.end())) from None
+            code = self.reader.end()
+            if code == TOO_LARGE:
+                raise MemoryError from None
+            raise RecordError(self._explain_end(code)) from None
 
     def open(self, do: str, **further: Any) -> Any:
         """Send the first order, and retry with a new process if a reused one ends."""
@@ -254,36 +263,27 @@ class _Session:
                 return self.reader.ask(order, _BUSY * self.seconds)
             except _EndedError:
                 code = self.reader.end()
-                if self.reader.late or _is_out_of_time(code):
+                if self.reader.late or code in _OUT_OF_TIME:
                     raise RecordError(self._explain_end(code)) from None
                 self.reader = ReaderProcess.start()
         self.reader.used = True
         return self.ask(**order)
 
     def _explain_end(self, code: int) -> str:
-        if self.reader.late or _is_out_of_time(code):
+        if self.reader.late or code in _OUT_OF_TIME:
             return (
                 f"{self.path.name} ({format_size(self.size)}) is not read within {self.seconds} s, the time for a "
-                f"file of its size ({SECONDS:g} s, and {PACE:g} s more for each megabyte); log or copy it again, or "
-                "convert it to CSV or NPY by what wrote it."
+                f"file of its size ({SECONDS:g} s, and {PACE:g} s more for each megabyte); {self.remedy}."
             )
         return (
             f"{self.path.name} cannot be read as {self.name}: it is damaged, cut off or of another format, and ended "
-            "what reads it; log or copy it again."
+            f"what reads it; {self.remedy}."
         )
 
 
-def _is_out_of_time(code: int) -> bool:
-    if sys.platform == "win32":
-        return False
-    import signal
-
-    return code == -signal.SIGXCPU
-
-
 @contextlib.contextmanager
-def _session(path: Path, name: str, options: dict[str, Any]) -> Iterator[_Session]:
-    session = _Session(path, name, options, _idle.take() or ReaderProcess.start())
+def _session(path: Path, name: str, options: dict[str, Any], remedy: str = _REMEDY) -> Iterator[_Session]:
+    session = _Session(path, name, options, _idle.take() or ReaderProcess.start(), remedy)
     try:
         yield session
     finally:
@@ -303,6 +303,20 @@ def read_apart(path: Path, name: str, options: dict[str, Any]) -> Table:
     with _session(path, name, options) as session:
         found: Table = session.open("read")
         return found
+
+
+def call_apart(path: Path, name: str, remedy: str, function: str, **arguments: Any) -> Any:
+    """Call a function of this package on a file's content in a separate process.
+
+    Args:
+        path: the file, for sentences and the time that its size allows.
+        name: of its format, for sentences.
+        remedy: the end of the sentence where the process ends.
+        function: its module and its name, as "jointid.config.robot_model:describe_robot".
+        arguments: of it, as JSON has them; so is its result.
+    """
+    with _session(path, name, {}, remedy) as session:
+        return session.open("call", function=function, arguments=arguments)["made"]
 
 
 def read_blocks_apart(path: Path, rows: int, name: str, options: dict[str, Any]) -> Iterator[Block]:

@@ -3,8 +3,9 @@
 An order is a line of JSON. An answer is its length in eight bytes, JSON, and the numbers of the columns listed in it.
 Nothing is pickled. `reader_process` starts this file by path and documents the orders.
 
-Processor time and, where possible, memory are bounded; no file can be written. The process ends with its standard
-input, and with a pipe that the parent keeps open.
+Processor time and memory are bounded, by a watch of its own where the system does not; there a library that keeps
+Python waiting is ended by the parent's clock. Except on Windows no file can be written. The process ends with its
+standard input, and with a pipe that the parent keeps open.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from importlib import import_module
 from typing import IO, Any
 
-LIBRARIES = 2**29  # bytes of addresses that the libraries of the formats take, most of which are never touched
+from jointid.common.bounds import LIBRARIES, limit_resource, measure_memory
+
 _TIRED = 2**28  # bytes more than at the beginning: what libraries keep of the files before
 
 
@@ -31,7 +34,7 @@ def main(memory: int, lifeline: int | None) -> None:
     os.dup2(2, 1)  # what a library prints is no answer
     from jointid.records.formats.table import Block
 
-    begin = address_space()
+    begin = measure_memory()
     limit_resource("RLIMIT_AS", begin + memory + LIBRARIES)
     limit_resource("RLIMIT_FSIZE", 0)
     limit_resource("RLIMIT_CORE", 0)
@@ -54,9 +57,13 @@ def main(memory: int, lifeline: int | None) -> None:
                 case "take":
                     assert block is not None
                     _send_table(answers, block.table(order["rows"]))
+                case "call":
+                    _limit_time(order)
+                    module, _, name = order["function"].partition(":")
+                    _send(answers, {"made": getattr(import_module(module), name)(**order["arguments"])})
                 case "close":
                     blocks, block = iter(()), None
-                    _send(answers, {"free": address_space() <= begin + LIBRARIES + _TIRED})
+                    _send(answers, {"free": measure_memory() <= begin + LIBRARIES + _TIRED})
         except Exception as error:  # reported to the parent
             blocks, block = iter(()), None
             faults = [str(fault) for fault in getattr(error, "faults", (str(error),))]
@@ -91,8 +98,12 @@ def _prepare(order: dict[str, Any]) -> tuple[Any, Any]:
 
     from jointid.records.formats import format_of
 
-    limit_resource("RLIMIT_CPU", int(time.process_time()) + 1 + order["seconds"])
+    _limit_time(order)
     return format_of(order["path"], **order["options"]), Path(order["path"])
+
+
+def _limit_time(order: dict[str, Any]) -> None:
+    limit_resource("RLIMIT_CPU", int(time.process_time()) + 1 + order["seconds"])
 
 
 def _send(answers: IO[bytes], answer: dict[str, Any]) -> None:
@@ -114,26 +125,6 @@ def _send_table(answers: IO[bytes], table: Any) -> None:
     for values in table.columns.values():
         answers.write(values.data.cast("B"))
     answers.flush()
-
-
-def address_space() -> int:
-    """Size of the address space; 0 if unknown."""
-    if sys.platform != "linux":
-        return 0
-    with open("/proc/self/statm", "rb") as file:  # noqa: PTH123 - one file of the system, and no import for it
-        return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-
-
-def limit_resource(what: str, most: int) -> None:
-    """Limit a resource of this process, where possible."""
-    if sys.platform == "win32" or (what == "RLIMIT_AS" and sys.platform != "linux"):
-        return
-    import resource
-
-    kind = getattr(resource, what)
-    _, hard = resource.getrlimit(kind)
-    least = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(kind, (least, hard))
 
 
 if __name__ == "__main__":

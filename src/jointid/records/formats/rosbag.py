@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
 from jointid.records.formats.messages import (
+    Layout,
     SkippedTopicError,
     Topic,
     decode_message,
+    find_layout,
     flatten_numbers,
     header_stamp,
     read_messages,
@@ -43,6 +45,8 @@ _JOINT = re.compile(r"(/.+)/([^/]+)/(position|velocity|effort)")
 _FIELDS = ("position", "velocity", "effort")
 _VERSION = 9  # of the bag's format
 _FLOAT64_HEAD = b"\x00\x01\x00\x00"  # of a message in little-endian CDR
+TRAJECTORY = "/joint_trajectory_controller/joint_trajectory"
+"""Topic on which ROS 2 control takes a trajectory."""
 _CLOCKS = ("t", "time")
 _ROUNDING = 1e-14
 _NINE_YEARS = 2.0**28  # seconds; a later stamp is read as a date
@@ -111,6 +115,47 @@ class RosBag:
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
 
+def write_trajectory(
+    path: Path,
+    names: tuple[str, ...],
+    time: FloatArray,
+    positions: FloatArray,
+    velocities: FloatArray,
+    accelerations: FloatArray,
+) -> None:
+    """Write a bag with one trajectory_msgs/JointTrajectory, on the topic of ROS 2 control.
+
+    Args:
+        path: a folder, or one file by its suffix.
+        names: of the joints.
+        time: (points,) s, from the start.
+        positions: (points, joints).
+        velocities: likewise.
+        accelerations: likewise.
+
+    Raises:
+        ExtraError: rosbags is not installed.
+    """
+    rosbag2 = extra("rosbags.rosbag2", "logs", "Writing ROS 2 bags")
+    typesys = extra("rosbags.typesys", "logs", "Writing ROS 2 bags")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    kinds, kind = store.types, "trajectory_msgs/msg/JointTrajectory"
+    rows = zip(np.round(1e9 * time).astype(np.int64).tolist(), positions, velocities, accelerations, strict=True)
+    points = [
+        kinds[f"{kind}Point"](q, v, a, np.empty(0), kinds["builtin_interfaces/msg/Duration"](*divmod(at, 10**9)))
+        for at, q, v, a in rows
+    ]
+    header = kinds["std_msgs/msg/Header"](stamp=kinds["builtin_interfaces/msg/Time"](0, 0), frame_id="")
+    storage = rosbag2.StoragePlugin.SQLITE3 if path.suffix.lower() == ".db3" else rosbag2.StoragePlugin.MCAP
+
+    def fill(folder: Path) -> None:
+        with rosbag2.Writer(folder, version=_VERSION, storage_plugin=storage) as writer:
+            link = writer.add_connection(TRAJECTORY, kind, typestore=store)
+            writer.write(link, 0, store.serialize_cdr(kinds[kind](header, list(names), points), kind))
+
+    _place_file(path, fill)
+
+
 def list_files(path: Path) -> list[Path]:
     """Files of a bag in order."""
     if not path.is_dir():
@@ -131,15 +176,27 @@ class _Series:
     logged: array[int] = field(default_factory=lambda: array("q"))
     stamped: array[int] = field(default_factory=lambda: array("q"))
     columns: dict[str, array[float]] = field(default_factory=dict)
+    layout: Layout | None = None
+    alike: array[float] = field(default_factory=lambda: array("d"))  # values of messages of this layout, at the end
 
     def take(self, time: int, data: bytes) -> int:
         """Add a message, and return the number of values.
+
+        One that is laid out as the message before is read at once.
 
         Raises:
             ValueError: invalid bytes.
             KeyError: an unknown type.
             SkippedTopicError: too many parts, or duplicate names.
         """
+        if self.layout is not None and self.layout.fits(data):
+            values, begun = self.layout.read(data)
+            self.alike.extend(values)
+            self.logged.append(time)
+            if begun:
+                self.stamped.append(begun)
+            return len(values) + 1
+        self._divide()
         fields = decode_message(self.topic.type, data, self.topic.types)
         stamp, row = header_stamp(fields), len(self.logged)
         self.logged.append(time)
@@ -153,10 +210,20 @@ class _Series:
             column.append(value)
         if len(self.columns) > _WIDEST:
             raise SkippedTopicError(f"it has more than {_WIDEST} numbers")
+        self.layout = find_layout(self.topic.type, data, self.topic.types, self.topic.name)
         return len(self.columns) + 1
+
+    def _divide(self) -> None:
+        """Put the values of equal messages into the columns of the first of them."""
+        if self.layout is not None and self.alike:
+            rows = np.frombuffer(self.alike).reshape(-1, len(self.layout.paths))
+            for path, values in zip(self.layout.paths, rows.T, strict=True):
+                self.columns[path].frombytes(values.tobytes())
+        self.layout, self.alike = None, array("d")
 
     def table(self) -> tuple[Stamps, dict[str, FloatArray]]:
         """Return the stamps in nanoseconds, in their order, and the columns."""
+        self._divide()
         stamps: Stamps = np.array(
             self.stamped if len(self.stamped) == len(self.logged) else self.logged, dtype=np.int64
         )

@@ -9,9 +9,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
@@ -235,6 +236,22 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
     ]
 
 
+def drop_ends(rows: NDArray[Any], filtering: Filtering, samples: int) -> NDArray[Any]:
+    """Return decimated rows without those within the borders of the record.
+
+    A filter that is padded about its ends holds to a noisy end, which a difference of positions makes large.
+
+    Args:
+        rows: (rows,) or (rows, columns), decimated.
+        filtering: resolved.
+        samples: before the decimation.
+    """
+    assert filtering.decimation is not None
+    inside, keep = filtering.inside(samples), filtering.decimation
+    at = samples - 1 - keep * np.arange(len(rows))[::-1]
+    return np.asarray(rows[(at >= inside.start) & (at < inside.stop)])
+
+
 def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: float) -> tuple[float, int, int, int]:
     """Return relative cut-off, decimation factor, first sample and padding."""
     assert filtering.cutoff is not None
@@ -309,9 +326,18 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
     Args:
         channel: the torque; see `Timing.begins`.
         delay: seconds between the logged value and the acting torque.
+
+    Raises:
+        RecordError: the delay is longer than the record.
     """
     period, values = channel.sample_time, channel.values
-    weights, first = _window_weights(1, channel.timing.begins + delay / period, 0)
+    late = delay - channel.late
+    if not abs(late) <= period * len(values):
+        raise RecordError(
+            f"The torque acts {late:g} s after its sample, and the record has {period * len(values):g} s; give another "
+            "delay, or the estimate that identify wrote."
+        )
+    weights, first = _window_weights(1, channel.timing.begins + late / period, 0)
     padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
     begin = first + max(-first, 0)
     return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")

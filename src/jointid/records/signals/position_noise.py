@@ -14,6 +14,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
+from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, default_cutoffs, lowpass
 
 _PULL = 1e-4  # of the acceleration's power that noise may be, and thereby of an inertia that it may take
@@ -63,6 +64,12 @@ def find_noise_limit(positions: Iterable[FloatArray], sample_time: float, deriva
         share = np.flatnonzero(sums[1, 1:] > _PULL * motion)
         allowed = min(allowed, float(frequency[share[0]]) if share.size else math.inf)
     return max(allowed, needed) if derivative == 2 else allowed
+
+
+def noise_limit_of_computed(records: Iterable[Record], sample_time: float) -> float:
+    """Return the limit of the positions that torques are computed from, Hz; infinite where all torques were logged."""
+    positions = (one.motor_position.values for one in records if one.computed and one.motor_position is not None)
+    return find_noise_limit(positions, sample_time)
 
 
 def lowpass_below_noise(values: FloatArray, limit: float, sample_time: float) -> FloatArray:

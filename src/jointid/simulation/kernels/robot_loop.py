@@ -65,7 +65,7 @@ BAND, WOUND, SINCE, PIECE, STRETCHED, TURNED, RATE, SIGN = range(8)
 """Rows of where the laws are, (8, masses), or (0, 0) where every law is one line: the band of a mass's speed, what its
 friction was wound up to at the last reversal and the position then; of a spring its piece, negative where the
 deflection is, what its slider was wound up to at its last reversal and the deflection then, the direction in which it
-deflects, and that of its torque."""
+deflects, and that of its torque; of a rigid joint in its place the torque of the motor."""
 
 
 class Bodies(NamedTuple):
@@ -262,6 +262,7 @@ def _load_laws(
     for i in range(rotors.size):
         r = rotors[i]
         if r == i:
+            grip[i] += masses[i, PER_TORQUE] * abs(laws[SIGN, i])
             continue
         e, rate, piece = q[r] - q[i], v[r] - v[i], int(abs(laws[PIECE, i]))
         spring = pieces[i, piece, STIFFNESS] * e + pieces[i, piece, DAMPING] * rate + bends[i, CUBIC] * e * e * e
@@ -774,8 +775,11 @@ def run(
             modes[i] = 0.0 if v[i] == 0.0 else math.copysign(1.0, v[i])
         elif masses[i, PRESLIDING] > 0.0:
             modes[i] = math.copysign(1.0, v[i])
+    loaded = False  # whether a friction follows the torque of a motor
     if laws.size > 0:
         _begin_laws(bodies, laws, modes, now)
+        for i in range(n):
+            loaded = loaded or (rotors[i] == i and masses[i, PER_TORQUE] > 0.0)
     load_forces(tree, bodies, laws, modes, 0.0, now, room)
     for k in range(command.shape[1]):
         for j in range(n):
@@ -801,6 +805,10 @@ def run(
             for j in range(n):
                 source = k - lags[j, part]
                 torque[j] = command[j, source] + driven.post[j, source] if source >= 0 else driven.before[j]
+                if loaded and rotors[j] == j:
+                    laws[SIGN, j] = torque[j]
+            if loaded:
+                load_forces(tree, bodies, laws, modes, time, now, room)
             if not settle(bodies, room, torque, modes, now):
                 return NOT_POSITIVE
             if laws.size > 0:

@@ -64,6 +64,8 @@ from jointid.simulation.kernels.robot_loop import (
 
 OF_LINK, OF_MASS, OF_SPRING = range(3)
 """What a parameter is a number of: row of the inertials, the masses or the springs."""
+OF_PUSH = 5
+"""No number, but a torque that is added to a controller's output: its joint, and its row of the pushes."""
 
 
 class Seeds(NamedTuple):
@@ -72,12 +74,14 @@ class Seeds(NamedTuple):
     Attributes:
         mass: (parameters, 6). bands: (parameters, bands, 4).
         pieces: (parameters, pieces, 4). bends: (parameters, 3).
+        pushes: (pushes, clock) torques that are added to controllers' outputs.
     """
 
     mass: FloatArray
     bands: FloatArray
     pieces: FloatArray
     bends: FloatArray
+    pushes: FloatArray
 
 
 class Moved(NamedTuple):
@@ -194,11 +198,19 @@ def spring_torque(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray
 
 
 @compile_kernel
+def _carried(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray, i: int) -> float:
+    """Return the size of the torque that friction grows with: the spring's, of a rigid joint the motor's."""
+    if bodies.rotors[i] == i:
+        return float(abs(laws[SIGN, i]))
+    return float(laws[SIGN, i] * spring_torque(bodies, laws, q, v, i))
+
+
+@compile_kernel
 def _grip(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray, i: int, time: float) -> float:
     """Return the Coulomb force of a mass."""
     grip = bodies.bands[i, int(laws[BAND, i]), COULOMB] + bodies.masses[i, COULOMB_DRIFT] * time
     if bodies.masses[i, PER_TORQUE] > 0.0:
-        grip += bodies.masses[i, PER_TORQUE] * laws[SIGN, i] * spring_torque(bodies, laws, q, v, i)
+        grip += bodies.masses[i, PER_TORQUE] * _carried(bodies, laws, q, v, i)
     return float(grip)
 
 
@@ -379,6 +391,9 @@ def differentiate_run(
                 controllers, j, own % controllers.A.shape[1], cuts[j, own], turned, dz[j], fresh, raw, command[j, k],
                 tapped[j, k] if tapped.shape[1] > 0 else nothing,
             )  # fmt: skip
+            for c in range(count):
+                if parameters[c, 0] == OF_PUSH and parameters[c, 1] == j:
+                    command[j, k, c] += seeds.pushes[parameters[c, 2], k]
         time = k * period
         for part in range(parts):
             at = k * parts + part
@@ -455,7 +470,11 @@ def differentiate_run(
                                 other[i, c] += slope * since[i, c] - grip * (faded * wound[i, c] + longer * own)
                     for i in range(n):
                         passed[i] = 1.0
-                        if not plain and rotors[i] != i:
+                        if not plain and rotors[i] == i:
+                            passed[i] -= sliding[i] * masses[i, PER_TORQUE] * np.sign(laws[SIGN, i])
+                            for c in range(count):
+                                other[i, c] -= (1.0 - passed[i]) * dtau[i, c]
+                        elif not plain:
                             passed[i] -= sliding[i] * masses[i, PER_TORQUE] * laws[SIGN, i]
                             if bodies.bends[i, SLIDER] > 0.0:
                                 e, over = q[rotors[i]] - q[i], bodies.bends[i, SLIPS] / bodies.bends[i, SLIDER]
@@ -478,8 +497,7 @@ def differentiate_run(
                             drag += own_mass[c, VISCOUS_DRIFT] * at_middle
                             holds = own_bands[c, band, COULOMB] + own_mass[c, COULOMB_DRIFT] * at_middle
                             if own_mass[c, PER_TORQUE] != 0.0:
-                                more = own_mass[c, PER_TORQUE] * laws[SIGN, row]
-                                holds += more * spring_torque(bodies, laws, q, v, row)
+                                holds += own_mass[c, PER_TORQUE] * _carried(bodies, laws, q, v, row)
                             inert = own_mass[c, INERTIA] * a[row] + own_mass[c, OFFSET]
                             other[row, c] -= inert + drag * v[row] + sliding[row] * holds
                         else:

@@ -23,7 +23,6 @@ from jointid.simulation.kernels.drive import (
     SampledLoop,
     Trace,
     control_any,
-    drive_of,
     mode_after,
 )
 from jointid.simulation.kernels.polynomial import ORDER, ROOM, SOUGHT, first_root
@@ -156,6 +155,13 @@ def _locate_first(
         if moment < first:
             first, which = moment, guard
     return first, which
+
+
+@inline_kernel
+def under_torque(d: FloatArray, b: SmoothLaws, torque: float) -> Drive:
+    """Return the drive of coefficients, with the motor's Coulomb force under a torque."""
+    more = b.motor.per_torque * abs(torque)
+    return Drive(d[0], d[1], d[2], d[3], d[4], d[5], d[6] + more, d[7] + more, d[8], d[9], d[10], d[11], d[12], d[13])
 
 
 @inline_kernel
@@ -343,7 +349,7 @@ def run(
     u, tapped, excess, counts = trace.u, trace.tapped, trace.excess, trace.counts
     states, accelerations, tape = trace.states, trace.accelerations, trace.tape
     n, parts = w.shape[1], lengths.size
-    p = drive_of(drive)
+    p = under_torque(drive, b, before)
     y, c, roots = np.zeros(STATES), np.zeros((ROWS, TERMS + 1)), np.empty(ROOM)
     turns = np.zeros((places.shape[0], 2, TERMS + 2))
     assign(y[:4], x)
@@ -377,6 +383,7 @@ def run(
         for part in range(parts):
             source = i - lags[part]
             torque = u[source] + post[source] if source >= 0 else before
+            p = under_torque(drive, b, torque)
             m, known = _begin_part(p, b, places, m, y, time, torque)
             if keep:
                 row = i * parts + part

@@ -16,7 +16,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel, wide_vectors
 from jointid.models.smooth import SmoothLaws
-from jointid.simulation.kernels.drive import Drive, SampledLoop, Trace, drive_of
+from jointid.simulation.kernels.drive import Drive, SampledLoop, Trace
 from jointid.simulation.kernels.drive_sensitivities import (
     LANES,
     MEMORY,
@@ -51,7 +51,7 @@ from jointid.simulation.kernels.smooth_series import (
     Modes,
     fill_series,
 )
-from jointid.simulation.kernels.stepped_drive import accelerations_of, series_value
+from jointid.simulation.kernels.stepped_drive import accelerations_of, series_value, under_torque
 
 # Rows of the scratch, LANES long, at constant places, so that the compiler sees that nothing overlaps: the state; its
 # coefficients of one order; of that order the deflection, its rate, the spring's torque, by how much the load's Coulomb
@@ -64,8 +64,8 @@ _BENT, _PUSHED1, _PUSHED2, _WINDS, _PAST = (LANES * row for row in (23, 24, 25, 
 _BEFORE1, _BEFORE2, _TORQUE, _VISCOUS1, _COULOMB1 = (LANES * row for row in (28, 29, 30, 31, 32))
 _VISCOUS2, _COULOMB2, _DRIVE, _LAWS, _RELATIVE = (LANES * row for row in (33, 34, 35, 49, 63))
 _OLD1, _OLD2, _SCRATCH = LANES * 69, LANES * 70, LANES * 71
-# The derivatives of the laws' numbers, in the order of `SmoothLaws.numbers`; the motor's friction follows no torque.
-_WINDS_OVER1, _DRIFT1, _FADE1 = (_LAWS + LANES * row for row in range(3))
+# The derivatives of the laws' numbers, in the order of `SmoothLaws.numbers`.
+_WINDS_OVER1, _DRIFT1, _FADE1, _PER_TORQUE1 = (_LAWS + LANES * row for row in range(4))
 _WINDS_OVER2, _DRIFT2, _FADE2, _PER_TORQUE = (_LAWS + LANES * row for row in range(4, 8))
 _CUBIC, _SLIDER, _SLIPS, _SHARE, _STIFFNESS3, _DAMPING3 = (_LAWS + LANES * row for row in range(8, 14))
 _Q1, _V1, _Q2, _V2, _Q3, _V3 = (_X + LANES * row for row in range(6))
@@ -360,7 +360,7 @@ def follow_steps(
     S, Z, du, dtapped, dstates = columns.start, columns.memory, slopes.u, slopes.tapped, slopes.states
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
-    p = drive_of(drive)
+    p = under_torque(drive, b, before)
     c, turns = np.zeros((ROWS, TERMS + 1)), np.zeros((places.shape[0], 2, TERMS + 2))
     q, past, scratch = aligned_zeros(_SCRATCH), np.zeros(_KEPT * (TERMS + 1) * LANES), aligned_zeros(SCRATCH)
     z, e = np.zeros((2 * nz, LANES)), np.zeros((elements, LANES))
@@ -400,15 +400,20 @@ def follow_steps(
         for part in range(parts):
             at, source = k * parts + part, k - lags[part]
             torque = u[source] + post[source] if source >= 0 else before
+            previous, p = p, under_torque(drive, b, torque)
+            lossy = b.motor.per_torque * math.copysign(1.0, torque)
             for j in range(LANES):
                 q[_TORQUE + j] = du[j, max(source, 0)]
+                more = q[_PER_TORQUE1 + j] * abs(torque) + lossy * q[_TORQUE + j]
+                q[_DRIVE + 6 * LANES + j] = seeds[6, j] + more
+                q[_DRIVE + 7 * LANES + j] = seeds[7, j] + more
             if keep:
                 for i in range(4):
                     for j in range(LANES):
                         dstates[at, i, j] = q[_S + i * LANES + j]
             if delayed and torque != last and row < tape.shape[0]:
                 now = _modes(tape, row)
-                was, _ = accelerations_of(p, b, places, m, tape[row, 8:17], time, last)
+                was, _ = accelerations_of(previous, b, places, m, tape[row, 8:17], time, last)
                 becomes, _ = accelerations_of(p, b, places, now, tape[row, 8:17], time, torque)
                 for j in range(LANES):
                     q[_S + MOTOR * LANES + j] += (was - becomes) * ddelay[j]

@@ -1,0 +1,291 @@
+"""A record beside the prediction of an identified joint or robot.
+
+The joint or robot is simulated, or its inverse model evaluated. Only what belongs to the record is estimated anew: the
+state at its first sample, and a load encoder's zero. Beside it the same model with free parameters is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError, MethodError
+from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
+from jointid.estimation.problems.inverse_model import idim_channels, motion_of
+from jointid.estimation.problems.prescribed import (
+    CURRENT_LAG,
+    DriveSideProblem,
+    OpenLoopProblem,
+    motion_problem,
+    position_problem,
+)
+from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, law_fingerprint
+from jointid.estimation.starts.rigid_joint import fit_initial_state
+from jointid.models.disturbances import EncoderOffset, effect_parameters
+from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import differentiate, lowpass
+from jointid.simulation.closed_loop import Initial
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.prescribed import PARTS, DriveSide, OpenLoop
+from jointid.simulation.simulated import require_success
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import Solution, solve
+
+_SEARCH = LevenbergMarquardt(1e-5, 40)  # of the attainable error: far below its reported digits
+
+
+class Refit(NamedTuple):
+    """The same model with free parameters, fitted to a record.
+
+    Attributes:
+        error: (n, rows) that is left.
+        columns: (n rows, parameters) derivatives of the error.
+        moved: (parameters,) the estimate's values less the fitted ones, in the variables of the derivatives.
+        names: of the parameters; empty for what belongs to the record.
+    """
+
+    error: FloatArray
+    columns: FloatArray
+    moved: FloatArray
+    names: tuple[str, ...]
+
+
+class Predicted(NamedTuple):
+    """A record beside its prediction: raw signals (samples, n), filtered ones (n, rows).
+
+    The rows of a flexible joint's inverse model are those of two `equations`, one after the other.
+
+    Attributes:
+        motion: positions, velocities and accelerations of the motors, (samples, n).
+        with_free: fits the model with free parameters; None if that fails.
+        compared: (samples, n) 0 where a motor's rest or reversal is left out; all ones when None.
+        errors_of: makes the errors, (n,), of a robot near the nominal one, or of that; None of a joint.
+    """
+
+    channels: tuple[str, ...]
+    sample_time: float
+    borders: tuple[int, int]
+    measured: FloatArray
+    predicted: FloatArray
+    error: FloatArray
+    whole: FloatArray
+    motion: Sequence[FloatArray]
+    with_free: Callable[[], Refit | None]
+    compared: FloatArray | None = None
+    equations: int = 1
+    errors_of: Callable[[Robot | None], FloatArray] | None = None
+    initial: Initial | None = None
+    simulations: int = 0
+    warnings: tuple[str, ...] = ()
+
+
+def predict_joint(identified: IdentifiedJoint, record: Record) -> Predicted:
+    """Predict the record of a joint.
+
+    Raises:
+        RecordError: a channel is missing.
+        MethodError: the joint cannot be simulated on this record.
+    """
+    if identified.loop is not None:
+        return _simulate_loop(identified, identified.loop, record)
+    if identified.method in ("drive_side", "open_loop"):
+        return _simulate_along_motion(identified, record)
+    assert record.torque is not None
+    joint, filtering, effects = identified.joint, identified.filtering, identified.effects
+    if joint.model == "flexible" and not any(isinstance(one, EncoderOffset) for one in effects):
+        effects = (*effects, EncoderOffset())
+    names = [p.name for p in (*joint.parameters, *effect_parameters(effects))]
+    model = motion_of(record, identified.delay, filtering, joint, effects)
+    values = np.array([identified.values.get(name, 0.0) for name in names])
+    error, columns = model.decimate(filtering, record.torque.sample_time, values)
+    whole = error + columns @ values
+    zero = np.array([name == "encoder_offset" for name in names])  # counted from elsewhere in each record
+    step = np.linalg.lstsq(columns[:, zero], error, rcond=None)[0]
+    values[zero] += step
+    motor = model.motor
+    return Predicted(
+        idim_channels(joint.model), record.torque.sample_time, filtering.borders, model.torque[0][:, np.newaxis],
+        (model.columns[0] @ values)[:, np.newaxis], (error - columns[:, zero] @ step)[np.newaxis], whole[np.newaxis],
+        [one[:, np.newaxis] for one in (motor.position, motor.velocity, motor.acceleration)],
+        lambda: _fit_columns(columns, whole[np.newaxis], values, _of_joint(names, joint)), equations=len(model.torque),
+    )  # fmt: skip
+
+
+def _of_joint(names: Iterable[str], joint: Joint) -> tuple[str, ...]:
+    """Return names, an empty one for what belongs to the record."""
+    own = {p.name for p in joint.parameters}
+    return tuple(name if name in own else "" for name in names)
+
+
+def _fit_columns(columns: FloatArray, whole: FloatArray, values: FloatArray, names: tuple[str, ...]) -> Refit:
+    """Return the weighted fit of columns to (n, rows) beside `values`; weights come from a first fit."""
+    left, fitted = whole, values
+    for _ in range(min(len(whole), 2)):
+        weights = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), whole.shape[1])
+        fitted = np.linalg.lstsq(columns * weights[:, np.newaxis], whole.ravel() * weights, rcond=None)[0]
+        left = whole - (columns @ fitted).reshape(whole.shape)
+    return Refit(left, columns, fitted - values, names)
+
+
+def _simulate_loop(identified: IdentifiedJoint, loop: ClosedLoop, record: Record) -> Predicted:
+    assert record.torque is not None
+    record.require(loop.channels, "Validation of a DIDIM estimate")
+    experiment = prepare(loop, record)
+    measured = record.torque.values[: experiment.samples]
+    around = with_torque(INITIAL_STATE, experiment, measured)
+    free = ClosedLoopProblem((*loop.joint.parameters, *around), measured, identified.filtering, loop, experiment)
+    problem = free.keeping({p.name: identified.values[p.name] for p in loop.joint.parameters})
+    x, runs = fit_initial_state(problem)
+    run = require_success(problem.simulate(x))
+    other_law = (
+        "the controller is not the one the joint was identified under; that is right only if its gains were changed"
+    )
+    return _predict_by(
+        problem, free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]}), x, run.torque,
+        [run.motor_position, run.motor_velocity, run.motor.acceleration], loop.joint, loop.channels,
+    )._replace(
+        initial=initial_of(problem.values(x)), simulations=runs + 1,
+        warnings=() if identified.controller in ("", law_fingerprint(loop)) else (other_law,),
+    )  # fmt: skip
+
+
+def _simulate_along_motion(identified: IdentifiedJoint, record: Record) -> Predicted:
+    """Predict the torque along the motor's motion, or the motor's motion under the torque, with the log's own delay."""
+    joint, filtering, values = identified.joint, identified.filtering, identified.values
+    free: DriveSideProblem | OpenLoopProblem
+    if identified.method == "drive_side":
+        log = LOG_DELAY.fix(-identified.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
+        free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, log)
+    else:
+        free = position_problem(record, OpenLoop(joint), filtering, joint.parameters, LOG_DELAY.fix(-identified.delay))
+    problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
+    found = solve(problem, _SEARCH, problem.vector({})) if problem.free else None
+    x = np.zeros(0) if found is None else found.x
+    predicted, _, finished = problem.simulate(x, ())
+    if not finished:
+        raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
+    if isinstance(problem, DriveSideProblem):
+        position, velocity = problem.motion.position[::PARTS], problem.motion.velocity[::PARTS]
+    else:
+        assert record.motor_position is not None and filtering.position_cutoff is not None
+        position = lowpass(record.motor_position.values, filtering.position_cutoff, problem.sample_time)
+        velocity = differentiate(position, problem.sample_time)
+    size, moving = problem.measured.size, getattr(problem, "weights", None)
+    motion = [one[:size] for one in (position, velocity, differentiate(velocity, problem.sample_time))]
+    return _predict_by(problem, free, x, predicted, motion, joint, DriveSide(joint).channels)._replace(
+        compared=None if moving is None else moving[:, np.newaxis],
+        simulations=1 + (0 if found is None else found.evaluations),
+    )
+
+
+def _predict_by(
+    problem: ClosedLoopProblem | DriveSideProblem | OpenLoopProblem,
+    free: ClosedLoopProblem | DriveSideProblem | OpenLoopProblem,
+    x: FloatArray,
+    predicted: FloatArray,
+    motion: Sequence[FloatArray],
+    joint: Joint,
+    channels: tuple[str, ...],
+) -> Predicted:
+    """Return the prediction of a problem whose joint is known, beside the same problem with a `free` one."""
+    measured = problem.measured
+    error, whole = problem.filter(np.column_stack([measured - predicted, measured])).T
+
+    def fit_anew() -> Refit | None:
+        begin = free.vector(problem.values(x))
+        found = _search(free, begin)
+        if found is None:
+            return None
+        names = _of_joint((p.name for p in free.free), joint)
+        return Refit(found.residual[np.newaxis], found.jacobian, begin - found.x, names)
+
+    return Predicted(
+        channels, problem.sample_time, problem.filtering.borders, measured[:, np.newaxis], predicted[:, np.newaxis],
+        error[np.newaxis], whole[np.newaxis], [one[:, np.newaxis] for one in motion], fit_anew,
+    )  # fmt: skip
+
+
+def _search(problem: Any, start: FloatArray) -> Solution | None:
+    """Return the solution of a search; None if it fails."""
+    try:
+        with np.errstate(all="ignore"):  # a loop that runs away
+            return solve(problem, _SEARCH, start)
+    except (JointidError, np.linalg.LinAlgError):
+        return None
+
+
+def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
+    """Predict the records of a robot's joints.
+
+    Raises:
+        MethodError: the robot cannot be simulated along these records.
+    """
+    from jointid.estimation.robots.idim import InverseModelRobot
+    from jointid.estimation.robots.numbers import robot_parameters
+    from jointid.estimation.robots.regression import base_columns, base_rows, motion_of_robot, relative_errors
+    from jointid.estimation.robots.simulated import SimulatedRobot, errors_of, nominal_numbers, problem_of
+    from jointid.simulation.robot_numbers import RobotNumbers
+    from jointid.simulation.robots import motion_at
+
+    part, filtering = estimate.require_robot(), estimate.settings.filtering
+    robot, coupling = part.model, part.model.coupling.T
+    if isinstance(part, InverseModelRobot):
+        motion = motion_of_robot(robot, records, filtering)
+        columns = base_columns(robot, part.base, motion.q, motion.v, motion.a)
+        rows = base_rows(robot, part.base, motion, columns)
+
+        return Predicted(
+            ("torque", "motor_position"), motion.sample_time, motion.filtering.borders, motion.torque,
+            columns @ part.values, rows.by_equation(rows.Y - rows.W @ part.values), rows.by_equation(rows.Y),
+            [one @ coupling for one in (motion.q, motion.v, motion.a)],
+            lambda: _fit_columns(rows.W, rows.by_equation(rows.Y), part.values, rows.names), motion.moving,
+            errors_of=lambda near: relative_errors(
+                rows, part.nominal if near is None else part.base.with_friction(near)
+            ),
+        )  # fmt: skip
+    assert isinstance(part, SimulatedRobot)
+    numbers = part.numbers()
+    problem: Any = problem_of(part.setup, records, robot_parameters(robot), filtering)
+    run = problem.run_of(numbers)
+    if run is None:
+        what = "references" if part.has_controllers else "motor positions"
+        raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
+    if part.has_controllers:
+        moved, channels = motion_at(run, problem.experiment.clock.log_index), ("torque", "reference")
+        path = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
+    else:
+        channels = "torque", "motor_position"
+        path = [one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a)]
+    error = problem.error(run)
+
+    def fit_anew() -> Refit | None:
+        parameters = problem.parameters
+        base = replace(parameters.base, log=numbers.log)
+        free, left = replace(problem, parameters=replace(parameters, base=base)), error
+        x = begin = parameters.to_search_variables(parameters.group(run.numbers))
+        for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
+            free = free.reweight(left, 0)
+            found = _search(free, x)
+            if found is None:
+                return None
+            weights = free.weights(error.size)
+            x, left, slopes = found.x, found.residual / weights, found.jacobian / weights[:, np.newaxis]
+        names = (name if own else "" for name, own in zip(parameters.names, parameters.of_robot, strict=True))
+        return Refit(np.asarray(problem.by_joint(left)), slopes, begin - x, tuple(names))
+
+    return Predicted(
+        channels, problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
+        problem.by_joint(error), problem.by_joint(problem.filtered_torque), path, fit_anew,
+        None if part.has_controllers else problem.motion.moving,
+        errors_of=lambda near: errors_of(
+            problem,
+            nominal_numbers(robot, numbers) if near is None else replace(RobotNumbers.of(near), log=numbers.log),
+        ),
+    )  # fmt: skip

@@ -1,0 +1,105 @@
+"""A motion as the controllers of robots play it: ROS 2 JointTrajectory, URScript, or columns.
+
+Between two points controllers interpolate by a cubic of positions and velocities (ROS 2 control). As many samples are
+left out as that keeps within `_EXACT` of the travel.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+
+_EXACT = 1e-4  # of the travel, that a cubic between the points is off at most
+_SPARSEST = 0.02  # s between points, at most
+_CYCLE = 0.008  # s, of servoj: that of CB3 controllers, and four cycles of e-Series
+_ARM = 6  # joints of the robots that URScript moves
+_START = 0.3  # rad/s and rad/s2, to the first position
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Points of a motion of n joints, positions in rad or m.
+
+    Attributes:
+        names: of the joints.
+        time: (points,) s, from 0.
+        positions, velocities, accelerations: (points, n).
+    """
+
+    names: tuple[str, ...]
+    time: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+    accelerations: FloatArray
+
+    @classmethod
+    def of(cls, names: Sequence[str], positions: FloatArray, sample_time: float) -> Self:
+        """Return the sparsest points that keep a motion.
+
+        Args:
+            names: of the joints.
+            positions: (samples, n) rad or m.
+            sample_time: s.
+        """
+        from scipy.interpolate import CubicHermiteSpline
+
+        time = sample_time * np.arange(len(positions))
+        v = np.gradient(positions, sample_time, axis=0)
+        a = np.gradient(v, sample_time, axis=0)
+        allowed = _EXACT * np.maximum(np.ptp(positions, axis=0), 1e-9)
+        for every in range(max(int(_SPARSEST / sample_time), 1), 0, -1):
+            kept = np.unique([*range(0, len(time), every), len(time) - 1])
+            between = CubicHermiteSpline(time[kept], positions[kept], v[kept])(time)
+            if np.all(np.abs(between - positions).max(axis=0) <= allowed):
+                break
+        return cls(tuple(names), time[kept], positions[kept], v[kept], a[kept])
+
+    def to_yaml(self) -> str:
+        """Return a trajectory_msgs/JointTrajectory as YAML, as `ros2 topic pub` takes it."""
+        lines = [f"joint_names: {json.dumps(self.names)}", "points:"]
+        rows = zip(self.time, self.positions, self.velocities, self.accelerations, strict=True)
+        for at, *row in rows:
+            seconds, nanoseconds = divmod(round(1e9 * float(at)), 10**9)
+            lines += [
+                f"{'- ' if k == 0 else '  '}{name}: [{_list(values)}]"
+                for k, (name, values) in enumerate(zip(("positions", "velocities", "accelerations"), row, strict=True))
+            ]
+            lines.append(f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
+        return "\n".join(lines) + "\n"
+
+    @property
+    def script(self) -> str | None:
+        """A URScript program; None of a robot that is no arm of six joints."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        if len(self.names) != _ARM:
+            return None
+        at = np.append(np.arange(0.0, self.time[-1], _CYCLE), self.time[-1])
+        rows = CubicHermiteSpline(self.time, self.positions, self.velocities)(at)
+        lines = [
+            "def jointid_test():",
+            "  # servoj follows later than asked: log the target positions, which are the reference.",
+            f"  movej([{_list(rows[0])}], a={_START}, v={_START})",
+            *(f"  servoj([{_list(row)}], t={_CYCLE}, lookahead_time=0.03, gain=1000)" for row in rows),
+            "  stopj(1.0)",
+            "end",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def columns(self) -> dict[str, FloatArray]:
+        """Return time, positions, velocities and accelerations as columns by name."""
+        found = {"t": self.time}
+        for k, name in enumerate(self.names):
+            each = (("position", self.positions), ("velocity", self.velocities), ("acceleration", self.accelerations))
+            found |= {f"{name}.{what}": values[:, k] for what, values in each}
+        return found
+
+
+def _list(values: FloatArray) -> str:
+    return ", ".join(f"{float(value):.9g}" for value in values)

@@ -1,0 +1,127 @@
+"""A folder of the page that is damaged, or comes from somebody else: a sentence, and no file from elsewhere."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from jointid.apps.web.application import build_application
+from jointid.apps.web.folder import Folder, Limits, PageError
+from tests.apps.web.asking import ADDRESS, TOKEN, Asker, Served
+from tests.apps.web.testclient import TestClient
+
+DEEP = "[" * 100_000
+SECRET = "kept-out-of-sight"
+
+
+@pytest.fixture
+def run(folder: Path) -> Path:
+    """The folder of an identification that ended."""
+    (folder.parent / "secret.txt").write_text(SECRET)
+    path = folder / "runs" / "1"
+    path.mkdir(parents=True)
+    (path / "run.json").write_text(json.dumps({"state": "done", "sentence": "", "started": 1.0, "ended": 2.0}))
+    (path / "log.csv").write_text("1,2\n")
+    (path / "work.json").write_text(json.dumps({"file": "log.csv", "files": ["log.csv"]}))
+    (path / "answer.json").write_text("{}")
+    return path
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        "",
+        "{}",
+        "[]",
+        DEEP,
+        '{"file": 1}',
+        '{"file": "log.csv", "files": 1}',
+        '{"file": "../../../secret.txt"}',
+        '{"file": "log.csv", "files": ["log.csv", "../../../secret.txt"]}',
+        '{"file": "log.csv", "files": ["link.csv"]}',
+    ],
+)
+def test_an_archive_holds_files_of_its_own_folder_alone(run: Path, client: TestClient, work: str) -> None:
+    with zipfile.ZipFile(io.BytesIO(client.get("/runs/1/all.zip").content)) as archive:
+        assert set(archive.namelist()) == {"answer.json", "log.csv"}
+    (run / "link.csv").symlink_to(run.parents[2] / "secret.txt")
+    (run / "all.zip").unlink()
+    (run / "work.json").write_text(work)
+    answer = client.get("/runs/1/all.zip")
+    assert answer.status_code == 422
+    assert "work.json of identification 1 is damaged" in answer.text
+    assert SECRET not in answer.text
+
+
+def test_no_link_leads_out_of_the_folder(run: Path, folder: Path, client: TestClient) -> None:
+    secret = folder.parent / "secret.txt"
+    for seconds in (1e8, 4e9):  # older and newer than the answer
+        (run / "all.zip").unlink(missing_ok=True)
+        (run / "all.zip").symlink_to(secret)
+        os.utime(secret, (seconds, seconds))
+        assert zipfile.is_zipfile(io.BytesIO(client.get("/runs/1/all.zip").content))
+    (folder / ".draft.json").symlink_to(secret)
+    assert client.post("/draft", data={"name": "axis"}).status_code == 204
+    for name in ("log.txt", "example.csv"):
+        (folder / name).symlink_to(secret)
+        assert "is a symbolic link" in client.post("/example").text
+        (folder / name).unlink()
+    (run / "answer.json").unlink()
+    for name in ("progress.txt", "answer.txt"):
+        (run / name).symlink_to(secret)
+    (run / "answer.json").symlink_to(secret)
+    assert SECRET not in client.get("/runs/1").text
+    (folder / "runs" / "2").symlink_to(run)
+    assert client.get("/runs/2/log.csv").status_code == client.get("/runs/2").status_code == 404
+    (folder / "runs").rename(folder.parent / "elsewhere")
+    (folder / "runs").symlink_to(folder.parent / "elsewhere")
+    assert client.get("/runs/1").status_code == 404
+    with pytest.raises(PageError, match="is a symbolic link"):
+        Folder(folder).new_run({}, {})
+    assert secret.read_text() == SECRET
+
+
+@pytest.mark.parametrize("answer", ["{}", '{"method": "didim"}', '{"method": 1, "record": {"name": "a"}}'])
+def test_an_answer_that_lacks_something_is_damaged(run: Path, client: TestClient, answer: str) -> None:
+    (run / "answer.json").write_text(answer)
+    said = client.get("/runs/1")
+    assert said.status_code == 422
+    assert "answer.json of identification 1, or a file beside it, is damaged" in said.text
+
+
+@pytest.mark.parametrize("content", ["", "{}", "7", DEEP, '{"state": 1}', '{"state": "planning", "started": "x"}'])
+def test_the_page_starts_with_a_folder_that_is_damaged(run: Path, folder: Path, content: str) -> None:
+    (folder / "runs" / "\u00b2").mkdir()
+    (run / "answer.json").unlink()
+    for path in (folder / "record.json", folder / ".draft.json", *(run / f"{one}.json" for one in ("run", "about"))):
+        path.write_text(content)
+    with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as client:
+        for address in ("/", "/channels", "/joint", "/runs/1"):
+            assert client.get(address).status_code == 200, address
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
+def test_a_record_from_elsewhere_is_none(run: Path, asker: Asker, folder: Path) -> None:
+    os.mkfifo(folder / "upload-pipe.csv")
+    for file in ("../secret.txt", str(folder.parent / "secret.txt"), "upload-pipe.csv", ["a"], ""):
+        (folder / "record.json").write_text(json.dumps({"file": file, "name": "a.csv", "size": 1, "format": "CSV"}))
+        assert "Your record is" not in asker.get("/")
+
+
+def test_a_key_of_thousands_of_points_takes_no_time_on_the_page(asker: Asker, limits: Limits) -> None:
+    said = asker.send("axis.toml", b"a" + b".a" * (limits.joint_file // 2 - 10) + b" = 1", "/jointfile")
+    assert said[0] == 422
+    assert "nests lists or tables too deeply" in said[1]
+
+
+def test_a_declared_length_over_the_bound_is_refused_at_once(served: Served, limits: Limits) -> None:
+    with served.begin_upload(2**40) as upload:  # of which no more comes
+        upload.settimeout(0.5 * limits.idle)
+        answer = upload.recv(65536)
+    assert answer.startswith(b"HTTP/1.1 422")

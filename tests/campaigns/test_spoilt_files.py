@@ -1,0 +1,72 @@
+"""Files that are spoilt in four ways: each is named, and no other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.campaigns.cases import Case, Outcome, Row
+from jointid.campaigns.folder import Results
+from jointid.campaigns.report import CampaignReport
+from jointid.campaigns.run import run_case
+from jointid.common.arrays import FloatArray
+from tests.campaigns.conftest import JOINT, TRUTH
+
+LOOP = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
+STEP = 1e-3
+REFERENCE = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=STEP)
+SPOILT: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "unit": lambda torque: -1000.0 * torque,
+    "frozen": lambda torque: np.where(np.arange(torque.size) > torque.size // 3, torque[torque.size // 3], torque),
+    "other axis": lambda torque: np.roll(torque, torque.size // 4),
+    "torn": lambda torque: torque,
+}
+
+
+BY_IDIM = JOINT.replace("[controller]", 'motor_position = { column = "motor_position", unit = "m" }\n[controller]')
+BY_IDIM += '[method]\nname = "idim"\n'
+
+
+def run(place: Path, joint: str, day: str, kind: str, seed: int, file: str = JOINT) -> Row:
+    """Identify one record of a joint of its own inertia, spoilt in one way or as it is."""
+    dice = np.random.default_rng(seed)
+    truth = TRUTH | {"inertia": TRUTH["inertia"] * (1.0 + 0.3 * np.sin(int(joint[-2:])))}
+    noise = 2.0 * dice.standard_normal(len(REFERENCE))
+    record = ji.simulated_record(LOOP, REFERENCE, truth, sample_time=STEP, torque_noise=noise)
+    assert record.torque is not None
+    values = SPOILT.get(kind, lambda torque: torque)(record.torque.values)
+    path = place / f"{joint}-{day}.npy"
+    ji.write(replace(record, torque=replace(record.torque, values=values)), path)
+    if kind == "torn":
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    return run_case(Case(joint, file, str(path), "", day))
+
+
+@pytest.mark.parametrize(("kind", "outcome"), [("unit", Outcome.DOUBTFUL), ("frozen", Outcome.DOUBTFUL)])
+def test_a_run_that_found_nothing_is_not_identified(kind: str, outcome: Outcome, tmp_path: Path) -> None:
+    row = run(tmp_path, "axis 01", "2026-11-01", kind, 1)
+    assert row.outcome is outcome and "Do not rely on it yet" in row.sentence
+    assert row.error_percent is not None and row.error_percent > 65.0
+
+
+@pytest.mark.slow
+def test_in_a_fleet_of_forty_joints_over_ten_days_every_spoilt_file_is_named(tmp_path: Path) -> None:
+    days = [f"2026-11-{day:02}" for day in range(1, 11)]
+    kinds = {(f"axis {7 * k % 40:02}", days[3 * k % 10]): kind for k, kind in enumerate([*SPOILT] * 4)}
+    kinds |= {("axis 39", day): "frozen" for day in days[-3:]}
+    rows = [
+        run(tmp_path, f"axis {joint:02}", day, kinds.get((f"axis {joint:02}", day), ""), 10 * joint + k, BY_IDIM)
+        for joint in range(40)
+        for k, day in enumerate(days)
+    ]
+    assert {(row.joint, row.day) for row in rows if row.outcome is not Outcome.IDENTIFIED} == kinds.keys()
+    found = CampaignReport(Results("forty joints", 400, tuple(rows), tuple(map(float, range(400)))))
+    assert [(one.joint, one.last) for one in found.losses] == [("axis 39", days[-4])]
+    assert found.drifted == ()
+    text = " ".join(found.to_page().text().split())
+    assert all(f"{joint} {day}, " in text for joint, day in kinds)

@@ -1,0 +1,191 @@
+"""Causes that concern more than the torque of one joint, on a twin of three joints, and springs beside rigid joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.diagnostics.axis_faults import _explained
+from jointid.diagnostics.diagnose import _wait_for_cause, diagnose_robot
+from jointid.diagnostics.diagnosis import Diagnosis
+from jointid.diagnostics.fault_tests import FaultTest
+from jointid.diagnostics.faults.findings import Finding
+from jointid.diagnostics.faults.numbers import LOG_GAIN
+from jointid.diagnostics.faults.other_laws import AVERAGED
+from jointid.diagnostics.identify import identify
+from jointid.diagnostics.robot_causes import RobotCause, find_robot_cause, find_springs
+from jointid.models.controllers import PD
+from jointid.models.robots.dynamics import inverse_dynamics
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from tests.estimation.robots.test_rigid_robots import recorded
+from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of, with_payload
+from tests.robots_plants import inertial, six, two
+
+FILTERING = Filtering(cutoff=10.0, decimation=15, position_cutoff=20.0)
+
+
+def diagnosed(robot: Robot, records: list[Record]) -> Diagnosis:
+    return diagnose_robot(identified(robot, records), records)
+
+
+def cause_of(declared: Robot, truth: Robot) -> RobotCause | None:
+    """Return the cause of a log of a robot that is declared otherwise."""
+    return find_robot_cause(declared, records_of(truth, 2, noise=0.02), FILTERING)
+
+
+def scaled(record: Record, position: float, torque: float) -> Record:
+    """Return a record with position and torque times these."""
+    assert record.motor_position is not None and record.torque is not None
+    return replace(
+        record,
+        motor_position=replace(record.motor_position, values=position * record.motor_position.values),
+        torque=replace(record.torque, values=torque * record.torque.values),
+    )
+
+
+@pytest.mark.parametrize("cause", ["base", "order", "gear_ratio"])
+def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str) -> None:
+    robot = arm(3)
+    records = list(records_of(replace(robot, gravity=-robot.gravity) if cause == "base" else robot, 2, noise=0.02))
+    if cause == "order":
+        records = [records[0], records[2], records[1]]
+    if cause == "gear_ratio":
+        records[1] = scaled(records[1], 1.25, 0.8)
+    found = diagnosed(robot, records)
+    assert found.cause is not None and found.cause.name == cause and not found.explained
+    assert not any(axis.faults.findings for axis in found.axes)
+    assert found.answer.startswith(found.sentences[0]) and "check geometry" not in " ".join(found.sentences)
+    if cause == "gear_ratio":
+        assert found.cause.joints == ("joint2",) and found.cause.value == pytest.approx(1.25, rel=1e-2)
+    if cause == "base":
+        assert "upside down" in found.answer
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_spring_is_named_at_its_joint_in_spite_of_noise(joint: int) -> None:
+    robot, stiffness = arm(3), 20000.0
+    q, v, a = motion(2, 3)
+    t = np.arange(len(q)) * SAMPLE_TIME
+    w = 2 * np.pi * np.array([5.1, 6.3, 7.4])
+    size, phase = np.array([0.01, 0.01, 0.01]), np.array([0.0, 1.0, 2.0])
+    turns = np.outer(t, w) + phase
+    q, v, a = q + size * np.sin(turns), v + w * size * np.cos(turns), a - w * w * size * np.sin(turns)
+    through = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
+    wound = [through * np.eye(3)[joint] / stiffness]
+    for _ in range(2):
+        wound.append(np.gradient(wound[-1], SAMPLE_TIME, axis=0))
+    motors = [one + more for one, more in zip((q, v, a), wound, strict=True)]
+    rotor, viscous, coulomb, _ = (robot.of_joints(n) for n in ("rotor_inertia", "viscous", "coulomb", "offset"))
+    torque = through + rotor * motors[2] + viscous * motors[1] + coulomb * np.sign(motors[1])
+    torque += 0.005 * np.std(torque, axis=0) * np.random.default_rng(0).normal(size=torque.shape)
+    motors[0] += 3e-6 * np.random.default_rng(1).normal(size=torque.shape)
+    like = records_of(robot, 2)
+    records = [
+        replace(one, torque=replace(one.torque, values=u), motor_position=replace(one.motor_position, values=x))  # type: ignore[type-var]
+        for one, u, x in zip(like, torque.T, motors[0].T, strict=True)
+    ]
+    found = diagnosed(robot, records)
+    named = [(axis.name, one.test.name) for axis in found.axes for one in axis.faults.findings]
+    assert named[0] == (f"joint{joint + 1}", "compliance") and (
+        joint == 0 or {fault for _, fault in named} == {"compliance"}
+    )
+
+
+def test_a_position_that_is_its_reference_is_named() -> None:
+    records = list(records_of(arm(3), 2, noise=0.02))
+    records[1] = replace(records[1], reference=records[1].motor_position)
+    found = diagnosed(arm(3), records)
+    assert found.cause is not None and (found.cause.name, found.cause.joints) == (
+        "reference_is_position", ("joint2",)
+    )  # fmt: skip
+    assert "identify again" in found.sentences[1]
+    way, gain = (Finding(FaultTest(fault, (), 0.0, 1.0, 0.0, 0.0, 0.0), None, (), {}) for fault in (AVERAGED, LOG_GAIN))
+    faults = replace(found.axes[0].faults, findings=(way, gain), undecided=way)
+    waiting = _wait_for_cause(replace(found.axes[0], faults=faults)).faults
+    assert waiting.findings == (way,) and waiting.undecided is None
+
+
+@pytest.mark.parametrize("tilt", [0.15, np.pi])
+def test_a_base_is_named_by_its_angle_from_the_declared_one(tilt: float) -> None:
+    down = 9.81 * np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    cause = cause_of(replace(arm(3), gravity=np.array([0.0, 0.0, 9.81])), replace(arm(3), gravity=down))
+    assert cause is not None and cause.name == "base" and cause.value == pytest.approx(tilt, abs=0.02)
+    assert "upside down" not in cause.words
+
+
+def test_a_declared_coupling_leaves_the_causes_and_an_undeclared_one_is_named() -> None:
+    robot = arm(3)
+    coupled = replace(robot, joints=(*robot.joints[:2], replace(robot.joints[2], coupling={"joint2": 1.0})))
+    assert cause_of(coupled, coupled) is None
+    cause = cause_of(robot, coupled)
+    assert cause is not None and (cause.name, cause.joints) == ("coupled", ("joint3", "joint2"))
+
+
+def test_a_length_that_no_robot_has_is_no_cause() -> None:
+    robot = arm(3)
+    far = replace(robot.links[2], origin=robot.links[2].origin + np.array([1.4, 0.0, 0.0]))
+    cause = cause_of(robot, replace(robot, links=(*robot.links[:2], far)))
+    assert cause is None or cause.name != "geometry"
+
+
+def test_zeros_of_two_encoders_are_no_geometry() -> None:
+    truth = arm(3).turn(np.array([0.0, -0.4, 0.5]))
+    cause = cause_of(arm(3), truth)
+    assert cause is not None and "joint2" in [one.joint for one in cause.zeros]
+
+
+def test_an_axis_without_a_residual_takes_nothing_from_what_faults_explain() -> None:
+    before, after = np.array([1e-9, 1.0, 1.0]), np.array([1e-3, 0.0, 0.5])
+    assert _explained(before, after, [slice(0, 1), slice(1, 3)]) == pytest.approx(0.875)
+
+
+def test_a_tool_that_the_model_lacks_is_said() -> None:
+    tool = inertial(1.5, (0.02, 0.03, 0.1), (0.004, 0.004, 0.002))
+    records = list(records_of(with_payload(arm(3), tool), 2, noise=0.02))
+    found = diagnosed(arm(3), records)
+    assert found.cause is None and found.explained and found.tool.startswith("The model's masses leave ")
+    assert found.tool in found.sentences and not diagnosed(arm(3), list(records_of(arm(3), 2, noise=0.02))).tool
+
+
+@pytest.mark.parametrize(
+    ("hertz", "named"),
+    [
+        ((9.0, None), ("joint1",)),
+        pytest.param((None, 12.0), ("joint2",), marks=pytest.mark.slow),
+        pytest.param((None, None), None, marks=pytest.mark.slow),
+    ],
+)
+def test_springs_that_are_not_declared_are_named_by_didim_and_wrong_gains_are_none(
+    hertz: tuple[float | None, float | None], named: tuple[str, ...] | None
+) -> None:
+    twin = two(hertz)
+    loop, drives = twin.loop(), twin.records(4.0, multisine=0.01)
+    records, _ = recorded(loop, drives, 0.005)
+    loop = replace(loop, robot=loop.robot.rigid)
+    if named is None:
+        first, second = loop.controllers
+        assert isinstance(first, PD)
+        loop = replace(loop, controllers=(replace(first, derivative_gain=1.5 * first.derivative_gain), second))
+    estimate = identify(records, loop)
+    assert estimate.fit.filtered_error > 0.15
+    found = estimate.checks.diagnosis
+    assert isinstance(found, Diagnosis)
+    cause = found.cause
+    assert (None if cause is None else cause.joints) == named
+    if named:
+        assert f"Do not rely on it yet: the torques have what a spring in {named[0]} makes" in estimate.sentence
+
+
+@pytest.mark.slow
+def test_springs_in_three_of_six_joints_are_named() -> None:
+    twin = six((True, True, True, False, False, False))
+    loop = twin.loop()
+    records, _ = recorded(loop, twin.records(6.0, multisine=0.005), 0.005)
+    rigid = replace(loop, robot=loop.robot.rigid)
+    cause = find_springs(rigid, records, identified(rigid, records).settings.filtering)
+    assert cause is not None and cause.joints == ("joint1", "joint2", "joint3")
+    assert "declare them, or identify below" in cause.words

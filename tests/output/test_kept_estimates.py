@@ -1,0 +1,238 @@
+"""A found joint or robot is kept in a file, and gives the torque of a motion: here, in C, and in Python alone."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import json
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError, RecordError
+from jointid.models.friction import low_speed_share
+from jointid.models.robots.dynamics import inverse_dynamics
+from jointid.models.robots.robot import Robot
+from jointid.records.signals.filtering import window_torque
+from tests.estimation.robots.test_rigid_robots import recorded
+from tests.models.robots.trees import random_robot
+from tests.robots_plants import two
+
+JOINT = ji.RigidJoint("revolute", friction=ji.friction.AsymmetricFriction(), gravity=ji.Gravity("link"))
+VALUES = {
+    "inertia": 0.8, "viscous_forwards": 1.1, "viscous_backwards": 1.4, "coulomb_forwards": 2.0,
+    "coulomb_backwards": 1.7, "offset": 0.0, "gravity_cos": 4.0, "gravity_sin": -1.0,
+}  # fmt: skip
+
+
+@cache
+def found(kind: str) -> ji.Estimate:
+    """Return the estimate of a joint, or of a robot by a method."""
+    if kind == "joint":
+        law = ji.controller.PD(position_gain=900.0, derivative_gain=60.0)
+        loop = ji.ClosedLoop(JOINT, law)
+        reference = ji.excitation.trapezoids((0.5, 1.0), 4.0, 1.0, sample_time=1e-3, rest=0.2, duration=4.0)
+        return ji.identify(ji.simulated_record(loop, reference, VALUES, sample_time=1e-3), loop, checks=False)
+    loop = two().loop()
+    return ji.identify(
+        recorded(loop, two().records(4.0), 0.01)[0], loop if kind == "didim" else loop.robot, checks=False
+    )
+
+
+def setup_of(kind: str) -> object:
+    loop = found(kind).settings.loop if kind == "joint" else two().loop()
+    return loop.robot if kind == "idim" else loop  # type: ignore[union-attr]
+
+
+def motion(n: int) -> list[np.ndarray]:
+    """Return position, velocity and acceleration, (samples, n), and of the joint (samples,)."""
+    random = np.random.default_rng(3)
+    return [random.normal(size=(40, n) if n else 40) for _ in range(3)]
+
+
+def torque_of(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Return the torques of a robot with rigid joints and symmetric friction, by its links."""
+    links = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
+    rotor, viscous, coulomb, offset = (
+        robot.of_joints(name) for name in ("rotor_inertia", "viscous", "coulomb", "offset")
+    )
+    return np.asarray(links + rotor * a + viscous * v + coulomb * np.sign(v) + offset)
+
+
+@pytest.mark.parametrize("kind", ["joint", "idim", "didim"])
+def test_a_kept_estimate_gives_the_torque_of_a_motion(kind: str, tmp_path: Path) -> None:
+    estimate = found(kind)
+    back = ji.load_estimate(estimate.save(tmp_path / "out.json"), setup_of(kind))  # type: ignore[arg-type]
+    q, v, a = motion(0 if kind == "joint" else 2)
+    torque = back.torque(q, v, a)
+    np.testing.assert_allclose(torque, estimate.torque(q, v, a), rtol=1e-12)
+    np.testing.assert_allclose(back.regressor(q, v, a) @ np.array([*back.values.values()]), torque, rtol=1e-12)
+    np.testing.assert_allclose(back.torque(q[0], v[0], a[0]), torque[0], rtol=1e-12)
+    if kind == "joint":
+        x = back.values
+        friction = np.where(
+            v > 0,
+            x["viscous_forwards"] * v + x["coulomb_forwards"],
+            x["viscous_backwards"] * v - x["coulomb_backwards"],
+        )
+        weight = x["gravity_cos"] * np.cos(q) + x["gravity_sin"] * np.sin(q) + x["offset"]
+        expected = x["inertia"] * a + friction + weight
+    else:
+        expected = torque_of(back.require_robot().robot(), q, v, a)
+    np.testing.assert_allclose(torque, expected, rtol=1e-9, atol=1e-9)
+    assert back.to_dict()["parameters"] == estimate.to_dict()["parameters"]
+    with pytest.raises(MethodError, match=r"Position, velocity and acceleration have one shape"):
+        back.torque(q, v[:-1], a)
+
+
+def test_a_flexible_joint_moves_as_one_in_a_feed_forward() -> None:
+    axis = ji.twin("L19", noise="none")
+    estimate = replace(found("joint"), settings=replace(found("joint").settings, system=axis.loop.joint, loop=None))
+    rows = tuple(
+        replace(found("joint").params.rows[0], name=name, symbol=name, value=value)
+        for name, value in axis.truth.items()
+        if name in {p.name for p in axis.loop.joint.parameters}
+    )
+    estimate = replace(estimate, params=replace(estimate.params, rows=rows))
+    x, whole = estimate.values, estimate.torque(0.3, 0.2, 2.0)
+    moved = sum(
+        2.0 * x[f"{side}_inertia"] + 0.2 * x[f"{side}_viscous"] + x[f"{side}_coulomb"] for side in ("motor", "load")
+    )
+    assert whole == pytest.approx(moved + x["offset"])
+
+
+def compiled(source: str, folder: Path, n: int) -> Callable[..., np.ndarray]:
+    """Return the function of a C source, whose name ends in _torque, of n joints; of 0 it takes plain numbers."""
+    cc = shutil.which("cc") or shutil.which("gcc")
+    if cc is None:
+        pytest.skip("there is no compiler of C")
+    (folder / "torque.c").write_text(source, "utf-8")
+    warnings = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-variable", "-std=c99"]
+    library = folder / "torque.so"
+    subprocess.run([cc, *warnings, "-shared", "-fPIC", "torque.c", "-o", str(library), "-lm"], cwd=folder, check=True)
+    name = source.partition("_torque(")[0].rpartition(" ")[2]
+    function = getattr(ctypes.CDLL(str(library)), f"{name}_torque")
+    function.restype = None if n else ctypes.c_double
+
+    def call(*motion: np.ndarray) -> np.ndarray:
+        if not n:
+            return np.asarray(function(*(ctypes.c_double(float(one)) for one in motion)))
+        torque = (ctypes.c_double * n)()
+        function(*((ctypes.c_double * n)(*one) for one in motion), torque)
+        return np.array(torque)
+
+    return call
+
+
+def interpreted(source: str) -> Callable[..., np.ndarray]:
+    """Return the function of a Python source, run without this package."""
+    space: dict[str, object] = {}
+    exec(compile(source, "torque.py", "exec"), space)
+    (function,) = (one for name, one in space.items() if name.endswith("_torque"))
+    assert callable(function)
+    return lambda *motion: np.asarray(function(*(one.tolist() for one in motion)))
+
+
+def written(model: object, language: str, folder: Path, n: int) -> Callable[..., np.ndarray]:
+    text = ji.export(model, language).text  # type: ignore[arg-type]
+    return compiled(text, folder, n) if language == "c" else interpreted(text)
+
+
+@pytest.mark.parametrize("language", ["c", "python"])
+@pytest.mark.parametrize("kind", ["joint", "idim", "didim"])
+def test_the_written_function_gives_the_torque_of_the_estimate(kind: str, language: str, tmp_path: Path) -> None:
+    estimate, n = found(kind), 0 if kind == "joint" else 2
+    function, parts = written(estimate, language, tmp_path, n), motion(n)
+    torque = np.array([function(*rows) for rows in zip(*parts, strict=True)])
+    np.testing.assert_allclose(torque, estimate.torque(*parts), rtol=1e-12, atol=1e-12 * np.abs(torque).max())
+
+
+@pytest.mark.parametrize("language", ["c", "python"])
+def test_the_written_function_of_a_tree_with_slides_coupling_and_stribeck_friction(
+    language: str, tmp_path: Path
+) -> None:
+    tree = random_robot(4, 5)
+    first, second, *others = tree.joints
+    first = replace(first, viscous=2.0, coulomb=1.0, stribeck_force=0.7, stribeck_speed=0.9)
+    second = replace(second, viscous=1.0, viscous_backwards=1.5, offset=0.3, coupling={first.name: 0.25})
+    robot = replace(tree, joints=(first, second, *others))
+    assert {link.kind for link in robot.links} == {"revolute", "prismatic"}
+    q, v, a = motion(5)
+    C = robot.coupling
+    links = inverse_dynamics(robot.tree, robot.inertials, q, v, a) @ np.linalg.inv(C)
+    turning = v @ C.T
+    x = np.abs(turning[:, 0]) / 0.9
+    friction = 2.0 * turning[:, 0] + np.sign(turning[:, 0]) * (1.0 + 0.7 * low_speed_share(x))
+    expected = links + robot.of_joints("rotor_inertia") * (a @ C.T)
+    expected[:, 0] += friction
+    expected[:, 1] += np.where(turning[:, 1] > 0, 1.0, 1.5) * turning[:, 1] + 0.3
+    function = written(robot, language, tmp_path, 5)
+    torque = np.array([function(*rows) for rows in zip(q, v, a, strict=True)])
+    np.testing.assert_allclose(torque, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+
+
+def places(part: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the path of every part of a document."""
+    for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
+        yield (*path, key)
+        yield from places(value, (*path, key))
+
+
+def spoiled(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the document with every part removed, or replaced by what does not belong there."""
+    for path in places(document):
+        for value in (..., None, "x", 1e300, -1.0, [1], {"a": 1}):
+            changed = part = copy.deepcopy(document)
+            for key in path[:-1]:
+                part = part[key]
+            if value is ...:
+                del part[path[-1]]
+            else:
+                part[path[-1]] = value
+            yield changed
+
+
+@pytest.mark.parametrize("kind", ["joint", "idim", "didim"])
+@pytest.mark.parametrize("every", [499, pytest.param(7, marks=pytest.mark.hostile)])
+def test_a_damaged_estimate_is_used_or_refused_in_a_sentence(kind: str, every: int, tmp_path: Path) -> None:
+    path, parts = tmp_path / "out.json", motion(0 if kind == "joint" else 2)
+    document, tried, refused = json.loads(json.dumps(found(kind).to_dict())), 0, 0
+    for k, changed in enumerate(spoiled(document)):
+        if k % every:
+            continue
+        path.write_text(json.dumps(changed), "utf-8")
+        tried += 1
+        try:
+            back = ji.load_estimate(path, setup_of(kind))  # type: ignore[arg-type]
+            assert back.sentence and back.summary(details=True)
+            back.torque(*parts)
+            ji.export(back, "c"), ji.export(back, "urdf")
+        except ji.JointidError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert 0 < refused < tried
+
+
+def test_an_error_that_is_not_known_is_not_relied_on(tmp_path: Path) -> None:
+    path, document = tmp_path / "out.json", found("joint").to_dict()
+    path.write_text(json.dumps(document | {"filtered_error_percent": None, "relative_error_percent": None}), "utf-8")
+    assert "Do not rely on it yet" in ji.load_estimate(path, setup_of("joint")).sentence  # type: ignore[arg-type]
+    for key in ("converged", "verdicts", "warnings", "filtered_error_percent"):
+        path.write_text(json.dumps({name: value for name, value in document.items() if name != key}), "utf-8")
+        with pytest.raises(RecordError, match="is no estimate of schema"):
+            ji.load_estimate(path, setup_of("joint"))  # type: ignore[arg-type]
+
+
+def test_a_delay_that_is_longer_than_the_record_is_refused() -> None:
+    torque = ji.Channel(np.zeros(100), "N m", 1e-3, "held")
+    for delay in (1e300, 1e6, -0.2, float("nan")):
+        with pytest.raises(RecordError, match=r"the record has 0\.1 s; give another delay"):
+            window_torque(torque, delay)
