@@ -115,7 +115,8 @@ def test_a_printed_command_runs_as_it_stands(
     if "--window" not in command:
         shutil.copy(place / "a.csv", place / "record.csv")
     if "robot.toml" in command:
-        shutil.copy(place / "other-robot.csv", place / "other.csv")
+        for name in ("other", "a", "b"):
+            shutil.copy(place / "other-robot.csv", place / f"{name}.csv")
     # Its minute of search is cut short.
     run(f"{command} --search-time 1" if command.startswith("jointid design") else command)
 
