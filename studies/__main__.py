@@ -4,7 +4,7 @@ python -m studies [NAME ...]                 run all studies, or these, and stor
 python -m studies NAME --seeds 1000:1200     run other seeds, and show their shares
 python -m studies list                       show the studies
 python -m studies check [NAME ...] [--draw WORD]
-                                             judge a tenth of these again, or of a third of the studies; a word or
+                                             judge a tenth of these again, or of a quarter of the studies; a word or
                                              else the commit draws them
 python -m studies tables [--check]           write the tables of the documentation
 """

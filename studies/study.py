@@ -67,8 +67,8 @@ class Study:
 
 
 def draw_studies(studies: Sequence[Study], word: str) -> list[Study]:
-    """Return a third of the studies, drawn by a word, in their order."""
-    drawn = random.Random(word).sample(range(len(studies)), -(-len(studies) // 3))  # noqa: S311
+    """Return a quarter of the studies, drawn by a word, in their order."""
+    drawn = random.Random(word).sample(range(len(studies)), -(-len(studies) // 4))  # noqa: S311
     return [studies[place] for place in sorted(drawn)]
 
 
