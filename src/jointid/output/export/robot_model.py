@@ -14,7 +14,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import join
-from jointid.config.robot_model import read_model
+from jointid.config.model_file import read_model
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import MISFIT, consistent_robot
 from jointid.models.robots.inertial import is_physical, mass_properties
