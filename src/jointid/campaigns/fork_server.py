@@ -1,4 +1,4 @@
-"""Preparation of the server that forks workers, which loads this module first.
+"""Preparation of the fork server of the workers, which loads this module first.
 
 A client may be interrupted or killed while the server still loads. A worker forked for it then fails without a word, as
 nobody waits for it; of any other failure the client says a sentence. The server removes its socket and the empty folder

@@ -65,7 +65,7 @@ class Suspicion(Detail):
 
 
 class Doubt(Suspicion):
-    """A suspicion that the declared drive is not that of the record."""
+    """A suspicion that the record comes from another drive."""
 
 
 class Pace(str):

@@ -275,7 +275,7 @@ class File(ABC, Generic[R]):
 
     @property
     def only_lists(self) -> bool:
-        """Whether its records are those that it lists, to be identified together."""
+        """Whether all its records are listed ones, which are identified together."""
         return bool(self.runs) and self.source.first is None
 
     def of_record(self, path: str | os.PathLike[str] | None) -> Self:

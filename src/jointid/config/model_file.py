@@ -156,7 +156,7 @@ def parse_model(text: str, called: str) -> ET.Element:
 
 
 def clean_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, ...]]:
-    """Return the elements that MuJoCo may compile, and remarks on those that are not used.
+    """Return the elements for MuJoCo to compile, and remarks on the others.
 
     Args:
         root: of the model; a motor and the link that a spring joins to it become one joint in it.
@@ -176,7 +176,7 @@ def clean_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, .
 
 
 def strip_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, ...]]:
-    """Return the elements that say where joints and possible masses are, each once, and remarks on the others."""
+    """Return the elements of joints and possible masses, and remarks on the others."""
     stripped = _filter_tree(root, _URDF if root.tag == "robot" else _MJCF)
     _require_few(root, stripped, called)
     for one in stripped.iter():

@@ -63,9 +63,10 @@ class _Shape:
 def find_axis_faults(
     torques: AxisTorques, units: Sequence[tuple[str, str]], level: float, laws: Sequence[tuple[str, ...]]
 ) -> tuple[tuple[AxisFaults, ...], tuple[Follows, ...], float]:
-    """Return the faults of each axis, what its residual correlates with most, and what the faults explain.
+    """Return the faults of each axis, its strongest correlation, and the share explained.
 
-    The last is the share of the squares of a residual that they explain, summed up over the axes.
+    The correlation is that of its residual. The share is that of the squares of a residual which the faults explain,
+    summed up over the axes.
 
     Args:
         torques: of all axes, with the columns of their free parameters.

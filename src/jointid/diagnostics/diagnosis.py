@@ -243,13 +243,13 @@ class Diagnosis(Documented):
 
     @property
     def undecided(self) -> tuple[Message, ...]:
-        """Other laws of controllers that the record does not exclude, and that matter, each with its axis."""
+        """Other controller laws that matter and are not excluded, by axis."""
         open_ones = [axis for axis in self.axes if axis.faults.undecided is not None]
         return tuple(_of_axis(axis, axis.faults.reasons[-1]) for axis in open_ones)
 
     @property
     def assumed(self) -> tuple[Message, ...]:
-        """What is assumed of the links behind springs and may matter, each with its axis."""
+        """Assumptions about links behind springs that may matter, by axis."""
         return tuple(_of_axis(axis, axis.faults.assumed) for axis in self.axes if axis.faults.assumed is not None)
 
     @property

@@ -137,7 +137,9 @@ class _Cause:
 
 
 def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> RobotCause | None:
-    """Return the cause that explains most of what IDIM leaves of the torques; None if none explains enough.
+    """Return the cause that explains most of the residual of IDIM, or None.
+
+    It is None where no cause explains enough.
 
     Args:
         robot: as declared, of rigid joints.
@@ -177,7 +179,7 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
 
 
 def find_springs(loop: RobotLoop, records: Sequence[Record], filtering: Filtering) -> RobotCause | None:
-    """Return the joints in which springs explain what DIDIM of rigid joints leaves; None if they do not.
+    """Return the joints whose springs explain the residual of DIDIM, or None.
 
     The rigid robot is identified below its modes, and then has a spring in one joint, at a row of frequencies. Only
     springs lower what is left while all other numbers stay: wrong gains, which a low cut-off hides as well, do not.

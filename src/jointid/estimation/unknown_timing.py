@@ -282,7 +282,10 @@ def _shift_otherwise(
 
 
 def _bend(records: Logs, way: _Way, by: float, *, whole: bool = False) -> Logs:
-    """Return records whose torque lacks a multiple of an error, or of its part that is no scale of the torque."""
+    """Return records without a multiple of an error of the torque.
+
+    Unless `whole`, the part of the error that is a scale of the torque stays.
+    """
 
     def bend(torque: Channel, position: Channel) -> Channel:
         moved = np.convolve(position.values, [1.0, *[0.0] * (2 * _SPAN - 1), -1.0], "same")

@@ -118,7 +118,7 @@ class Run:
 
     @property
     def work(self) -> dict[str, Any]:
-        """What it identifies: `file`, the first record, and `files`, all that were sent.
+        """The names of the files it identifies: `file`, the first record, and `files`, all.
 
         Raises:
             PageError: `work.json` is damaged, or names what is no file of its folder.
