@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import signal
+import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -56,6 +58,38 @@ def faults(turns: int) -> int:
         blocks = [np.ones(2**18) for _ in range(4)]
         del blocks
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="no server forks workers there")
+def test_modules_that_the_program_preloads_are_kept(tmp_path: Path) -> None:
+    (tmp_path / "heavy.py").write_text("import os\nloaded_by = os.getpid()\n")
+    (tmp_path / "program.py").write_text(PRELOADING)
+    path = os.pathsep.join(map(str, (tmp_path, Path(__file__).resolve().parents[2])))
+    said = subprocess.run(
+        [sys.executable, "program.py"], cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, capture_output=True,
+        text=True, check=True,
+    ).stdout.split()  # fmt: skip
+    assert said[0] == said[1], "the server loaded it, and not the worker"
+    assert said[2:] == ["deaf", "hears"]
+
+
+PRELOADING = """
+import multiprocessing, os, signal
+from concurrent.futures import ProcessPoolExecutor
+from jointid.campaigns.engines import LocalProcesses
+
+def look():
+    import heavy
+    return heavy.loaded_by, os.getppid(), signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+
+if __name__ == "__main__":
+    multiprocessing.set_forkserver_preload(["heavy"])
+    with LocalProcesses(1).open() as workers:
+        by, server, deaf = workers.executor.submit(look).result()
+    with ProcessPoolExecutor(1, multiprocessing.get_context("forkserver")) as own:
+        print(by, server, "deaf" if deaf else "hears", "deaf" if own.submit(look).result()[2] else "hears")
+"""
 
 
 @pytest.mark.skipif(sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "mallopt"), reason="glibc's")

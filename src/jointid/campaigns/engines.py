@@ -13,8 +13,10 @@ import logging
 import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -22,7 +24,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Protocol
 
 from jointid.campaigns.cases import canonical, sha256_of
@@ -49,6 +51,7 @@ _SCRIPT = """\
 {{command}}
 """
 """Of a job; pysqa's own has an empty partition where none is named, which is not SLURM's default one."""
+_PRELOADED = ("jointid.campaigns.fork_server", "jointid.campaigns.run")
 _CASES = "cases.txt"  # in the folder of a job, the hashes of its cases
 
 
@@ -338,21 +341,61 @@ def on_one_core(carry: Callable[[Any], Any], cases: Sequence[Any]) -> list[Any]:
 
 
 def _start_server() -> None:
-    """Start the server that forks workers, deaf to Ctrl-C until their work arrives; see `fork_server`."""
-    from multiprocessing import forkserver, resource_tracker, util
+    """Start the server that forks workers, deaf to Ctrl-C until their work arrives; see `fork_server`.
 
-    from jointid.campaigns.fork_server import SOCKETS
+    The file of its socket loses its name at once: kill -9 of all processes leaves no file.
+    """
+    from multiprocessing import forkserver, resource_tracker
 
-    # The folder for the server to remove; that of a child process is its parent's.
-    os.environ[SOCKETS] = "" if multiprocessing.parent_process() else util.get_temp_dir()
-    forkserver.set_forkserver_preload(["jointid.campaigns.fork_server", "jointid.campaigns.run"])
+    from jointid.campaigns.fork_server import IS_SERVER
+
+    server: Any = forkserver._forkserver
+    config = multiprocessing.current_process()._config  # type: ignore[attr-defined]
+    forkserver.set_forkserver_preload([*dict.fromkeys((*_PRELOADED, *server._preload_modules))])
     resource_tracker.ensure_running()  # its start unblocks SIGINT
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    blocked, folder = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,)), config.get("tempdir")
+    os.environ[IS_SERVER] = "1"
     try:
-        forkserver.ensure_running()
+        with tempfile.TemporaryDirectory(prefix="jointid-") as own, _held(own) as short:  # a socket's path is short
+            if _can_lose_names(short):
+                config["tempdir"] = short
+            forkserver.ensure_running()
+            if str(server._forkserver_address).startswith(f"{short}/"):
+                server._forkserver_address = _hold(server._forkserver_address)
     finally:
-        del os.environ[SOCKETS]
+        config["tempdir"] = folder
+        del os.environ[IS_SERVER]
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+def _hold(path: str) -> str:
+    """Hold a file or folder open, and return a path that leads there without its name."""
+    return f"/proc/self/fd/{os.open(path, os.O_PATH | os.O_CLOEXEC)}"
+
+
+@contextlib.contextmanager
+def _held(path: str) -> Iterator[str]:
+    """Hold it for a while; see `_hold`."""
+    held = _hold(path)
+    try:
+        yield held
+    finally:
+        os.close(int(PurePath(held).name))
+
+
+def _can_lose_names(folder: str) -> bool:
+    """Test whether this system connects to a socket whose file has no name any more."""
+    path = f"{folder}/test"
+    with socket.socket(socket.AF_UNIX) as listener, socket.socket(socket.AF_UNIX) as client:
+        try:
+            listener.bind(path)
+            listener.listen()
+            with _held(path) as held:
+                os.unlink(path)  # noqa: PTH108 - a text
+                client.connect(held)
+        except OSError:
+            return False
+    return True
 
 
 class _Begin:

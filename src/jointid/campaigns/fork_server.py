@@ -1,36 +1,31 @@
 """Preparation of the fork server of the workers, which loads this module first.
 
 A client may be interrupted or killed while the server still loads. A worker forked for it then fails without a word, as
-nobody waits for it; of any other failure the client says a sentence. The server removes its socket and the empty folder
-of it, which a killed client cannot. Every worker hears Ctrl-C unless it chose to ignore it: the program may have more.
+nobody waits for it; of any other failure the client says a sentence. A program without ``if __name__ == "__main__"``
+fails with Python's explanation. Every worker hears Ctrl-C unless it chose to ignore it: the program may have more.
 """
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import os
 import signal
 import sys
-from multiprocessing import forkserver, util
+from multiprocessing import util
+from types import TracebackType
 
-SOCKETS = "JOINTID_SOCKETS"
-"""Names the folder of the socket to the server, which is empty where the server may not remove it."""
-
-_folder = os.environ.pop(SOCKETS, None)
+IS_SERVER = "JOINTID_FORK_SERVER"
+"""Is set for the server alone."""
 
 
-def _remove_socket(folder: str) -> None:
-    with contextlib.suppress(OSError, TypeError, ValueError):  # there is none yet, or it is no file
-        os.unlink(forkserver._forkserver._forkserver_address)  # type: ignore[attr-defined]  # noqa: PTH108
-        os.rmdir(folder)  # noqa: PTH106 - the path may be empty, which is no folder
+def _explain_programs(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    if issubclass(kind, RuntimeError):
+        sys.__excepthook__(kind, error, trace)
 
 
 def _hear_interrupts(_: object) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
 
 
-if _folder is not None:
-    sys.excepthook = lambda *_: None
-    atexit.register(_remove_socket, _folder)
+if os.environ.pop(IS_SERVER, None):
+    sys.excepthook = _explain_programs
     util.register_after_fork(sys.modules[__name__], _hear_interrupts)
