@@ -21,6 +21,7 @@ from jointid.records.formats import read_blocks, read_table
 from jointid.records.formats.reader_process import _BUSY, MEMORY, PACE, SECONDS
 from jointid.records.inspection import inspect
 from tests.attack.samples import JOINT
+from tests.losses.runs import EXECUTED, note
 
 _OF_OURS = "fault of ours"
 _ENDED = "ended what reads it"
@@ -57,6 +58,10 @@ class Tally:
                 signal.alarm(0)
             took, waited = time.process_time() - before, time.monotonic() - begin
             self.slowest = max(self.slowest, (waited, f"{name}, {read.__name__}"))
+            note(seconds=waited)
+            if EXECUTED.exists():
+                outcome = "it was executed"
+                EXECUTED.unlink()
             if took > _SLACK * seconds:
                 outcome = f"{took:.1f} s, and {seconds:.1f} s are allowed"
             self.outcomes[outcome if outcome in OUTCOMES else "failed"] += 1

@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 
 from tests.attack.samples import ANSWER, JOINT, ROWS, TEXTS, Sample
+from tests.losses.runs import EXECUTED
 from tests.records.logged import LOGGED
 
 _SCOPE = TEXTS["scope.csv"].decode()
@@ -134,7 +135,7 @@ def _arrays(_: Path) -> Iterator[tuple[str, bytes]]:
             "(" * 5000,
             "[" * 60_000,
             "{'descr': " * 500,
-            "__import__('os').system('true')",
+            f"__import__('os').system('touch {EXECUTED}')",
             "{}",
             "{'shape': (3,)}",
             "1" * 60_000,
@@ -171,7 +172,11 @@ def _packed(_: Path) -> Iterator[tuple[str, bytes]]:
     for number, (header, rest, declared) in enumerate(
         (
             ("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000,), }", b"", None),
-            ("{'descr': '|O', 'fortran_order': False, 'shape': (2,), }", b"cos\nsystem\n(S'true'\ntR.", None),
+            (
+                "{'descr': '|O', 'fortran_order': False, 'shape': (2,), }",
+                f"cos\nsystem\n(S'touch {EXECUTED}'\ntR.".encode(),
+                None,
+            ),
             ("{'descr': '|u1', 'fortran_order': False, 'shape': (268435456,), }", bytes(2**28), None),
             ("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 3), }", bytes(240), None),
             ("{'descr': '<f8', 'fortran_order': False, 'shape': (30,), }", bytes(240), 10**12),
@@ -345,7 +350,7 @@ def _bags(folder: Path) -> Iterator[tuple[str, bytes]]:
             "UPDATE topics SET type = ''",
             "UPDATE topics SET type = 'a/b/c/d'",
             "UPDATE topics SET offered_qos_profiles = '&a [*a, *a]'",
-            "UPDATE topics SET offered_qos_profiles = '!!python/object/apply:os.system [true]'",
+            f"UPDATE topics SET offered_qos_profiles = '!!python/object/apply:os.system [touch {EXECUTED}]'",
             "UPDATE messages SET timestamp = 9223372036854775807",
             "UPDATE messages SET timestamp = -9223372036854775808",
             "UPDATE messages SET timestamp = 1e300",

@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -17,15 +18,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.dask_cluster import Cluster
+from benchmarks.dask_cluster import ROOT, Cluster
 from jointid.campaigns.cases import Outcome
 from jointid.campaigns.engines import DaskCluster, LocalProcesses
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.store import open_database
-from jointid.common.errors import JointidError, MethodError
+from jointid.common.errors import JointidError, MethodError, RecordError
 from tests.campaigns.work import POISON, carry, cases, ends
-from tests.losses.runs import COUNT, SEED
+from tests.losses.runs import COUNT, SEED, note
 
 pytestmark = [
     pytest.mark.slow,
@@ -121,17 +122,48 @@ def test_a_cluster_of_ones_own_certificate_takes_cases(tmp_path: Path, monkeypat
 
 
 @pytest.mark.hostile
+def test_a_second_client_is_refused_and_goes_on_where_the_first_is_killed(cluster: Cluster, tmp_path: Path) -> None:
+    """Cases of the killed client may still be under way on the cluster; `JOINTID_ATTACKS=60` kills ten."""
+    log, dice = tmp_path / "log", random.Random(f"clients{SEED}")
+    for _ in range(2):
+        cluster.add_worker()
+    for count in range(200, 200 * max(COUNT // 6, 1) + 1, 200):
+        program = ["-m", "tests.campaigns.work", str(tmp_path), str(log), str(count), "", cluster.address]
+        begin = len(ends(log))
+        with subprocess.Popen([sys.executable, *program], cwd=ROOT) as first:
+            while len(ends(log)) == begin:
+                time.sleep(0.01)
+            with pytest.raises(RecordError, match=r"^Another campaign is at work in .*; wait"):
+                run_by_dask(tmp_path, log, count, cluster)
+            time.sleep(dice.uniform(0.0, 0.3))
+            assert first.poll() is None
+            first.kill()
+        note()
+        kept, before = {row.content_hash for row in read_results(tmp_path).rows}, len(ends(log))
+        run_by_dask(tmp_path, log, count, cluster)
+        results = read_results(tmp_path)
+        assert results.counts()[Outcome.IDENTIFIED] == results.cases == count, "a result was lost"
+        assert not kept & set(ends(log)[before:]), "a finished case was made again"
+
+
+def run_by_dask(folder: Path, log: Path, count: int, cluster: Cluster) -> None:
+    with open_database(folder) as database:
+        run_cases(lambda: cases(count, log), DaskCluster(cluster.address), database, carry=carry)
+
+
+@pytest.mark.hostile
 def test_nothing_is_lost_or_kept_twice_at_any_moment(
-    cluster: Cluster, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    cluster: Cluster, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Workers and schedulers are killed; `JOINTID_ATTACKS=50` kills that many. The same command goes on each time."""
     log, dice, count, workers = tmp_path / "log", random.Random(f"dask{SEED}"), 40 * COUNT, [cluster.add_worker()]
-    sentences = list[str]()
+    sentences, over = list[str](), threading.Event()
+    monkeypatch.setattr("jointid.campaigns.engines._PATIENCE", 120.0)  # of a machine that is busy
 
     def attack() -> None:
         begin = len(ends(log))
-        while len(ends(log)) <= begin:
-            time.sleep(0.01)
+        while len(ends(log)) <= begin and not over.wait(0.01):
+            pass
         time.sleep(dice.uniform(0.0, 0.3))
         if turn % 2:
             workers.pop().kill()
@@ -142,6 +174,7 @@ def test_nothing_is_lost_or_kept_twice_at_any_moment(
             time.sleep(dice.uniform(0.0, 3.0))
             cluster.scheduler = cluster.start_scheduler(cluster.address)
         workers.append(cluster.add_worker())
+        note()
 
     for turn in range(COUNT):
         killer = threading.Thread(target=attack)
@@ -152,7 +185,9 @@ def test_nothing_is_lost_or_kept_twice_at_any_moment(
                 run_cases(partial(cases, 40 * (turn + 1), log), DaskCluster(cluster.address), database, carry=carry)
             except JointidError as error:
                 sentences.append(str(error))
+        over.set()
         killer.join()
+        over.clear()
         assert kept <= {row.content_hash for row in read_results(tmp_path).rows}, "a result was lost"
         assert not kept & set(ends(log)[before:]), "a finished case was made again"
     with open_database(tmp_path) as database:

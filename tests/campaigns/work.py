@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from jointid.campaigns.cases import Case, Found, Outcome, Row
-from jointid.campaigns.engines import LocalProcesses
+from jointid.campaigns.engines import DaskCluster, Engine, LocalProcesses
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.shards import Shard, open_shard
 from jointid.campaigns.store import open_database
@@ -49,16 +49,17 @@ def _lines(log: Path) -> list[str]:
     return log.read_text(encoding="utf-8").splitlines() if log.exists() else []
 
 
-def main(folder: str, log: str, count: str, shard: str = "") -> None:
-    """Run a campaign as a client, or as a shard."""
+def main(folder: str, log: str, count: str, shard: str = "", dask: str = "") -> None:
+    """Run a campaign as a client, of a Dask cluster if one is named, or as a shard."""
+    engine: Engine = DaskCluster(dask) if dask else LocalProcesses(1 if shard else 2)
     place, made = Path(folder), lambda: cases(int(count), Path(log))
     if shard:
         part = Shard.of(shard)
         with open_shard(place, part) as results:
-            run_cases(made, LocalProcesses(1), results, has=part.has, carry=carry)
+            run_cases(made, engine, results, has=part.has, carry=carry)
     else:
         with open_database(place) as database:
-            run_cases(made, LocalProcesses(2), database, carry=carry)
+            run_cases(made, engine, database, carry=carry)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.losses.runs import COUNT, contents, require_calm, run_program
+from jointid.common.document import Document, Paragraph, Picture
+from jointid.config import JointFile
+from tests.losses.runs import COUNT, contents, note, require_calm, run_program
+from tests.losses.test_outputs import learned_in_no_time, reproduced_in_no_time
 
 pytestmark = [pytest.mark.hostile, pytest.mark.skipif(sys.platform != "linux", reason="bounds on files")]
 
@@ -31,14 +34,23 @@ WRITERS = {
     },
     "page": "report joint.toml -q --no-profiles --no-tuning --html o.html",
     "pages": "report joint.toml -q --no-profiles --no-tuning --markdown pages",
+    "controller": "learn-controller joint.toml -q --write o.toml",
+    "design": "design joint.toml -q --estimate estimate.json --noise-log 5 --search-time 0.2 --out pages",
+    "reproduction": "reproduce -q --out pages",
     "pictures": "report joint.toml -q --no-profiles --no-tuning --figures pages",
 }
-LONG = {
-    "controller": "learn-controller joint.toml -q --write o.toml",
-    "design": "design joint.toml -q --search-time 1 --out pages",
-    "reproduce": "reproduce -q --out pages",
-}
-WRITERS |= LONG if COUNT >= 20 else {}
+
+
+@pytest.fixture(autouse=True)
+def no_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What takes minutes is made up: a learned controller and a reproduction."""
+    page = Document(
+        "Tables",
+        (Paragraph("of the paper, " * 200), Picture("torque.png", lambda: bytes(20_000), "a torque", "torque")),
+    )
+    monkeypatch.setattr(JointFile, "learn_controller", lambda file, *_: learned_in_no_time(file))
+    monkeypatch.setattr("jointid.paper.reproduce.reproduce", lambda *_: reproduced_in_no_time())
+    monkeypatch.setattr("jointid.paper.reproduce.report_reproduction", lambda *_: page)
 
 
 @pytest.mark.parametrize("writer", WRITERS)
@@ -55,10 +67,11 @@ def test_the_old_result_stays_and_the_new_one_is_not_cut(writer: str, place: Pat
         sizes = [len(made[target])]
         (place / target).write_bytes(OLD)
     before = contents(place)
-    slow = 4 if writer in LONG or "report" in words else 1
-    for turn in range(max(SIZES // slow, 3)):
-        most = max(sizes) * turn // max(SIZES // slow, 3)
+    count = max(SIZES // 4, 3) if "report" in words else SIZES
+    for turn in range(count):
+        most = max(sizes) * turn // count
         ended = run_program(*words, folder=place, most=most)
+        note(seconds=ended.seconds - done.seconds)
         require_calm(ended, (2,))
         assert "cannot be written" in ended.said, ended
         assert contents(place) == before, (writer, most)

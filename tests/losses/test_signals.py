@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -19,7 +20,7 @@ from typing import Any
 import pytest
 
 from jointid.common import files
-from tests.losses.runs import COUNT, FIRST, SEED, contents, require_calm, run_program
+from tests.losses.runs import COUNT, FIRST, SEED, contents, note, require_calm, run_program
 
 pytestmark = [pytest.mark.hostile, pytest.mark.skipif(sys.platform != "linux", reason="copies of a process")]
 
@@ -138,7 +139,9 @@ def test_ctrl_c_while_the_program_is_loaded_leaves_no_traceback() -> None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(chance.uniform(0.0, 0.04))
             process.send_signal(signal.SIGINT)
+            sent = time.monotonic()
             said = process.stderr.read().decode()
             code = process.wait()
+            note(seconds=time.monotonic() - sent)
         assert "Traceback" not in said, said
         assert (code, "Interrupted" in said) in ((128 + signal.SIGINT, True), (0, False)), said

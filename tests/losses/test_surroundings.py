@@ -6,25 +6,31 @@ import contextlib
 import ctypes
 import os
 import random
+import re
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jointid.apps.cli import main
+from jointid.campaigns.cases import Outcome, Row
+from jointid.campaigns.store import open_database
 from jointid.common.errors import RecordError
 from jointid.records.formats import Table, read_table, write_table
-from tests.losses.runs import BROKEN, COUNT, FIRST, SEED, contents, require_calm, run_copy, run_program
+from tests.losses.runs import BROKEN, COUNT, FIRST, SEED, contents, note, require_calm, run_copy, run_program
 from tests.losses.test_full_disk import WRITERS
 from tests.losses.test_signals import COMMANDS, OLD, is_whole
 
 pytestmark = [pytest.mark.hostile, pytest.mark.skipif(sys.platform != "linux", reason="rights, and bounds on files")]
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CAMPAIGN = """\
 [sweep]
 "filtering.cutoff" = [40.0, 50.0]
@@ -33,15 +39,49 @@ joint = "joint.toml"
 """
 
 
+STARTED = {
+    **COMMANDS,
+    "examine": ("examine joint.toml -q", "--json", "o.json"),
+    "doctor": ("doctor joint.toml", "--json", "o.json"),
+    "serve": ("serve --port 0 --folder made",),
+    "payload": ("payload robot/robot.toml --with record.csv -q", "--json", "o.json"),
+    "design": ("design joint.toml -q --search-time 1", "--out", "pages", "--json", "o.json"),
+    **{f"diagnose {what}": (f"diagnose {what} joint.toml -q", "--json", "o.json") for what in ("springs", "friction")},
+    "diagnose intervals": ("diagnose intervals joint.toml -q",),
+    "campaign run": ("campaign run campaign.toml --out made --workers 1 -q",),
+    "campaign work": ("campaign work campaign.toml --shard 1/1 --out made -q",),
+    "campaign status": ("campaign status results",),
+    "campaign report": ("campaign report results", "--html", "o.html", "--csv", "o.csv"),
+    "campaign export": ("campaign export results", "--out", "o.csv"),
+}
+"""Every command, with what it writes."""
+FOLDERS = ("made", "results")  # of the page or a campaign, which tests of their own look into
+
+
 def drawn(every: dict[str, object], what: str, many: int = 3) -> list[str]:
     """Some of the names, other ones for each draw; all where many attacks are asked for."""
     names = sorted(every)
     return names if COUNT >= 20 else random.Random(f"{what}{SEED}").sample(names, many)
 
 
-@pytest.mark.parametrize("command", drawn({**COMMANDS}, "first second"))
+def test_every_command_is_attacked_in_its_first_second() -> None:
+    from jointid.apps.cli.app import _EXAMPLES
+
+    for examples in _EXAMPLES.values():
+        for text in examples.values():
+            words = takewhile(lambda word: re.fullmatch(r"(?!results)[a-z][a-z-]*", word), text.split()[1:])
+            assert " ".join(words) in STARTED
+
+
+@pytest.mark.parametrize("command", drawn({**STARTED}, "first second"))
 def test_the_first_second_of_a_command_leaves_nothing_cut_and_no_traceback(command: str, place: Path) -> None:
-    words = " ".join(COMMANDS[command]).split()
+    words = " ".join(STARTED[command]).split()
+    (place / "campaign.toml").write_text(CAMPAIGN)
+    shutil.copytree(EXAMPLES / "robot", place / "robot")
+    (place / "results").mkdir()
+    with open_database(place / "results") as database:
+        database.list_cases("fleet", ["f" * 64])
+        database.add([Row("f" * 64, "a", "a.npy", "", (), None, Outcome.REFUSED, "Refused.", "")])
     named, chance = [word for word in words if word.startswith("o.")], random.Random(f"first {command}{SEED}")
     for turn in range(max(COUNT // 4, 2)):
         kill = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)[turn % 3]
@@ -55,14 +95,17 @@ def test_the_first_second_of_a_command_leaves_nothing_cut_and_no_traceback(comma
             assert process.stderr.read(1) == b"!"
             time.sleep(chance.uniform(0.0, 1.0))
             process.send_signal(kill)
+            sent = time.monotonic()
             said = process.stderr.read().decode()
+        note(seconds=time.monotonic() - sent)
         assert "Traceback" not in said, said
         assert process.returncode in (0, -kill, 128 + kill), said
-        found = contents(place)
+        found = {name: content for name, content in contents(place).items() if not name.startswith(FOLDERS)}
+        before = {name: content for name, content in before.items() if not name.startswith(FOLDERS)}
         assert before.keys() <= found.keys()
-        for name in found:
+        for name, content in found.items():
             kept = name not in named and name in before
-            assert found[name] == before[name] if kept else found[name] == OLD or is_whole(name, found[name]), name
+            assert content == before[name] if kept else content == OLD or is_whole(name, content), name
 
 
 def test_a_campaign_on_a_full_disk_loses_nothing(place: Path) -> None:
@@ -72,6 +115,7 @@ def test_a_campaign_on_a_full_disk_loses_nothing(place: Path) -> None:
     status, finished = ["campaign", "status", "results"], 0
     for turn in range(max(COUNT // 4, 3)):
         ended = run_program(*words, folder=place, most=40_000 * turn // max(COUNT // 4, 3))
+        note()
         require_calm(ended, (2,))
         assert before.items() <= contents(place).items()
         seen = run_program(*status, folder=place)
@@ -87,6 +131,7 @@ def test_a_campaign_on_a_full_disk_loses_nothing(place: Path) -> None:
         ask = f"campaign {option.get(target, 'export results --out')} {target}".split()
         (place / target).write_bytes(OLD)
         ended = run_program(*ask, folder=place, most=100)
+        note(seconds=ended.seconds)
         require_calm(ended, (2,))
         assert (place / target).read_bytes() == OLD
 
@@ -116,6 +161,7 @@ def test_a_folder_that_takes_nothing_is_a_sentence(writer: str, place: Path) -> 
         ended = run_copy(program, folder=place)
     finally:
         place.chmod(0o755)
+    note(seconds=ended.seconds)
     assert ended.code != BROKEN, ended
     require_calm(ended, (2,))
     assert "permission denied" in ended.said
@@ -138,10 +184,12 @@ def test_a_reader_that_is_killed_from_outside_is_a_sentence(tmp_path: Path) -> N
     killer.start()
     sentences, wholes = list[str](), 0
     while wholes + len(sentences) < 4 * COUNT or not sentences:
+        began = time.monotonic()
         try:
             wholes += read_table(path).rows == 200_000
         except RecordError as error:
             sentences.append(str(error))
+        note(seconds=time.monotonic() - began)
     over.set()
     killer.join()
     assert all("ended what reads it" in one for one in sentences)

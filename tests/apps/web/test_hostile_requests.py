@@ -14,6 +14,7 @@ from jointid.apps.web import application as serving
 from jointid.apps.web.folder import Limits
 from tests.apps.web.asking import MULTIPART, TOKEN, Served, parts
 from tests.drawing import draw_some
+from tests.losses.runs import EXECUTED
 
 pytestmark = pytest.mark.hostile
 
@@ -114,8 +115,8 @@ NAMES = (
     "a.csv/",
     "a.csv\x7f",
     "'; drop table x; --.csv",
-    "$(reboot).csv",
-    "`id`.csv",
+    f"$(touch {EXECUTED.name}).csv",
+    f"`touch {EXECUTED.name}`.csv",
     "%2e%2e%2fx.csv",
     "runs",
     "record.json",
@@ -284,6 +285,7 @@ def test_no_request_brings_the_page_down_or_has_it_tell_what_it_should_not(
     assert "Traceback" not in said
     assert "Exception" not in said
     assert {path.name for path in folder.parent.iterdir()} == {"page", "secret.txt"}
+    assert not [*folder.rglob(EXECUTED.name), *Path().glob(EXECUTED.name)]
     assert served.ask("GET", "/")[0] == 200
     assert served.ask("POST", "/record", parts(log), MULTIPART)[0] == 303
     assert len([*folder.glob("upload-*.csv")]) == 1
