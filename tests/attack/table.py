@@ -18,7 +18,7 @@ from tests.losses.runs import COUNT
 
 PARTS: dict[str, dict[str, str]] = {
     "tests/losses/test_surroundings.py": {
-        "first_second": "kills in the first second of commands",
+        "the_first_second_of": "kills in the first second of commands",
         "campaign_on_a_full_disk": "sizes of a full disk under a campaign and its reports",
         "folder_that_takes_nothing": "writers into a read-only folder",
         "reader_that_is_killed": "readings while the reading process is killed",

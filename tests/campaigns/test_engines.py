@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from jointid.campaigns.engines import LocalProcesses
+from jointid.campaigns.fork_server import IS_SERVER
 
 if sys.platform != "win32":
     import resource
@@ -72,6 +73,16 @@ def test_modules_that_the_program_preloads_are_kept(tmp_path: Path) -> None:
     ).stdout.split()  # fmt: skip
     assert said[0] == said[1], "the server loaded it, and not the worker"
     assert said[2:] == ["deaf", "hears"]
+
+
+@pytest.mark.parametrize(("error", "is_said"), [("EOFError", False), ("RuntimeError", True)])
+def test_the_server_says_nothing_but_what_a_program_without_a_guard_does_wrong(error: str, is_said: bool) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", f"import jointid.campaigns.fork_server; raise {error}"],
+        env={**os.environ, IS_SERVER: "1"}, capture_output=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 1
+    assert (error in ended.stderr.decode()) is is_said
 
 
 PRELOADING = """

@@ -11,15 +11,9 @@ import os
 import signal
 import sys
 from multiprocessing import util
-from types import TracebackType
 
 IS_SERVER = "JOINTID_FORK_SERVER"
 """Is set for the server alone."""
-
-
-def _explain_programs(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    if issubclass(kind, RuntimeError):
-        sys.__excepthook__(kind, error, trace)
 
 
 def _hear_interrupts(_: object) -> None:
@@ -27,5 +21,5 @@ def _hear_interrupts(_: object) -> None:
 
 
 if os.environ.pop(IS_SERVER, None):
-    sys.excepthook = _explain_programs
+    sys.excepthook = lambda kind, *about: sys.__excepthook__(kind, *about) if issubclass(kind, RuntimeError) else None
     util.register_after_fork(sys.modules[__name__], _hear_interrupts)
