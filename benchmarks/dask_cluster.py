@@ -19,7 +19,7 @@ class Cluster:
     def __init__(self, folder: Path, stack: contextlib.ExitStack, address: str = "tcp://127.0.0.1:0") -> None:
         self._file, self._stack = folder / "scheduler.json", stack
         self.scheduler = self.start_scheduler(address)
-        while not self._file.exists():
+        while not self._file.exists() or not self._file.stat().st_size:  # it is made, and then written
             time.sleep(0.05)
         self.address: str = json.loads(self._file.read_text())["address"]
 

@@ -91,7 +91,8 @@ def main() -> None:
             mine = [value for name, value in tried.items() if key in name]
             count, longest = sum(one for one, _ in mine), max((seconds for _, seconds in mine), default=0.0)
             lost = sum(key in name for name in failed)
-            print(f"| {what} | {count} | {lost} | {longest:.1f} | {memory / 2**20:.1f} |", flush=True)
+            time = f"{longest:.1f}" if longest else "-"
+            print(f"| {what} | {count} | {lost} | {time} | {memory / 2**20:.1f} |", flush=True)
     print(*bad, sep="\n")
     sys.exit(bool(bad))
 
