@@ -54,7 +54,7 @@ def test_didim_recovers_a_rigid_truth(motion: np.ndarray, start: str) -> None:
 def test_the_paper_s_form_is_biased_where_the_axis_rests() -> None:
     """Friction at rest takes what it must, not Fc: form (11) cannot be right there, the residual form is."""
     made = simulated_record(LOOP, RESTING, TRUTH, sample_time=T)
-    estimate = identify(made, LOOP, DIDIM(form="paper"))
+    estimate = identify(made, LOOP, DIDIM(form="paper", start="regular"))
     assert errors(estimate.values, TRUTH) > 1e-3
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import jointid as ji
@@ -80,3 +81,37 @@ def test_a_mode_inside_the_bandwidth_is_found_though_the_rigid_joint_is_none() -
     stiffness = estimate["stiffness"]
     assert stiffness.interval is not None
     assert stiffness.interval[0] < axis.truth["stiffness"] < stiffness.interval[1]
+
+
+@pytest.mark.parametrize(
+    ("gains", "seed", "first"),
+    [
+        ((60.0, 9000.0, 0.0), 12, 11_687),  # in motion
+        ((60.0, 9000.0, 0.0), 10, 17_225),  # at rest; the Coulomb friction holds the motor
+        ((20.0, 1000.0, 0.0), 9, 7_537),  # the reference rests, and the motor follows it still
+        ((10.0, 1000.0, 5.0), 4, 18_540),  # in motion under an integral
+    ],
+)
+def test_six_seconds_that_begin_anywhere_have_one_answer(
+    gains: tuple[float, float, float], seed: int, first: int
+) -> None:
+    """A few reversals tell the Coulomb friction: what sticks, and how the motor begins, must not hide it."""
+    position, velocity, integral = gains
+    law = ji.controller.Cascade(position_gain=position, velocity_gain=velocity, integral_gain=integral)
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
+    truth = {"inertia": 95.0, "viscous": 205.0, "coulomb": 20.0, "offset": -3.0}
+    rng = np.random.default_rng([seed, 77])
+    speeds = tuple(rng.permutation([0.05, 0.1, 0.2]) * rng.uniform(0.7, 1.3))
+    reference = ji.excitation.trapezoids(speeds, rng.uniform(0.8, 2.0), 0.2, 1e-3, duration=30.0, rest=0.3)
+    whole = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+    assert whole.torque is not None
+    noise = 0.01 * np.std(whole.torque.values)
+    noisy = replace(whole.torque, values=whole.torque.values + noise * rng.standard_normal(reference.size))
+    part = slice(first, first + 6000)
+    torque, asked = (replace(one, values=one.values[part]) for one in (noisy, whole.reference) if one is not None)
+    estimate = ji.identify(ji.Record(torque=torque, reference=asked), loop, checks=False)
+    assert estimate.fit.filtered_error < 5e-3  # the noise leaves 0.4 %, another friction 0.4 to 7 %
+    for name, value in truth.items():
+        line = estimate[name]
+        assert line.value is not None and line.stderr is not None
+        assert line.value == pytest.approx(value, abs=3.5 * line.stderr)

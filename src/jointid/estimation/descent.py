@@ -21,6 +21,7 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUGHLY, _FEW, _GLANCES = 1e-5, 30, 8  # tolerance and evaluations of a rough descent; of a look
 _CLEARLY = 25.0  # times the residual's variance: the first rows of a filter without a lag vary more than the others ...
+_FIRST, _OUT = 10, 5.0  # rows; times the median size, which one in a hundred of ten rows of noise exceeds
 _SURELY = 2.0  # ... and robust standard deviations of that velocity
 
 
@@ -166,6 +167,12 @@ def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history:
         )
     wider = solved.problem.freeing(*names)
     return history.solve(wider, least_squares(wider, tolerance), wider.vector(solved.values))
+
+
+def begins_badly(solved: Solved) -> bool:
+    """Test whether the first rows of a residual stand out of the others."""
+    size = np.abs(solved.solution.residual)
+    return bool(np.max(size[:_FIRST]) > _OUT * np.median(size))
 
 
 def or_moving(

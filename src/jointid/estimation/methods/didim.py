@@ -49,7 +49,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Suspicion, ignore_progress
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.descent import History, Solved, free_more, glancing, least_squares, or_moving
+from jointid.estimation.descent import History, Solved, begins_badly, free_more, glancing, least_squares, or_moving
 from jointid.estimation.methods.force_in_loop import (
     allow_for_force,
     instruments,
@@ -79,6 +79,7 @@ from jointid.estimation.starts.rigid_joint import Start, rigid_starts
 from jointid.models.controllers import REFERENCE, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
+from jointid.simulation.closed_loop import wound_up
 from jointid.solvers.nelder_mead import NelderMead
 from jointid.solvers.regression import refuse_idle
 from jointid.solvers.solve import Status
@@ -87,6 +88,7 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _BETTER = 1e-6  # of the residual: by as much a later end has to be better than an earlier one
+_ASIDE = 0.25  # of the reference's largest speed: a motor may move while its reference rests
 _LEAST = "by least squares"
 _LEAST_ERROR = 'set method.form = "least-squares"'
 _LEAST_SQUARES = 'set method.minimiser = "least-squares"'
@@ -377,9 +379,19 @@ class DIDIM(Method):
             best = end if end.norm < (1.0 - _BETTER) * best.norm else best
         size = problem.size
         if self.initial_state == "free" and best.norm > _ROUNDING * size:
-            # Of a motor at rest the derivative by its velocity is 0: no search leaves it.
-            velocity = next((v for one in starts if (v := one.values["initial_velocity"]) != 0.0), 0.0)
-            best = or_moving(best, problem, {**best.values, "initial_velocity": velocity}, solver, history)
+            # Of a motor at rest the derivative by its velocity is 0: no search leaves it. Where the motor moves, the
+            # end at rest has another friction, and is not near.
+            moving = next((one.values for one in starts if one.values["initial_velocity"] != 0.0), best.values)
+            velocity = moving["initial_velocity"]
+            near = moving if wound_up(problem.experiment, velocity) else best.values | {"initial_velocity": velocity}
+            best = or_moving(best, problem, near, solver, history)
+            fastest = (
+                float(np.max(np.abs(np.diff(problem.experiment.inputs[:, REFERENCE])))) / problem.experiment.law.period
+            )
+            for velocity in (_ASIDE * fastest, -_ASIDE * fastest) if begins_badly(best) else ():
+                home = beginning_position(problem, velocity)
+                aside = best.values | {"initial_velocity": velocity, "initial_position": home}
+                best = or_moving(best, problem, aside, solver, history)
         if best.norm <= _ROUNDING * size:
             best = best._replace(solution=replace(best.solution, status=Status.EXACT, message=REPRODUCED))
         return best

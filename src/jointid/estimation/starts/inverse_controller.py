@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.models.controllers import POSITION, REFERENCE, invert
 from jointid.records.record import Tap, Timing
 
@@ -34,11 +34,13 @@ def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
     if experiment.every > 1:  # the log shows some of the periods: between them the torque is taken as a straight line
         command = np.interp(np.arange(experiment.periods) / experiment.every, np.arange(command.size), command)
     element = law.tap if experiment.tap is Tap.COMMAND else law.output
-    slope = (inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
-    state = law.known_memory(inputs) + law.memory(POSITION, inputs[0, REFERENCE], slope)
+    slope = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
+    # The inverse of a slow position loop forgets a wrong first position as slowly: a motor that moves lags behind.
+    home = beginning_position(problem, slope)
+    state = law.known_memory(inputs) + law.memory(POSITION, home, slope)
     integral = law.integral()
     if integral is not None:
-        there = inputs[0] + inputs[0, REFERENCE] * (np.arange(inputs.shape[1]) == POSITION)
+        there = inputs[0] + home * (np.arange(inputs.shape[1]) == POSITION)
         first = law.C[0, law.output] @ state + law.D[0, law.output] @ there
         state = state + integral * (command[0] - first)
     return invert(law, command, inputs, state, element)[:: experiment.every][: experiment.samples]

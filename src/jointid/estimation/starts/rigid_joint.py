@@ -14,6 +14,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, Suspicion
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
+from jointid.estimation.problems.rest import steady_weights
 from jointid.estimation.starts.inverse_controller import (
     first_state,
     invertible_samples,
@@ -136,6 +137,9 @@ def _regress(
     if not np.all(known):
         position = np.interp(instants, instants[known], position[known])
     model = inverse_model(joint, held, (position,), filtering, delay)
+    assert filtering.position_cutoff is not None
+    # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
+    known = known * steady_weights(model.motor.velocity, filtering.position_cutoff, sample_time)[1]
     if not np.all(known):
         columns = model.columns * known[:, np.newaxis]
         model = InverseModel(model.torque * known, columns, model.inside, model.motor)
