@@ -385,13 +385,12 @@ class DIDIM(Method):
             velocity = moving["initial_velocity"]
             near = moving if wound_up(problem.experiment, velocity) else best.values | {"initial_velocity": velocity}
             best = or_moving(best, problem, near, solver, history)
-            fastest = (
-                float(np.max(np.abs(np.diff(problem.experiment.inputs[:, REFERENCE])))) / problem.experiment.law.period
-            )
-            for velocity in (_ASIDE * fastest, -_ASIDE * fastest) if begins_badly(best) else ():
+            steps = np.diff(problem.experiment.inputs[:, REFERENCE])
+            aside = _ASIDE * float(np.max(np.abs(steps))) / problem.experiment.law.period
+            for velocity in (aside, -aside) if begins_badly(best) else ():
                 home = beginning_position(problem, velocity)
-                aside = best.values | {"initial_velocity": velocity, "initial_position": home}
-                best = or_moving(best, problem, aside, solver, history)
+                there = best.values | {"initial_velocity": velocity, "initial_position": home}
+                best = or_moving(best, problem, there, solver, history)
         if best.norm <= _ROUNDING * size:
             best = best._replace(solution=replace(best.solution, status=Status.EXACT, message=REPRODUCED))
         return best

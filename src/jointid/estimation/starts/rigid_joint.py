@@ -139,10 +139,9 @@ def _regress(
     model = inverse_model(joint, held, (position,), filtering, delay)
     assert filtering.position_cutoff is not None
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
-    known = known * steady_weights(model.motor.velocity, filtering.position_cutoff, sample_time)[1]
-    if not np.all(known):
-        columns = model.columns * known[:, np.newaxis]
-        model = InverseModel(model.torque * known, columns, model.inside, model.motor)
+    weights = known * steady_weights(model.motor.velocity, filtering.position_cutoff, sample_time)[1]
+    columns = model.columns * weights[:, np.newaxis]
+    model = InverseModel(model.torque * weights, columns, model.inside, model.motor)
     parameters, free = problem.parameters[: len(joint.parameters)], problem.free_joint
     kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
     Y, W = model.decimate(filtering, sample_time, kept, compiled=True)
