@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Set
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
@@ -113,8 +113,7 @@ def faster_laws(problem: ClosedLoopProblem, record: Record, times: int) -> Itera
     controller = problem.loop.controller
     assert isinstance(controller, DiagramController)
     period = problem.sample_time / times
-    words = f"the controller runs faster than the log, at {1e-3 / period:.4g} kHz"
-    remedy = f"its period, {1e3 * period:.4g} ms"
+    words, remedy = _state_periods([period])
     faster = replace(controller, period=period)
     used = controller.interpolation or default_interpolation(cast("Channel", record.reference))
     yield OtherLaw((PERIOD,), words, f'{remedy}, and interpolation = "{used}"', faster, 1 / period)
@@ -124,6 +123,13 @@ def faster_laws(problem: ClosedLoopProblem, record: Record, times: int) -> Itera
             one = replace(faster, interpolation=way)
             more = f"{words}, with its reference {_DONE[way]}"
             yield OtherLaw((PERIOD,), more, f'{remedy}, and interpolation = "{way}"', one, 1 / period)
+
+
+def _state_periods(periods: Sequence[float]) -> tuple[str, str]:
+    """Return the clause on a drive of one of these periods, and what to declare; the slowest is the first."""
+    each = sorted(periods, reverse=True)
+    rates, times = (" or ".join(f"{1e-3 / p:.4g}" for p in each), " or ".join(f"{1e3 * p:.4g}" for p in each))
+    return f"the controller runs faster than the log, at {rates} kHz", f"its period, {times} ms"
 
 
 def other_interpolations(problem: ClosedLoopProblem, record: Record) -> Iterator[OtherLaw]:
@@ -329,7 +335,8 @@ def _refit_filtered(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Refit
 def _describe_laws(finding: Finding, check: AxisFaults, _: bool) -> str:
     """Return the clause on another law of the drive, and on equally good ones; rates of one law are joined.
 
-    A law that is reported as undecided is not repeated.
+    A law that is reported as undecided is not repeated. Rates that the record does not tell apart are equals: which of
+    them leaves least is chance.
     """
     assert finding.law is not None
     of_each: dict[tuple[str, str | None], list[OtherLaw]] = {}
@@ -337,8 +344,11 @@ def _describe_laws(finding: Finding, check: AxisFaults, _: bool) -> str:
         of_each.setdefault((one.fault.name, getattr(one.controller, "interpolation", None)), []).append(one)
     stated = []
     for first, *others in of_each.values():
-        rates = ", ".join(f"{1e-3 * one.rate:.4g}" for one in others)
-        stated.append((f"{first.words} (or {rates} kHz)" if rates else first.words, first.remedy))
+        texts = first.words, first.remedy
+        if others:
+            alone, every = (_state_periods([1 / law.rate for law in laws]) for laws in ([first], [first, *others]))
+            texts = texts[0].replace(alone[0], every[0]), texts[1].replace(alone[1], every[1])
+        stated.append(texts)
     (said, remedy), *more = stated
     said = f"{said}: declare {remedy}"
     return said + "".join(f"; or {one}, which this record does not tell apart: {its}" for one, its in more)
