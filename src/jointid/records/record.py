@@ -26,6 +26,8 @@ from jointid.common.transmission import Side, Transmission
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+_DECIMALS = 13  # of a period in seconds: more are of a period that has no end
+
 
 class Timing(StrEnum):
     """Instants represented by a logged value."""
@@ -101,7 +103,14 @@ class Channel:
     @property
     def time(self) -> FloatArray:
         """Instants of the samples, shape (samples,), starting at 0."""
-        return np.asarray(np.arange(self.values.size) * self.sample_time, dtype=np.float64)
+        return instants(self.values.size, self.sample_time)
+
+
+def instants(samples: int, period: float) -> FloatArray:
+    """Return multiples of a period from 0 on, (samples,), with no more decimals than the period has."""
+    decimals = next((n for n in range(_DECIMALS) if round(period, n) == period), None)
+    found = np.arange(samples) * period
+    return np.asarray(found if decimals is None else np.round(found, decimals), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

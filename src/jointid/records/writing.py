@@ -20,7 +20,7 @@ from jointid.records.columns import Column, unit_in_name, unit_of_column
 from jointid.records.drives import Drive
 from jointid.records.formats import Format, Holds, Table, format_of, read_tables, write_table
 from jointid.records.formats.table import join_tables, require_size
-from jointid.records.record import Channel, Record, refer_to_drive
+from jointid.records.record import Channel, Record, instants, refer_to_drive
 
 _ROWS = 2**18  # that are converted at once
 _LISTED = 20  # names in a note
@@ -134,7 +134,7 @@ def _time_column(
 def _stamps(channel: Channel, name: str, time_unit: str | None) -> FloatArray:
     """A channel's instants in the unit of its time column."""
     unit = units.unit(time_unit or unit_in_name(name, units.units_of("time")) or "s")
-    return channel.time / unit.factor
+    return instants(len(channel), channel.sample_time / unit.factor)
 
 
 @dataclass(frozen=True, slots=True)

@@ -143,11 +143,12 @@ def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys
     stiff = {**TABLE_2, "stiffness": 1e9, "damping": 1e4}
     write(simulated_record(loop, reference, stiff, sample_time=1e-3, disturbance=force), tmp_path / "record.csv")
     text = JOINT_FILE.replace("frequency = 30.0", "# frequency = 30.0")
-    (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
-    assert run("identify", tmp_path / "joint.toml", "-q", "--json", tmp_path / "refused.json") == 0
+    (tmp_path / "joint.toml").write_text(f"{text}\n[transmission]\nratio = 1\n", encoding="utf-8")
+    assert run("identify", tmp_path / "joint.toml", "-q", "--details", "--json", tmp_path / "refused.json") == 0
     said = capsys.readouterr().out
     assert "the stiffness is refused; its lower bound" in said
     assert "would" in said.strip().partition("the stiffness is refused")[2]
+    assert said.count("transmission") == 1
     assert run("validate", tmp_path / "joint.toml", "--estimate", tmp_path / "refused.json") == 2
     assert (
         "cannot be determined from this record, so this estimate predicts no torque; identify the joint as rigid"
@@ -240,8 +241,9 @@ offset = { start = 0.5 }
     joint, made, out = tmp_path / "joint.toml", tmp_path / "made.csv", tmp_path / "out.json"
     joint.write_text(text, encoding="utf-8")
     assert run("simulate", joint, "--out", made, "-q") == 0
-    names = made.read_text(encoding="utf-8").splitlines()[0]
+    names, *rows = made.read_text(encoding="utf-8").splitlines()
     assert names == "t,6074h,6062h,6064h"
+    assert max(len(row.partition(",")[0]) for row in rows) == len("7.999")
     assert run("identify", joint, "--record", made, "--json", out, "-q") == 0
     found = json.loads(out.read_text(encoding="utf-8"))["parameters"]
     for name, value in {"inertia": 0.5, "viscous": 2.5, "coulomb": 1.5, "offset": 0.5}.items():

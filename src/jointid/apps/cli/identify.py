@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -148,7 +149,9 @@ def identify(
         logged, estimate = options.identify(file)
     deliver(estimate, json, (figure, figures.torque), details=details)
     if isinstance(logged, Record) and told_bounds(estimate):
-        show("\n" + wrap(str(advise(estimate, logged)), WIDTH, below=2))
+        advice = advise(estimate, logged)
+        said = replace(advice, transmission=None) if details else advice  # the details of the estimate have it
+        show("\n" + wrap(str(said), WIDTH, below=2))
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 

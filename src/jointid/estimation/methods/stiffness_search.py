@@ -44,10 +44,11 @@ from jointid.estimation.starts.flexible_joint import (
     frequency_of,
     start_with_mode,
 )
+from jointid.estimation.starts.inverse_controller import first_state, reconstructed_position
 from jointid.estimation.starts.rigid_joint import regular_start
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.closed_loop import in_threads, wound_up
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.solve import Counted, Solution, Solver, solve
 from jointid.uncertainty.position_dependent_error import repeatable
@@ -168,8 +169,19 @@ class StiffnessSearch:
         return float(np.linalg.norm(left)) / solved.problem.size
 
     def _from_rigid_joint(self, rigid: FitResult) -> Solved:
-        found = self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
+        with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
+            first = first_state(self.problem, reconstructed_position(self.problem))
+            if wound_up(self.problem.experiment, first["initial_velocity"]):  # an end at rest is not near
+                state = {p.name: replace(p, start=first[p.name]) for p in INITIAL_STATE}
+                moving = replace(self, problem=self.problem.replace_parameters(state))
+                found = moving._explore(rigid)
+                if not moving._explains_little(found):
+                    return found
+        found = self._explore(rigid)
         return _or_moving(found, rigid, least_squares(found.problem, self.tolerance), self.history)
+
+    def _explore(self, rigid: FitResult) -> Solved:
+        return self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
 
     def _without_rigid_joint(self) -> Solved:
         """Search from antiresonances; from the joint that would follow its reference if that fails.

@@ -231,8 +231,9 @@ def antiresonance_starts(problem: ClosedLoopProblem) -> list[dict[str, float]]:
     motions = np.column_stack([position, reference, acting])[law.order // experiment.every + 2 :]
     if len(motions) < _SHORTEST or not (np.all(np.isfinite(motions)) and np.ptp(motions[:, 2]) > 0):
         return []
-    first = {"initial_position": float(motions[0, 0]), "initial_velocity": 0.0}
-    first["initial_torque"] = float(problem.measured[0])
+    first = {"initial_torque": float(problem.measured[0])}
+    if all(p.name != "initial_velocity" for p in problem.free):  # where the motor moves, the problem has its start
+        first |= {"initial_position": float(motions[0, 0]), "initial_velocity": 0.0}
     fixed = {p.name: p.start or 0.0 for p in problem.parameters if not p.free}
     starts = []
     for values in _solve_row(*_resample(motions, sample_time)):
