@@ -52,7 +52,8 @@ from tests.mistakes import (
 
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
 FIRST_WORDS = {
-    "torque turned round": "the torque has the wrong sign, or the reference has the wrong sign",
+    "torque turned round": "the torque has the wrong sign (set record.channels.torque.sign = -1), or the reference has "
+    "the wrong sign (set record.channels.reference.sign = -1)",
     "torque and reference swapped": "torque and reference are swapped",
     "reference in degrees": "the reference is in degrees, not rad",
     "sample time ten times as long": "the sample time is about 10 times too long",

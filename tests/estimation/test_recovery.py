@@ -248,7 +248,7 @@ def test_a_torque_of_the_wrong_sign_is_refused_with_the_remedy() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
     assert made.torque is not None
     turned = replace(made, torque=replace(made.torque, values=-made.torque.values))
-    with pytest.raises(MethodError, match=r"inertia = -9.*wrong sign \(set sign = -1\)"):
+    with pytest.raises(MethodError, match=r"inertia = -9.*wrong sign \(set record.channels.torque.sign = -1\)"):
         identify(turned, LOOP, IDIM())
     with pytest.raises(MethodError, match="sign"):
         identify(turned, LOOP)

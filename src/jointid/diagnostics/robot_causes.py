@@ -394,11 +394,12 @@ def _causes_of_joint(declared: _Case, k: int) -> Iterator[_Cause]:
     yield _Cause("", (k,), lambda x: declared.scale(k, 1.0, math.exp(x[0])), starts=tuple((g,) for g in _GEARS))
     yield _Cause(
         "position_sign", (k,), lambda x: declared.scale(k, -1.0, 1.0),
-        lambda x: f"the position of {name} has the wrong sign: give its channel sign = -1",
+        lambda x: f"the position of {name} has the wrong sign: set motor_position.sign = -1 in its joints.channels",
     )  # fmt: skip
     yield _Cause(
         "joint_sign", (k,), lambda x: declared.scale(k, -1.0, -1.0),
-        lambda x: f"position and torque of {name} count the other way than the model's axis: give both sign = -1",
+        lambda x: f"position and torque of {name} count the other way than the model's axis: set "
+        "motor_position.sign and torque.sign = -1 in its joints.channels",
     )  # fmt: skip
     yield _Cause(
         "gear_ratio", (k,), lambda x: declared.scale(k, math.exp(x[0]), math.exp(-x[0])),

@@ -95,6 +95,6 @@ def _find_beyond(record: Record, fit: FitResult, wanted: tuple[Parameter, ...]) 
             known = "".join(f"; {note}" for note in find_record_warnings(record, fit.data.channels))
             raise MethodError(
                 f"The record gives {p.name} = {values[p.name]:.4g}, which no joint has: the torque or the motion has "
-                f"the wrong sign (set sign = -1), or they do not belong together{known}."
+                f"the wrong sign (set record.channels.torque.sign = -1), or they do not belong together{known}."
             )
     return max((p for p in found if not p.lower <= values[p.name] <= p.upper), key=excess, default=None)

@@ -67,13 +67,13 @@ REFERENCE_SIGN = Fault("reference_sign", "sign of the reference")
 
 
 def _explain_sign(*_: object) -> Iterator[Meaning]:
-    yield TORQUE_SIGN, "the torque has the wrong sign", None
-    yield REFERENCE_SIGN, "the reference has the wrong sign", None
+    yield TORQUE_SIGN, "the torque has the wrong sign (set record.channels.torque.sign = -1)", None
+    yield REFERENCE_SIGN, "the reference has the wrong sign (set record.channels.reference.sign = -1)", None
 
 
 TORQUE_SIGN = Fault(
     "torque_sign", "sign of the torque", correct=_invert_torque, meanings=_explain_sign,
-    describe=lambda *_: "the torque has the wrong sign: give its channel sign = -1",
+    describe=lambda *_: "the torque has the wrong sign: set torque.sign = -1 in joints.channels, or in record.channels",
 )  # fmt: skip
 
 

@@ -164,7 +164,7 @@ def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list
         if cost == math.inf:
             raise MethodError(
                 f"Torque and motor position give inertia = {found['inertia']:.4g}, which no joint has: one of them has "
-                "the wrong sign (set sign = -1), or they do not belong together."
+                "the wrong sign (set record.channels.torque.sign = -1), or they do not belong together."
             )
         return [_vector(problem, found)], 1
     cutoff = problem.filtering.cutoff
@@ -180,7 +180,8 @@ def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list
     if not valleys:
         raise MethodError(
             "At no motor-locked frequency below the cut-off do torque and motor position give a joint with positive "
-            "inertias: one of them has the wrong sign (set sign = -1), or they do not belong together."
+            "inertias: one of them has the wrong sign (set record.channels.torque.sign = -1), or they do not belong "
+            "together."
         )
     # One that explains much less of the torque than another will not overtake it.
     lowest = float(min(costs))

@@ -46,9 +46,10 @@ from jointid.estimation.starts.flexible_joint import (
 )
 from jointid.estimation.starts.inverse_controller import first_state, reconstructed_position
 from jointid.estimation.starts.rigid_joint import regular_start
+from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads, wound_up
+from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.solve import Counted, Solution, Solver, solve
 from jointid.uncertainty.position_dependent_error import repeatable
@@ -73,6 +74,7 @@ _TOGETHER, _AS_GOOD = 1e-2, 3e-3
 _BETTER = 1e-3  # of what remains: so much less is further down
 _DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
 _IDLE = 1e-8  # of the largest singular value: smaller ones are those of parameters that change nothing
+_MOVES = 0.05  # of the reference's largest speed: at more the motor moves at the first sample
 _REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 
@@ -169,9 +171,10 @@ class StiffnessSearch:
         return float(np.linalg.norm(left)) / solved.problem.size
 
     def _from_rigid_joint(self, rigid: FitResult) -> Solved:
-        with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
-            first = first_state(self.problem, reconstructed_position(self.problem))
-            if wound_up(self.problem.experiment, first["initial_velocity"]):  # an end at rest is not near
+        steps = np.diff(self.problem.experiment.inputs[:, REFERENCE])
+        if abs(steps[0]) > _MOVES * np.max(np.abs(steps)):  # an end at rest is not near
+            with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
+                first = first_state(self.problem, reconstructed_position(self.problem))
                 state = {p.name: replace(p, start=first[p.name]) for p in INITIAL_STATE}
                 moving = replace(self, problem=self.problem.replace_parameters(state))
                 found = moving._explore(rigid)
