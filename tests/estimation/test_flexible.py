@@ -155,9 +155,8 @@ def test_an_axis_that_moves_at_the_first_sample_is_found_moving() -> None:
         injected=Injection(replace(record.injected.channel, values=record.injected.channel.values[cut:])),
     )
     estimate = identify(late, axis.loop, DIDIM(frequency=30.0))
-    assert estimate["initial_velocity"].free
     assert float(estimate["initial_velocity"].value or 0.0) > 0.02
-    assert abs(estimate.values["stiffness"] / axis.truth["stiffness"] - 1) <= 0.01
+    assert abs(estimate.values["stiffness"] / axis.truth["stiffness"] - 1) <= 1e-3  # 0.01 with the load's first swing
 
 
 def test_bounds_hold_and_are_named() -> None:
