@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
 from jointid.diagnostics.fault_tests import score_signatures
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
@@ -320,9 +320,7 @@ def _find_swap(torques: AxisTorques) -> tuple[int, int] | None:
 
 
 def _basis_of(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of columns, (rows, rank)."""
-    basis, sizes, _ = np.linalg.svd(columns / column_norms(columns), full_matrices=False)
-    return np.asarray(basis[:, sizes > _RANK * sizes[0]])
+    return orthonormal_basis(columns / column_norms(columns), _RANK)
 
 
 def _gain_of(column: FloatArray, basis: FloatArray, rest: FloatArray) -> float:

@@ -36,7 +36,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
 from jointid.diagnostics.faults.forces import OFFSET
 from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN, number_fault
@@ -96,14 +96,12 @@ class _Step:
         signature: with the best of its shapes.
         shapes: how many there were.
         size: of the step.
-        gain: decrease of the squared residual.
         alone: (rows,) its whitened column, orthogonal to the other columns.
     """
 
     signature: FaultSignature
     shapes: int
     size: float
-    gain: float
     alone: FloatArray
 
 
@@ -130,18 +128,22 @@ def score_signatures(
         widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
         blocks: rows of each axis, where each column of a fault is 0 in all of them but one.
     """
-    basis = _find_common_basis(own, signatures, blocks)
-    whiten = fit_whitener(_give_back(residual - basis @ (basis.T @ residual), _fitted_share(basis)))
+    blocks = blocks or [slice(0, residual.size)]
+    common = _find_common_basis(own, signatures, blocks)
+    rest = residual.copy()
+    for rows, part in common:
+        rest[rows] -= part @ (part.T @ residual[rows])
+    whiten = fit_whitener(_give_back(rest, _fitted_share(residual.size, *(part for _, part in common))))
     basis, error = _find_basis(whiten(own)), whiten(residual)
     left = error - basis @ (basis.T @ error)
-    steps = _choose_steps(signatures, declared, whiten, basis, left)
+    steps = _choose_steps(signatures, declared, whiten, basis, left, blocks)
     groups = _group_identical(steps)
 
     @cache
     def simulate_forces() -> FloatArray:
         return np.array([whiten(one) for one in by_forces()]).reshape(-1, residual.size)
 
-    taken = _fitted_share(basis)
+    taken = _fitted_share(residual.size, basis)
     of_mechanics = [group[0].signature.fault.mechanical for group in groups]
     families = [of_mechanics.count(mechanics) * (RARER if mechanics else 1) for mechanics in of_mechanics]
     found = in_threads(
@@ -189,9 +191,12 @@ def fit_whitener(residual: FloatArray) -> Filter:
     return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
 
 
-def _fitted_share(basis: FloatArray) -> FloatArray:
-    """Return the share of a residual at each frequency, (rows // 2 + 1,), that orthonormal columns fit."""
-    taken = smoothed_spectrum(basis, len(basis))[0]
+def _fitted_share(rows: int, *bases: FloatArray) -> FloatArray:
+    """Return the share of a residual at each frequency, (rows // 2 + 1,), that orthonormal columns fit.
+
+    Columns that are 0 outside of a block are given in it.
+    """
+    taken = sum(smoothed_spectrum(basis, rows, rows)[0] for basis in bases)
     return np.concatenate([taken[:1], taken])
 
 
@@ -205,73 +210,85 @@ def _give_back(residual: FloatArray, taken: FloatArray) -> FloatArray:
 
 
 def _find_basis(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis, (rows, rank), of columns that may be collinear."""
-    left, sizes, _ = np.linalg.svd(columns / column_norms(columns), full_matrices=False)
-    return np.asarray(left[:, sizes > _RANK * sizes[0]])
+    return orthonormal_basis(columns / column_norms(columns), _RANK)
 
 
-def _find_common_basis(own: FloatArray, signatures: Sequence[FaultSignature], blocks: Sequence[slice]) -> FloatArray:
-    """Return an orthonormal basis, (rows, rank), of the free parameters' columns and of those of all faults.
+def _find_common_basis(
+    own: FloatArray, signatures: Sequence[FaultSignature], blocks: Sequence[slice]
+) -> list[tuple[slice, FloatArray]]:
+    """Return an orthonormal basis of the free parameters' columns and of those of all faults: rows and parts of it.
 
     The basis of what is in one block is that block's, so what all blocks share has only the parameters' columns.
     """
-    if not blocks:
-        return _find_basis(np.column_stack([own, *(a.column for a in signatures)]))
-    shared, parts = own / column_norms(own), list[FloatArray]()
+    shared, parts = own / column_norms(own), list[tuple[slice, FloatArray]]()
     for block in blocks:
         columns = [a.column[block] for a in signatures if np.any(a.column[block])]
-        part = _find_basis(np.column_stack(columns)) if columns else np.zeros((len(own[block]), 0))
+        if not columns:
+            continue
+        part = _find_basis(np.column_stack(columns))
         for _ in range(2):  # one pass leaves rounding of the size of what it takes
             shared[block] -= part @ (part.T @ shared[block])
-        parts.append(part)
-    left, sizes, _ = np.linalg.svd(shared, full_matrices=False)
-    left = left[:, sizes > _RANK]
-    found = np.zeros((len(own), left.shape[1] + sum(part.shape[1] for part in parts)))
-    found[:, : left.shape[1]] = left
-    at = left.shape[1]
-    for block, part in zip(blocks, parts, strict=True):
-        found[block, at : at + part.shape[1]] = part
-        at += part.shape[1]
-    return found
+        parts.append((block, part))
+    return [*parts, (slice(None), orthonormal_basis(shared, _RANK))]
 
 
 def _choose_steps(
-    signatures: Sequence[FaultSignature], faults: Iterable[Fault], whiten: Filter, basis: FloatArray, left: FloatArray
+    signatures: Sequence[FaultSignature],
+    faults: Iterable[Fault],
+    whiten: Filter,
+    basis: FloatArray,
+    left: FloatArray,
+    blocks: Sequence[slice],
 ) -> list[_Step]:
     """Return for each fault the step with the shape that decreases the residual most.
 
     `basis`, (rows, rank), spans the other columns; `left`, (rows,), is the residual orthogonal to them.
     """
     tried = dict.fromkeys(faults, 0)
-    asked = [one for one in signatures if one.fault in tried]
-    for one in asked:
-        tried[one.fault] += one.tried
-    if not asked:
+    asked: dict[tuple[int, int], list[FaultSignature]] = {}
+    for one in signatures:
+        if one.fault in tried:
+            tried[one.fault] += one.tried
+            acting = [block for block in blocks if np.any(one.column[block])] or blocks
+            asked.setdefault((acting[0].start, acting[-1].stop), []).append(one)
+    best: dict[Fault, tuple[float, FaultSignature, slice, FloatArray, FloatArray]] = {}
+    for (start, stop), some in asked.items():
+        rows = slice(start, stop + _ORDER)  # the filter reaches behind a block
+        columns = whiten(np.array([one.column[rows] for one in some]).T)
+        fitted = basis[rows].T @ columns
+        squares = np.sum(columns**2, axis=0)
+        apart, along = squares - np.sum(fitted**2, axis=0), left[rows] @ columns
+        for i, one in enumerate(some):
+            tells = apart[i] > _COLLINEAR * squares[i] and (along[i] > 0 or not one.fault.one_sided)
+            gain = float(along[i] ** 2 / apart[i]) if tells else 0.0
+            if one.fault not in best or gain > best[one.fault][0]:
+                best[one.fault] = gain, one, rows, columns[:, i], fitted[:, i]
+    if not best:
         return []
-    columns = whiten(np.array([one.column for one in asked]).T)
-    apart = columns - basis @ (basis.T @ columns)
-    steps: dict[Fault, list[_Step]] = {}
-    for signature, column, alone in zip(asked, columns.T, np.ascontiguousarray(apart.T), strict=True):
+    steps, every = [], np.array([best[fault][4] for fault in tried]) @ -basis.T
+    for fault, alone in zip(tried, every, strict=True):
+        _, signature, rows, column, _ = best[fault]
+        alone[rows] += column
         square = float(alone @ alone)
         # A column in the span of the joint's parameters is not identifiable.
         size = float(alone @ left) / square if square > _COLLINEAR * float(column @ column) else 0.0
-        gain = size * size * square if size > 0 or not signature.fault.one_sided else 0.0
-        steps.setdefault(signature.fault, []).append(_Step(signature, tried[signature.fault], size, gain, alone))
-    return [max(steps[fault], key=lambda step: step.gain) for fault in tried]
+        steps.append(_Step(signature, tried[fault], size, alone))
+    return steps
 
 
 def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
-    groups, sizes = list[list[_Step]](), list[float]()
-    for step in sorted(steps, key=lambda step: step.signature.fault.last):
-        size = float(np.linalg.norm(step.alone))
-        for group, other in zip([] if step.signature.fault.one_sided else groups, sizes, strict=False):
-            if abs(float(step.alone @ group[0].alone)) > _SAME * max(size * other, np.finfo(float).tiny):
-                group.append(step)
-                break
+    steps, groups = sorted(steps, key=lambda step: step.signature.fault.last), list[list[int]]()
+    alone = np.array([step.alone for step in steps]).reshape(len(steps), -1)
+    products = np.abs(alone @ alone.T)
+    sizes = np.sqrt(np.diag(products))
+    same = products > _SAME * np.maximum(np.outer(sizes, sizes), np.finfo(float).tiny)
+    for i, step in enumerate(steps):
+        alike = [] if step.signature.fault.one_sided else [group for group in groups if same[i, group[0]]]
+        if alike:
+            alike[0].append(i)
         else:
-            groups.append([step])
-            sizes.append(size)
-    return groups
+            groups.append([i])
+    return [[steps[i] for i in group] for group in groups]
 
 
 def _test_group(
@@ -292,7 +309,7 @@ def _test_group(
 
     step, fault, parts = group[0], group[0].signature.fault, group[0].signature.parts
     alone = step.alone[:, np.newaxis]
-    after = _give_back(left - step.size * step.alone, taken + _fitted_share(alone / column_norms(alone)))
+    after = _give_back(left - step.size * step.alone, taken + _fitted_share(left.size, alone / column_norms(alone)))
     alike = tuple(other.signature.fault for other in group[1:])
     opposite = tuple(other.signature.fault for other in group[1:] if other.alone @ step.alone < 0)
 

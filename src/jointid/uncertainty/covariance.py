@@ -34,7 +34,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray, column_norms, inverses
 from jointid.common.messages import Message
 from jointid.uncertainty.spectral import spectral_covariance
 
@@ -156,10 +156,16 @@ def scaled_sandwich(
         meat: function of the scaled Z, J and the inverse of their product; returns S, (parameters, parameters).
         lags: rows on each side with accounted correlation.
     """
-    norms = column_norms(Z)
-    Z, J = Z / norms, J / norms
+    norms, Z, J = _scale(Z, J)
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
     return covariance_of(spread @ meat(Z, J, spread) @ spread.T, lags, norms)
+
+
+def _scale(Z: FloatArray, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the norms of instruments, and these and the sensitivities divided by them: one array in least squares."""
+    norms = column_norms(Z)
+    scaled = Z / norms
+    return norms, scaled, scaled if J is Z else J / norms
 
 
 def bartlett_sum(scores: FloatArray, lags: int) -> FloatArray:
@@ -189,9 +195,9 @@ def by_spectrum(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequenc
 
     Arguments as for `sandwich`, in order of time. The deviations include Student's factor.
     """
-    norms = column_norms(Z)
-    spread = np.linalg.pinv((Z / norms).T @ (J / norms))
-    matrix, factor = spectral_covariance((Z / norms) @ spread.T, J / norms, error, _parts(len(Z), series))
+    norms, Z, J = _scale(Z, J)
+    spread = np.linalg.pinv(Z.T @ J)
+    matrix, factor = spectral_covariance(Z, J, error, _parts(len(Z), series), spread)
     return covariance_of(matrix * np.outer(factor, factor), len(Z), norms)
 
 
@@ -210,15 +216,16 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
     return scaled_sandwich(Z, J, meat, len(Z))
 
 
-def smoothed_spectrum(signal: FloatArray, degrees: int) -> tuple[FloatArray, FloatArray]:
+def smoothed_spectrum(signal: FloatArray, degrees: int, rows: int | None = None) -> tuple[FloatArray, FloatArray]:
     """Smoothed spectrum of a signal with `degrees` of freedom, or the sum of those of columns, and multiplicities.
 
-    Both are (samples // 2,), without the mean. The periodogram is averaged over sqrt(samples) neighbours.
+    Both are (rows // 2,), without the mean; of more `rows` than samples the signal is 0 in the others. The periodogram
+    is averaged over sqrt(rows) neighbours.
     """
     from scipy.fft import rfft  # of columns, and of a length with large prime factors, in half of NumPy's time
 
-    rows = len(signal)
-    periodogram = np.sum(np.abs(rfft(signal.reshape(rows, -1), axis=0)[1:]) ** 2, axis=1) / degrees
+    rows = rows or len(signal)
+    periodogram = np.sum(np.abs(rfft(signal.reshape(len(signal), -1), rows, axis=0)[1:]) ** 2, axis=1) / degrees
     half = min(max(math.isqrt(rows) // 2, 1), periodogram.size - 1)
     padded = np.pad(periodogram, half, "reflect")
     both = np.full(periodogram.size, 2.0)
@@ -284,7 +291,7 @@ def residual_left_out(
 
     shares = _products(Z, slopes, first)
     scores = add_blocks(Z * before[:, np.newaxis])
-    moved = _inverses(np.eye(len(spread)) - spread @ shares) @ (spread @ scores[..., np.newaxis])
+    moved = inverses(np.eye(len(spread)) - spread @ shares, _LOST) @ (spread @ scores[..., np.newaxis])
     rows = np.diff(first, append=len(order))
     after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
     # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
@@ -306,18 +313,6 @@ def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp]) -> FloatArr
         rows = first[same][:, np.newaxis] + np.arange(length)
         found[same] = Z[rows].transpose(0, 2, 1) @ J[rows]
     return found
-
-
-def _inverses(matrices: FloatArray) -> FloatArray:
-    """Pseudo-inverses (matrices, n, n); ordinary ones where well-conditioned, ten times faster."""
-    try:
-        found = np.linalg.inv(matrices)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(matrices, rcond=_LOST))
-    condition = np.linalg.norm(matrices, axis=(1, 2)) * np.linalg.norm(found, axis=(1, 2))  # not below the true one
-    near = ~(condition < 1 / _LOST)
-    found[near] = np.linalg.pinv(matrices[near], rcond=_LOST)
-    return np.asarray(found)
 
 
 def compare_deviations(names: Sequence[str], naive: Covariance, robust: Covariance) -> Message | None:

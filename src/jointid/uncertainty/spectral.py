@@ -28,22 +28,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, inverses
 
 _FEWEST = 4  # frequencies of a band: eight degrees of freedom
 _SHARE = 0.25  # of its frequency, that a band is wide
 _LEFT = 1.0  # degrees of freedom that the fit leaves in a band, at least
+_ROUNDING = 1e-13  # of the largest: a singular value that is none
 _TWO_SIGMA = 0.9772498680518208  # of a normal distribution below two deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bands:
-    """Quantities of one record by frequency band.
+    """Quantities of one record by frequency band; of symmetric matrices the upper triangle, row by row.
 
     Attributes:
-        influences: (bands, parameters, parameters) A E_b A'.
-        asked: (bands, parameters, parameters), likewise of what is asked for.
-        sensitivities: (bands, parameters, parameters) J' E_b J.
+        influences: (bands, triangle) A E_b A'.
+        asked: (bands, triangle), likewise of what is asked for.
+        sensitivities: (bands, triangle) J' E_b J.
         left: (bands,) degrees of freedom, less twice what the fit takes.
         power: (bands,) of the residual.
     """
@@ -56,33 +57,37 @@ class _Bands:
 
 
 def spectral_covariance(
-    influences: FloatArray,
+    Z: FloatArray,
     J: FloatArray,
     error: FloatArray,
     parts: Sequence[slice],
+    spread: FloatArray,
     asked: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance, (parameters, parameters), and Student's factors, (parameters,).
 
     Args:
-        influences: (rows, parameters), A', of similar scale.
-        J: (rows, parameters), the sensitivities of the prediction, scaled likewise.
+        Z: (rows, parameters), the instruments, of similar scale; the influences A' are ``Z spread'``.
+        J: (rows, parameters), the sensitivities of the prediction, scaled likewise; Z itself in least squares.
         error: (rows,) the residual, in the order of time.
         parts: rows of each record, with their own spectra.
-        asked: (rows, parameters), influences on the requested quantities, if not the estimate.
+        spread: (parameters, parameters), the inverse of Z' J.
+        asked: (rows, quantities), influences on the requested quantities, if not the estimate.
     """
-    others = [None if asked is None else asked[part] for part in parts]
-    bands = [_bands(influences[part], J[part], error[part], other) for part, other in zip(parts, others, strict=True)]
+    bands = [_bands(Z, J, error, spread, asked, part) for part in parts]
     H = np.concatenate([b.influences for b in bands])
-    sought = np.concatenate([b.asked for b in bands])
+    sought = H if asked is None else np.concatenate([b.asked for b in bands])
     K = np.concatenate([b.sensitivities for b in bands])
     power = np.concatenate([b.power for b in bands])
-    M = np.einsum("aij,bji->ab", K, H, optimize=True) + np.diag(np.concatenate([b.left for b in bands]))
+    i, j = np.triu_indices(len(spread))
+    M = (K * np.where(i == j, 1.0, 2.0)) @ H.T + np.diag(np.concatenate([b.left for b in bands]))
     freedom = np.maximum(np.diag(M), 1e-3)
-    level = _solve_levels(M, power, freedom)
-    covariance = np.einsum("b,bij->ij", level, sought)
-    own = np.einsum("bii->bi", sought)
-    answers = np.linalg.lstsq(M.T, own, rcond=None)[0]  # of each deviation squared, to the power of each band
+    inverse = inverses(M, _ROUNDING)
+    level = _solve_levels(inverse, M, power, freedom)
+    i, j = np.triu_indices(len(spread) if asked is None else asked.shape[1])
+    covariance = np.empty((i[-1] + 1, i[-1] + 1))
+    covariance[i, j] = covariance[j, i] = level @ sought
+    answers = inverse.T @ sought[:, i == j]  # of each deviation squared, to the power of each band
     variance = 2.0 * (level**2 * freedom) @ answers**2
     known = variance > 0
     degrees = 2.0 * np.diag(covariance) ** 2 / np.where(known, variance, 1.0)
@@ -91,28 +96,35 @@ def spectral_covariance(
     return covariance, np.where(known, np.asarray(stdtrit(np.maximum(degrees, 1.0), _TWO_SIGMA) / 2.0), 1.0)
 
 
-def _bands(influences: FloatArray, J: FloatArray, error: FloatArray, asked: FloatArray | None) -> _Bands:
-    rows = error.size
+def _bands(
+    Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, asked: FloatArray | None, part: slice
+) -> _Bands:
+    rows = len(error[part])
     both = np.full(rows // 2 + 1, 2.0)  # in half a spectrum a frequency stands for two, but the first and an even last
     both[0] = 1.0
     both[-1] = 2.0 if rows % 2 else 1.0
-    weight = np.sqrt(both / rows)[:, np.newaxis]
+    weight = np.sqrt(both / rows)
 
-    def transform(signals: FloatArray) -> NDArray[np.complex128]:
-        return np.asarray(weight * np.fft.rfft(signals.reshape(rows, -1), axis=0))
+    def transform(signals: FloatArray) -> FloatArray:
+        """Return half the spectra of signals, (signals, 2 frequencies), real parts beside imaginary ones."""
+        columns = np.ascontiguousarray(signals[part].reshape(rows, -1).T)
+        return np.asarray((weight * np.fft.rfft(columns)).view(np.float64))
 
-    A, slopes, left = (transform(signals) for signals in (influences, J, error))
-    taken = np.real(np.sum(A.conj() * slopes, axis=1))
+    slopes, left = transform(J), transform(error)
+    A = spread @ (slopes if J is Z else transform(Z))
+    taken = np.einsum("cf,cf->f", A, slopes).reshape(-1, 2).sum(axis=1)
     first = _borders(both - taken, rows)
+    bands = [slice(*pair) for pair in zip(2 * first, [*(2 * first[1:]), A.shape[1]], strict=True)]
 
-    def each(columns: NDArray[np.complex128]) -> FloatArray:
-        products = [np.real(part.conj().T @ part) for part in np.split(columns, first[1:])]
-        return np.array(products)
+    def each(spectra: FloatArray) -> FloatArray:
+        i, j = np.triu_indices(len(spectra))
+        return np.array([spectra[:, band] @ spectra[:, band].T for band in bands])[:, i, j]
 
-    freedom = np.add.reduceat(both - 2.0 * taken, first)
-    power = np.add.reduceat(np.abs(left[:, 0]) ** 2, first)
     own = each(A)
-    return _Bands(own, own if asked is None else each(transform(asked)), each(slopes), freedom, power)
+    return _Bands(
+        own, own if asked is None else each(transform(asked)), each(slopes),
+        np.add.reduceat(both - 2.0 * taken, first), np.add.reduceat(left[0] ** 2, 2 * first),
+    )  # fmt: skip
 
 
 def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:
@@ -121,16 +133,19 @@ def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:
     while True:
         k = first[-1]
         wide = max(_FEWEST, min(int(_SHARE * k), math.isqrt(rows)))
-        after = max(k + wide, int(np.searchsorted(total, total[k] + _LEFT)))
+        after = max(k + wide, int(total.searchsorted(total[k] + _LEFT)))
         if after + _FEWEST > left.size:  # what is left is the last band's
             return np.array(first)
         first.append(after)
 
 
-def _solve_levels(M: FloatArray, power: FloatArray, freedom: FloatArray) -> FloatArray:
+def _solve_levels(inverse: FloatArray, M: FloatArray, power: FloatArray, freedom: FloatArray) -> FloatArray:
     """Solve for non-negative band levels, weighted by degrees of freedom."""
     from scipy.optimize import nnls
 
+    found = inverse @ power
+    if np.all(found >= 0.0):
+        return np.asarray(found)
     scale = np.sqrt(freedom)
     unit = float(np.max(power)) or 1.0  # the solver has tolerances of its own
     try:
