@@ -258,22 +258,23 @@ def to_log(experiment: LoopInput, signal: FloatArray) -> FloatArray:
     The signal, (periods,) or (periods, columns), is the output, or behind the limit the torque before the delay:
     piecewise constant over periods, or parts of periods.
     """
-    shown = acting(experiment, signal)
     if experiment.timing is not Timing.AVERAGED:
-        return shown if experiment.log_index.size == len(shown) else np.asarray(shown[experiment.log_index])
+        return np.asarray(signal[_sources(experiment, len(signal))[experiment.log_index]])
     lengths = np.tile(experiment.lengths, len(signal)).reshape(-1, *(1,) * (signal.ndim - 1))
-    means = averages(experiment, lengths * shown)
+    means = averages(experiment, lengths * (shown := acting(experiment, signal)))
     means[0] = shown[0]
     return means
 
 
 def acting(experiment: LoopInput, signal: FloatArray) -> FloatArray:
     """Signal at the tap in each part of each period, parts in a row."""
-    parts = experiment.lengths.size
-    if experiment.tap is Tap.MEASURED:
-        sources = (np.arange(len(signal))[:, np.newaxis] - experiment.lags).reshape(-1)
-        return np.asarray(signal[np.maximum(sources, 0)])
-    return signal if parts == 1 else np.repeat(signal, parts, axis=0)
+    return np.asarray(signal[_sources(experiment, len(signal))])
+
+
+def _sources(experiment: LoopInput, periods: int) -> NDArray[np.int64]:
+    """Return the period of which the signal is at the tap in each part of each period."""
+    lags = experiment.lags * (experiment.tap is Tap.MEASURED)
+    return np.maximum(np.arange(periods)[:, np.newaxis] - lags, 0).reshape(-1)
 
 
 def averages(experiment: LoopInput, integrals: FloatArray) -> FloatArray:

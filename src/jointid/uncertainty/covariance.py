@@ -197,7 +197,7 @@ def by_spectrum(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequenc
     """
     norms, Z, J = _scale(Z, J)
     spread = np.linalg.pinv(Z.T @ J)
-    matrix, factor = spectral_covariance(Z, J, error, _parts(len(Z), series), spread)
+    matrix, factor = spectral_covariance(Z, J, error, _parts(len(Z), series), spread=spread)
     return covariance_of(matrix * np.outer(factor, factor), len(Z), norms)
 
 

@@ -246,9 +246,7 @@ def second_solution(Z: FloatArray, J: FloatArray, error: FloatArray) -> tuple[Fl
     near = np.diag(bartlett_sum((between * error).T, bandwidth(error.size)))
     scale = norms[:, np.newaxis]  # the parameters' units differ by powers of ten
     whole = [slice(0, error.size)]
-    spread, factor = spectral_covariance(
-        (scale * least).T, J / norms, error, whole, np.eye(norms.size), (scale * between).T
-    )
+    spread, factor = spectral_covariance((scale * least).T, J / norms, error, whole, (scale * between).T)
     noise = np.maximum(np.sqrt(np.maximum(near, 0.0)), factor * np.sqrt(np.diag(spread)) / norms)
     return between @ error, noise
 

@@ -57,34 +57,34 @@ class _Bands:
 
 
 def spectral_covariance(
-    Z: FloatArray,
+    influences: FloatArray,
     J: FloatArray,
     error: FloatArray,
     parts: Sequence[slice],
-    spread: FloatArray,
     asked: FloatArray | None = None,
+    spread: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance, (parameters, parameters), and Student's factors, (parameters,).
 
     Args:
-        Z: (rows, parameters), the instruments, of similar scale; the influences A' are ``Z spread'``.
-        J: (rows, parameters), the sensitivities of the prediction, scaled likewise; Z itself in least squares.
+        influences: (rows, parameters), A', of similar scale; or with a spread the instruments Z.
+        J: (rows, parameters), the sensitivities of the prediction, scaled likewise.
         error: (rows,) the residual, in the order of time.
         parts: rows of each record, with their own spectra.
-        spread: (parameters, parameters), the inverse of Z' J.
         asked: (rows, quantities), influences on the requested quantities, if not the estimate.
+        spread: (parameters, parameters), of which the influences are ``Z spread'``.
     """
-    bands = [_bands(Z, J, error, spread, asked, part) for part in parts]
+    bands = [_bands(influences, J, error, part, asked, spread) for part in parts]
     H = np.concatenate([b.influences for b in bands])
     sought = H if asked is None else np.concatenate([b.asked for b in bands])
     K = np.concatenate([b.sensitivities for b in bands])
     power = np.concatenate([b.power for b in bands])
-    i, j = np.triu_indices(len(spread))
+    i, j = np.triu_indices(J.shape[1])
     M = (K * np.where(i == j, 1.0, 2.0)) @ H.T + np.diag(np.concatenate([b.left for b in bands]))
     freedom = np.maximum(np.diag(M), 1e-3)
     inverse = inverses(M, _ROUNDING)
     level = _solve_levels(inverse, M, power, freedom)
-    i, j = np.triu_indices(len(spread) if asked is None else asked.shape[1])
+    i, j = np.triu_indices(J.shape[1] if asked is None else asked.shape[1])
     covariance = np.empty((i[-1] + 1, i[-1] + 1))
     covariance[i, j] = covariance[j, i] = level @ sought
     answers = inverse.T @ sought[:, i == j]  # of each deviation squared, to the power of each band
@@ -97,7 +97,7 @@ def spectral_covariance(
 
 
 def _bands(
-    Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, asked: FloatArray | None, part: slice
+    Z: FloatArray, J: FloatArray, error: FloatArray, part: slice, asked: FloatArray | None, spread: FloatArray | None
 ) -> _Bands:
     rows = len(error[part])
     both = np.full(rows // 2 + 1, 2.0)  # in half a spectrum a frequency stands for two, but the first and an even last
@@ -111,7 +111,8 @@ def _bands(
         return np.asarray((weight * np.fft.rfft(columns)).view(np.float64))
 
     slopes, left = transform(J), transform(error)
-    A = spread @ (slopes if J is Z else transform(Z))
+    A = slopes if J is Z else transform(Z)
+    A = A if spread is None else spread @ A
     taken = np.einsum("cf,cf->f", A, slopes).reshape(-1, 2).sum(axis=1)
     first = _borders(both - taken, rows)
     bands = [slice(*pair) for pair in zip(2 * first, [*(2 * first[1:]), A.shape[1]], strict=True)]

@@ -107,7 +107,7 @@ def identify_rigid_robot(
     return search_laws(robot, fit, lambda of: add_problems(pose(of)), known, evaluations, progress)
 
 
-_REWEIGHTINGS = 3
+_REWEIGHTINGS = 2
 
 
 def rigid_robot_start(
@@ -185,8 +185,4 @@ def _regress(problem: RobotLoopProblem, torques: FloatArray, positions: FloatArr
     Y = problem.decimate(seen[borders])
     W = problem.decimate_columns([(own, apply_window(values)[borders]) for own, values in columns])
     floor = EXACT * float(np.linalg.norm(Y))
-    x = np.zeros(len(parameters.places))
-    for _ in range(_REWEIGHTINGS):
-        x, _, left = problem.step(W, Y)
-        problem = problem.reweight(left, x.size, floor)
-    return Bounds.of(problem.free).clip(x)
+    return Bounds.of(problem.free).clip(problem.step(W, Y, floor, _REWEIGHTINGS)[1])

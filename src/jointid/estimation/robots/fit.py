@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, triangle
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds
@@ -94,9 +94,7 @@ def fixed_point(
     told = [not (problem.integrates and p.name.rpartition(".")[2] in CONSTANT) for p in problem.free]
     for number in range(iterations):
         error, W = problem.error(run), problem.regressor(run)
-        step, std, left = problem.step(W, error)
-        problem = problem.reweight(left, x.size, floor)
-        step, std, left = problem.step(W, error)
+        problem, step, std = problem.step(W, error, floor, 1)
         share = problem.norms(error) / size
         progress(Detail(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint"))
         after = bounds.clip(x + step)
@@ -149,7 +147,7 @@ def conclude(
         settled,
         run,
         J,
-        np.asarray(np.linalg.qr(J * weights[:, np.newaxis], mode="r")),
+        triangle(weighted[1]),
     )
 
 

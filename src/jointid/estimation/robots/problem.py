@@ -10,7 +10,7 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray, column_norms, triangle
 from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
@@ -251,22 +251,46 @@ class RobotProblem(ABC, Generic[Run]):
         weights = self.weights(error.size)
         return error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
 
-    def step(self, W: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the weighted least-squares step, its deviations for white errors, and what it leaves, (rows,).
+    def step(
+        self, W: FloatArray, error: FloatArray, floor: float, reweightings: int
+    ) -> tuple[Self, FloatArray, FloatArray]:
+        """Return the problem weighted by what its steps leave, the last step by least squares, and its deviations.
+
+        Args:
+            W: (rows, free), not weighted.
+            error: (rows,), likewise.
+            floor: of `reweight`.
+            reweightings: by what a step leaves, before the next one. The deviations are those of white errors.
 
         Raises:
             MethodError: the columns do not determine the step.
         """
-        from jointid.common.compiled import triangle_of
+        rows = np.column_stack([W, error]).reshape(self.sigma.size, -1, W.shape[1] + 1)
 
-        weights = self.weights(error.size)
-        weighted = W * weights[:, np.newaxis]
-        norms = column_norms(weighted)
-        zero = ~np.any(weighted, axis=0)
-        idle = [name for name, nothing in zip(self.parameters.names, zero, strict=True) if nothing]
-        both = np.zeros((norms.size + 1, norms.size + 1))
-        triangle_of(np.column_stack([weighted / norms, error * weights]), both)
-        R, target = both[:-1, :-1], both[:-1, -1]
+        def reduce(j: int) -> FloatArray:
+            """Return the triangle of a joint's rows, whatever its weight."""
+            own = np.any(rows[j], axis=0)
+            R = triangle(rows[j][:, own])
+            found = np.zeros((len(R), own.size))
+            found[:, own] = R
+            return found
+
+        triangles, problem = in_threads(reduce, range(len(rows))), self
+        step, std = problem._step(triangles)
+        for _ in range(reweightings):
+            problem = problem.reweight(error - W @ step, step.size, floor)
+            step, std = problem._step(triangles)
+        return problem, step, std
+
+    def _step(self, triangles: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        weighted = np.concatenate([one / sigma for one, sigma in zip(triangles, self.sigma, strict=True)])
+        idle = [
+            name for name, any_of in zip(self.parameters.names, np.any(weighted, axis=0), strict=False) if not any_of
+        ]
+        norms = np.append(column_norms(weighted[:, :-1]), 1.0)
+        found, both = triangle(weighted / norms), np.zeros((norms.size, norms.size))
+        both[: len(found)] = found
+        R, target, norms = both[:-1, :-1], both[:-1, -1], norms[:-1]
         _, sizes, directions = np.linalg.svd(R)
         if idle or sizes[-1] < _SINGULAR * sizes[0]:
             names = idle or [self.parameters.names[i] for i in np.flatnonzero(np.abs(directions[-1]) > 0.2)]
@@ -274,9 +298,7 @@ class RobotProblem(ABC, Generic[Run]):
                 f"The records do not tell {', '.join(names)} apart, or not at all; expected a motion that excites all "
                 "parameters: move all joints, at several speeds and both ways."
             )
-        step = np.linalg.solve(R, target) / norms
-        std = np.linalg.norm(np.linalg.inv(R), axis=1) / norms
-        return step, std, error - W @ step
+        return np.linalg.solve(R, target) / norms, np.linalg.norm(np.linalg.inv(R), axis=1) / norms
 
     def _failure_residual(self) -> FloatArray:
         seen = self.filtered_torque
