@@ -26,6 +26,7 @@ from jointid.diagnostics.faults.numbers import LOG_GAIN
 from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.faults.record import SWAPPED_CHANNELS, TORQUE_SIGN
 from jointid.diagnostics.faults.springs import COMPLIANCE
+from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.position_dependent_error import cells
 from jointid.uncertainty.residual_tests import Coupling, coupling
 from jointid.uncertainty.verdict import POOR_FIT
@@ -99,10 +100,8 @@ def find_axis_faults(
     residual, open_ones = stack(torques.error), shapes
     basis = _basis_of(own)
     before = residual - basis @ (basis.T @ residual)
-    follows = tuple(
-        _strongest_coupling(residual, basis, [o for o in simple if o.axis == k and o.fault != LOG_GAIN], rows[k])
-        for k in range(n)
-    )
+    of_axes = [[one for one in simple if one.axis == k and one.fault != LOG_GAIN] for k in range(n)]
+    follows = tuple(in_threads(lambda k: _strongest_coupling(residual, basis, of_axes[k], rows[k]), range(n)))
     if torques.friction is not None and (swapped := _find_swap(torques)):
         for axis, other in (swapped, swapped[::-1]):
             fault = replace(SWAPPED_CHANNELS, describe=partial(_describe_swap, torques.names[other]))

@@ -34,6 +34,7 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
+from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robots import RobotRun, simulation_of
 
 _TURN = 1e-4  # rad or m: step of a derivative
@@ -255,10 +256,11 @@ def _shapes(
 ) -> list[list[FaultSignature]]:
     """Return the raw signatures of all faults along the motion of each axis, as many for every axis."""
     along = dict.fromkeys(fault.along for fault in FAULTS if fault.along is not None)
-    found = []
-    for k in range(len(axes)):
+
+    def of_axis(k: int) -> list[FaultSignature]:
         others = {name: (v[:, i], a[:, i]) for i, name in enumerate(axes) if i != k}
         limit = math.inf if raw is None else find_noise_limit([raw[:, k]], sample_time, derivative=4)
         motion = AxisMotion(q[:, k], v[:, k], a[:, k], torque[:, k], sample_time, limit, others)
-        found.append([one for signatures in along for one in signatures(motion)])
-    return found
+        return [one for signatures in along for one in signatures(motion)]
+
+    return in_threads(of_axis, range(len(axes)))

@@ -30,6 +30,7 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
+from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
 from jointid.uncertainty.covariance import robust
@@ -220,10 +221,12 @@ def compare_robot_laws(
     """Compare each declared controller of a robot with its joint's logged torque; see `compare_law`."""
     if not controllers:
         return [None] * len(robot)
-    return [
-        None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
-        for link, record, law in zip(robot.links, records, controllers, strict=True)
-    ]
+
+    def compare(k: int) -> LawOnPosition | None:
+        law = controllers[k]
+        return None if law is None else compare_law(records[k], ClosedLoop(RigidJoint(robot.links[k].kind), law))
+
+    return in_threads(compare, range(len(robot)))
 
 
 def excludes(
