@@ -44,15 +44,16 @@ def triangle(columns: FloatArray) -> FloatArray:
     return triangle(np.vstack([triangles, columns[whole:]]))
 
 
-def orthonormal_basis(columns: FloatArray, lost: float) -> FloatArray:
+def orthonormal_basis(columns: FloatArray, lost: float, largest: float | None = None) -> FloatArray:
     """Return an orthonormal basis, (rows, rank), of columns that may be collinear.
 
     Args:
-        columns: (rows, columns), of norm 1, or less where a part was taken away.
-        lost: of the largest singular value, or of 1: a smaller one is taken for 0.
+        columns: (rows, columns), of one scale.
+        lost: of the largest singular value: a smaller one is taken for 0.
+        largest: in its place.
     """
     _, sizes, vectors = np.linalg.svd(triangle(columns), full_matrices=False)
-    kept = sizes > lost * np.max(sizes, initial=1.0)
+    kept = sizes > lost * (np.max(sizes, initial=0.0) if largest is None else largest)
     found = columns @ (vectors[kept].T / sizes[kept])
     # Directions of small singular values are orthogonal to rounding over that value: a step of Newton's squares it.
     return np.asarray(found @ (1.5 * np.eye(found.shape[1]) - 0.5 * found.T @ found))

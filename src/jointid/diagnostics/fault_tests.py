@@ -128,7 +128,6 @@ def score_signatures(
         widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
         blocks: rows of each axis, where each column of a fault is 0 in all of them but one.
     """
-    blocks = blocks or [slice(0, residual.size)]
     common = _find_common_basis(own, signatures, blocks)
     rest = residual.copy()
     for rows, part in common:
@@ -136,7 +135,7 @@ def score_signatures(
     whiten = fit_whitener(_give_back(rest, _fitted_share(residual.size, *(part for _, part in common))))
     basis, error = _find_basis(whiten(own)), whiten(residual)
     left = error - basis @ (basis.T @ error)
-    steps = _choose_steps(signatures, declared, whiten, basis, left, blocks)
+    steps = _choose_steps(signatures, declared, whiten, basis, left, blocks or [slice(0, residual.size)])
     groups = _group_identical(steps)
 
     @cache
@@ -220,6 +219,8 @@ def _find_common_basis(
 
     The basis of what is in one block is that block's, so what all blocks share has only the parameters' columns.
     """
+    if not blocks:
+        return [(slice(None), _find_basis(np.column_stack([own, *(a.column for a in signatures)])))]
     shared, parts = own / column_norms(own), list[tuple[slice, FloatArray]]()
     for block in blocks:
         columns = [a.column[block] for a in signatures if np.any(a.column[block])]
@@ -229,7 +230,7 @@ def _find_common_basis(
         for _ in range(2):  # one pass leaves rounding of the size of what it takes
             shared[block] -= part @ (part.T @ shared[block])
         parts.append((block, part))
-    return [*parts, (slice(None), orthonormal_basis(shared, _RANK))]
+    return [*parts, (slice(None), orthonormal_basis(shared, _RANK, 1.0))]
 
 
 def _choose_steps(
