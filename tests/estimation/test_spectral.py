@@ -50,6 +50,19 @@ def test_what_the_fit_took_of_a_band_is_given_back(instruments: bool) -> None:
     assert np.diag(np.mean(found, axis=0)) == pytest.approx(np.diag(A @ A.T), rel=0.1)
 
 
+@pytest.mark.parametrize("instruments", [False, True])
+def test_influences_may_be_given_as_instruments_and_a_spread(instruments: bool) -> None:
+    """Two records, one of an odd number of samples, and other quantities asked for."""
+    random, J = np.random.default_rng(14), slow_columns(301)
+    Z = J + 0.3 * random.standard_normal(J.shape) if instruments else J
+    spread, error, parts = np.linalg.inv(Z.T @ J), random.standard_normal(301), [slice(0, 150), slice(150, 301)]
+    asked = Z @ random.standard_normal((4, 2))
+    for wanted in (None, asked):
+        plain = spectral_covariance(Z @ spread.T, J, error, parts, wanted)
+        for one, other in zip(spectral_covariance(Z, J, error, parts, wanted, spread), plain, strict=True):
+            assert one == pytest.approx(other, rel=1e-9, abs=1e-15)
+
+
 def test_few_frequencies_are_known_as_students_quantile_says() -> None:
     """An offset is told by one band of four frequencies, less what is lost to it; a fast column by many."""
     random = np.random.default_rng(13)

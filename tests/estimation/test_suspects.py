@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
@@ -170,6 +171,34 @@ def test_a_slow_motion_leaves_no_fault_too_sure() -> None:
         tests = score_signatures(left, own, faults, {one.fault: 0.0 for one in faults}, lambda motion=motion: motion)
         found += [one.statistic for one in tests]
     assert np.std(found) < 1.2
+
+
+def test_faults_of_blocks_are_tested_as_among_all_rows() -> None:
+    """Whitening carries a column over the end of its block, and of two shapes the one that explains more is taken."""
+    rng, rows = np.random.default_rng(5), 600
+    noise, own = lfilter([1.0], [1.0, -0.9], rng.standard_normal(rows)), rng.standard_normal((rows, 3))
+    blocks, signatures = [slice(k, k + 200) for k in range(0, rows, 200)], list[FaultSignature]()
+    for k, block in enumerate(blocks):
+        for name in "ab":
+            for shape in (1.0, 2.0):
+                column = np.zeros(rows)
+                column[block] = np.sin(shape * (k + 2) * 0.05 * np.arange(200) + (name == "b"))
+                signatures.append(FaultSignature(number_fault(f"{name}{k}"), column, shape))
+        signatures.append(replace(signatures[-1], fault=number_fault(f"same{k}")))
+    residual = noise + 2.0 * signatures[1].column
+    residual -= own @ np.linalg.lstsq(own, residual, rcond=None)[0]
+    faults = dict.fromkeys((one.fault for one in signatures), 0.0)
+    found = [
+        score_signatures(residual, own, signatures, faults, lambda: cells(own[:, 0], own[:, 1]), blocks=each)
+        for each in (blocks, ())
+    ]
+    for one, other in zip(*found, strict=True):
+        assert (one.fault, one.alike, one.shape) == (other.fault, other.alike, other.shape)
+        assert (one.size, one.std) == pytest.approx((other.size, other.std), rel=1e-9)
+    assert (found[0][0].name, found[0][0].shape) == ("a0", 2.0)
+    assert found[0][0].size == pytest.approx(2.0, abs=3 * found[0][0].std)
+    twice = {test.name: [one.name for one in test.alike] for test in found[0] if test.shape == 2.0}
+    assert twice["b2"] == ["same2"]
 
 
 def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate]) -> None:

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from jointid.common.arrays import triangle
+from jointid.common.arrays import column_norms, orthonormal_basis, triangle
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.identify_log import StreamingGaussNewton
@@ -289,6 +289,20 @@ def test_triangle_of_blocks_is_that_of_the_whole(rows: int) -> None:
     columns = rng.standard_normal((rows, 8)) * 10.0 ** np.arange(-4, 4)
     whole = np.linalg.qr(columns, mode="r")
     assert np.abs(triangle(columns)) == pytest.approx(np.abs(whole), rel=1e-9, abs=1e-12)
+
+
+def test_a_basis_spans_what_nearly_collinear_columns_do() -> None:
+    """A column that is off another by 1e-6 counts, one off by 1e-13 does not."""
+    rng = np.random.default_rng(1)
+    columns = rng.standard_normal((3000, 6))
+    columns[:, 1] = columns[:, 0] + 1e-6 * columns[:, 1]
+    columns[:, 2] = columns[:, 0] + 1e-13 * columns[:, 2]
+    basis = orthonormal_basis(columns / column_norms(columns), 1e-10)
+    assert basis.shape == (3000, 5)
+    assert np.max(np.abs(basis.T @ basis - np.eye(5))) < 1e-13
+    whole = np.linalg.svd(columns[:, [0, 1, 3, 4, 5]], full_matrices=False)[0]
+    assert np.max(np.abs(basis @ (basis.T @ whole) - whole)) < 1e-8
+    assert orthonormal_basis(columns[:, :0], 1e-10).shape == (3000, 0)
 
 
 @dataclass(frozen=True)
