@@ -2,10 +2,12 @@
 
     python -m benchmarks.robots
     python -m benchmarks.robots --costs [--figure costs.svg]
+    python -m benchmarks.robots --twelve
 
 The closed loop: 6 joints, 10 s at 1 kHz, rigid and flexible, and MuJoCo in steps of 1 ms to 0.05 ms, the errors of both
 against jointid's own run at sixteen times the steps, which an adaptive integrator with the same events confirms
-(`tests/simulation/test_robots.py`). Then DIDIM, of two arms of six joints on one base for 60 s at 500 Hz, too.
+(`tests/simulation/test_robots.py`). Then DIDIM. With `--twelve` that of two arms of six joints on one base alone, for
+60 s at 500 Hz, and `identify` of them with all checks.
 `--costs` measures instead how the processor's time grows with joints, 1 to 7 and 12, and with the length of the record,
 2 to 40 s, and draws it into a file, SVG or PNG, where one is named. Times are the shortest of several turns, taken in
 turn; those of the processor are printed beside those of the clock, since a machine may have other work.
@@ -21,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jointid import identify
 from jointid.common.arrays import FloatArray
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.flexible import identify_flexible_robot
@@ -75,8 +78,8 @@ def loops() -> None:
             print(f"  MuJoCo at {1e3 * step:g} ms: {taken[1]:.3f} s, {taken[1] / own[1]:.1f} times, error {error:.1e}")
 
 
-def rigid(twin: Twin, duration: float, *, sample_time: float = 1e-3, delay: float = 0.0) -> None:
-    """Print the time of rigid DIDIM, under laws with a delay."""
+def rigid(twin: Twin, duration: float, *, sample_time: float = 1e-3, delay: float = 0.0, checked: bool = False) -> None:
+    """Print the time of rigid DIDIM, under laws with a delay; and of `identify` with all checks."""
     loop = twin.loop()
     loop = replace(loop, controllers=tuple(replace(one, delay=delay) for one in loop.controllers))  # type: ignore[type-var]
     records, _ = recorded(loop, twin.records(duration, sample_time=sample_time), 0.03)
@@ -88,6 +91,9 @@ def rigid(twin: Twin, duration: float, *, sample_time: float = 1e-3, delay: floa
         f"{len(fit.names)} parameters, {fit.iterations} iterations",
         flush=True,
     )
+    if checked:
+        taken = shortest(lambda: identify(records, loop), 2)
+        print(f"  with all checks: {taken[0]:.2f} s (processor {taken[1]:.2f} s)", flush=True)
 
 
 def flexible(twin: Twin, duration: float, *, searched: bool) -> None:
@@ -185,14 +191,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.robots")
     parser.add_argument("--costs", action="store_true", help="how the time grows with joints and length, alone")
     parser.add_argument("--figure", type=Path, help="file to draw that into, SVG or PNG")
+    parser.add_argument("--twelve", action="store_true", help="the time of twelve joints, alone")
     said = parser.parse_args()
     if said.costs or said.figure is not None:
         costs(said.figure)
         return
-    loops()
-    for twin in (two(), six(), seven()):
-        rigid(twin, 10.0)
-    rigid(twelve(), 60.0, sample_time=2e-3, delay=5e-4)
+    if not said.twelve:
+        loops()
+        for twin in (two(), six(), seven()):
+            rigid(twin, 10.0)
+    rigid(twelve(), 60.0, sample_time=2e-3, delay=5e-4, checked=True)
+    if said.twelve:
+        return
     flexible(six(True), 10.0, searched=False)
     for twin in (two((12.0, 18.0)), six(True), seven(flexible=True)):
         flexible(twin, 10.0, searched=True)

@@ -48,10 +48,11 @@ def orthonormal_basis(columns: FloatArray, lost: float, largest: float | None = 
     """Return an orthonormal basis, (rows, rank), of columns that may be collinear.
 
     Args:
-        columns: (rows, columns), of one scale.
-        lost: of the largest singular value: a smaller one is taken for 0.
-        largest: in its place.
+        columns: (rows, columns).
+        lost: of the largest singular value of the columns divided by their norms: a smaller one is taken for 0.
+        largest: in its place, of columns of one scale, which are not divided.
     """
+    columns = columns / column_norms(columns) if largest is None else columns
     _, sizes, vectors = np.linalg.svd(triangle(columns), full_matrices=False)
     kept = sizes > lost * (np.max(sizes, initial=0.0) if largest is None else largest)
     found = columns @ (vectors[kept].T / sizes[kept])

@@ -98,7 +98,7 @@ def find_axis_faults(
     first: list[tuple[int, FaultTest]] = []
     where, speed = places_of(torques)
     residual, open_ones = stack(torques.error), shapes
-    basis = _basis_of(own)
+    basis = orthonormal_basis(own, _RANK)
     before = residual - basis @ (basis.T @ residual)
     of_axes = [[one for one in simple if one.axis == k and one.fault != LOG_GAIN] for k in range(n)]
     follows = tuple(in_threads(lambda k: _strongest_coupling(residual, basis, of_axes[k], rows[k]), range(n)))
@@ -145,7 +145,7 @@ def find_axis_faults(
         (taken, test), axis = best, best[0].axis
         found[axis].append(Finding(test, None, (), {}))
         own = np.column_stack([own, taken.column])
-        basis = _basis_of(own)
+        basis = orthonormal_basis(own, _RANK)
         kin = {test.name, test.fault.kin} - {""}
         open_ones = [o for o in open_ones if o.axis != axis or not kin & {o.fault.name, o.fault.kin}]
     explained = _explained(before, residual - basis @ (basis.T @ residual), rows)
@@ -231,7 +231,7 @@ def _find_scale(
     axis, gain = min(tried, key=lambda pair: left(*pair))
     for step in _FINER:
         gain = min((gain * one for one in (1.0 / step, 1.0, step)), key=partial(left, axis))
-    basis = _basis_of(own)
+    basis = orthonormal_basis(own, _RANK)
     rest = torque - basis @ (basis.T @ torque)
     most = max((_gain_of(one.column, basis, rest) for one in shapes if one.fault != LOG_GAIN), default=0.0)
     if not driving and before - left(axis, gain) < max(_CLEARLY * before / len(rows), most):
@@ -279,7 +279,7 @@ def find_follower(torques: AxisTorques) -> Follows:
     """Return the shape that a residual correlates with most, or None."""
     inside = torques.seen[0]
     shapes = [_Shape(0, one.fault, one.shape, one.column[inside]) for one in torques.shapes[0]]
-    basis = _basis_of(_drop_idle(torques.own[0][inside]))
+    basis = orthonormal_basis(_drop_idle(torques.own[0][inside]), _RANK)
     return _strongest_coupling(torques.error[0][inside], basis, shapes, slice(None))
 
 
@@ -304,7 +304,7 @@ def _strongest_coupling(residual: FloatArray, basis: FloatArray, shapes: Sequenc
 def _find_swap(torques: AxisTorques) -> tuple[int, int] | None:
     """Return the two axes whose torques are exchanged: with them the other way round far less is left."""
     n, both = len(torques.measured), np.all(torques.seen, axis=0)
-    basis = _basis_of(_drop_idle(np.concatenate(torques.own[:, both])))
+    basis = orthonormal_basis(_drop_idle(np.concatenate(torques.own[:, both])), _RANK)
 
     def left(order: Sequence[int]) -> float:
         torque = np.concatenate(torques.measured[list(order)][:, both])
@@ -316,10 +316,6 @@ def _find_swap(torques: AxisTorques) -> tuple[int, int] | None:
     pairs = {(i, j): [j if k == i else i if k == j else k for k in range(n)] for i, j in combinations(range(n), 2)}
     best = min(pairs, key=lambda pair: left(pairs[pair]), default=None)
     return best if best is not None and left(pairs[best]) < _CLEARLY * before else None
-
-
-def _basis_of(columns: FloatArray) -> FloatArray:
-    return orthonormal_basis(columns / column_norms(columns), _RANK)
 
 
 def _gain_of(column: FloatArray, basis: FloatArray, rest: FloatArray) -> float:

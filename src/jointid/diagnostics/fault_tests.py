@@ -133,7 +133,7 @@ def score_signatures(
     for rows, part in common:
         rest[rows] -= part @ (part.T @ residual[rows])
     whiten = fit_whitener(_give_back(rest, _fitted_share(residual.size, *(part for _, part in common))))
-    basis, error = _find_basis(whiten(own)), whiten(residual)
+    basis, error = orthonormal_basis(whiten(own), _RANK), whiten(residual)
     left = error - basis @ (basis.T @ error)
     steps = _choose_steps(signatures, declared, whiten, basis, left, blocks or [slice(0, residual.size)])
     groups = _group_identical(steps)
@@ -208,10 +208,6 @@ def _give_back(residual: FloatArray, taken: FloatArray) -> FloatArray:
     return np.fft.irfft(np.fft.rfft(residual) / np.sqrt(np.maximum(1 - taken, _KEPT)), residual.size)
 
 
-def _find_basis(columns: FloatArray) -> FloatArray:
-    return orthonormal_basis(columns / column_norms(columns), _RANK)
-
-
 def _find_common_basis(
     own: FloatArray, signatures: Sequence[FaultSignature], blocks: Sequence[slice]
 ) -> list[tuple[slice, FloatArray]]:
@@ -220,13 +216,13 @@ def _find_common_basis(
     The basis of what is in one block is that block's, so what all blocks share has only the parameters' columns.
     """
     if not blocks:
-        return [(slice(None), _find_basis(np.column_stack([own, *(a.column for a in signatures)])))]
+        return [(slice(None), orthonormal_basis(np.column_stack([own, *(a.column for a in signatures)]), _RANK))]
     shared, parts = own / column_norms(own), list[tuple[slice, FloatArray]]()
     for block in blocks:
         columns = [a.column[block] for a in signatures if np.any(a.column[block])]
         if not columns:
             continue
-        part = _find_basis(np.column_stack(columns))
+        part = orthonormal_basis(np.column_stack(columns), _RANK)
         for _ in range(2):  # one pass leaves rounding of the size of what it takes
             shared[block] -= part @ (part.T @ shared[block])
         parts.append((block, part))

@@ -274,7 +274,7 @@ def acting(experiment: LoopInput, signal: FloatArray) -> FloatArray:
 def _sources(experiment: LoopInput, periods: int) -> NDArray[np.int64]:
     """Return the period of which the signal is at the tap in each part of each period."""
     lags = experiment.lags * (experiment.tap is Tap.MEASURED)
-    return np.maximum(np.arange(periods)[:, np.newaxis] - lags, 0).reshape(-1)
+    return np.asarray(np.maximum(np.arange(periods)[:, np.newaxis] - lags, 0).reshape(-1), dtype=np.int64)
 
 
 def averages(experiment: LoopInput, integrals: FloatArray) -> FloatArray:

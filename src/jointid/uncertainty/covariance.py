@@ -196,7 +196,7 @@ def by_spectrum(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequenc
     Arguments as for `sandwich`, in order of time. The deviations include Student's factor.
     """
     norms, Z, J = _scale(Z, J)
-    spread = np.linalg.pinv(Z.T @ J)
+    spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
     matrix, factor = spectral_covariance(Z, J, error, _parts(len(Z), series), spread=spread)
     return covariance_of(matrix * np.outer(factor, factor), len(Z), norms)
 
@@ -282,9 +282,10 @@ def residual_left_out(
     Z, J and error as for `sandwich`; `spread`, (parameters, parameters), is the inverse of Z' J, and `block`, (rows,),
     the block index of each row.
     """
-    order = np.argsort(block, kind="stable")
-    first = np.flatnonzero(np.diff(block[order], prepend=block[order[0]] - 1))
-    Z, slopes, before = Z[order], J[order], error[order]
+    sorts = bool(np.any(block[1:] < block[:-1]))
+    order: NDArray[np.intp] | slice = np.argsort(block, kind="stable") if sorts else slice(None)
+    Z, slopes, before, block = Z[order], J[order], error[order], block[order]
+    first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
 
     def add_blocks(rows: FloatArray) -> FloatArray:
         return np.add.reduceat(rows, first)
@@ -292,12 +293,12 @@ def residual_left_out(
     shares = _products(Z, slopes, first)
     scores = add_blocks(Z * before[:, np.newaxis])
     moved = inverses(np.eye(len(spread)) - spread @ shares, _LOST) @ (spread @ scores[..., np.newaxis])
-    rows = np.diff(first, append=len(order))
+    rows = np.diff(first, append=len(block))
     after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
     # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
     kept = np.repeat(add_blocks(after**2) <= _MOST**2 * add_blocks(before**2), rows)
-    found = error.copy()
-    found[order[kept]] = after[kept]
+    found = np.empty_like(error)
+    found[order] = np.where(kept, after, before)
     return found
 
 

@@ -250,6 +250,8 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
     Raises:
         MethodError: one is of something else, or has a start.
     """
+    if not stated:
+        return
     own = robot_parameters(robot)
     beside = [p.name for p, _ in _of_laws(robot, RobotNumbers.of(robot))]
     known = [

@@ -269,11 +269,8 @@ class RobotProblem(ABC, Generic[Run]):
 
         def reduce(j: int) -> FloatArray:
             """Return the triangle of a joint's rows, whatever its weight."""
-            own = np.any(rows[j], axis=0)
-            R = triangle(rows[j][:, own])
-            found = np.zeros((len(R), own.size))
-            found[:, own] = R
-            return found
+            own = np.flatnonzero(np.any(rows[j], axis=0))
+            return np.asarray(triangle(rows[j][:, own]) @ np.eye(rows.shape[2])[own])
 
         triangles, problem = in_threads(reduce, range(len(rows))), self
         step, std = problem._step(triangles)
