@@ -329,7 +329,7 @@ def judge(seed: int, kind: str, fault: str = "none") -> Said:
             loop = replace(loop, joint=ji.RigidJoint("revolute"))
             found = ji.identify(made.record, loop, method)
     except JointidError as error:  # with its cause, as the command line has it
-        said = explain_failure(error, made.record, loop)
+        said = explain_failure(error, made.record, loop, free=method.free)
         return Said(seed, kind, fault, about, str(said), "", "", None, {}, 0.0, None, spring, ())
     rows = {row.name: row for row in found.params.rows if row.name in truth and row.value is not None}
     off = {name: row.value - truth[name] for name, row in rows.items() if row.value is not None}

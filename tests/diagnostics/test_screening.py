@@ -19,7 +19,7 @@ def test_gross_cause_is_told_first_and_the_tests_of_small_ones_left_out():
     said = []
     wrong = replace(LOOP, controller=replace(LAW, velocity_gain=1.5))
     found = ji.identify(logged(), wrong, ji.DIDIM(frequency=50.0), progress=said.append)
-    likeliest = next(i for i, one in enumerate(said) if one.startswith("the likeliest cause so far: the torque is"))
+    likeliest = next(i for i, one in enumerate(said) if one.startswith("the likeliest cause so far: the law's gain"))
     assert "about 2" in said[likeliest]
     assert not any(one.startswith("searching for the cause") for one in said[:likeliest])
     assert not any(one.startswith("checking loop and log") for one in said)
@@ -63,4 +63,4 @@ def test_cause_of_a_refused_spring_is_told_however_little_the_misfit_is(monkeypa
     wrong = replace(LOOP, controller=replace(LAW, velocity_gain=1.5))
     found = ji.identify(logged(), wrong, ji.DIDIM(frequency=6.0))
     assert found["stiffness"].value is None
-    assert "the torque is about 2" in str(found.answer)
+    assert "the law's gain (velocity_gain or gain) is declared about 2" in str(found.answer)

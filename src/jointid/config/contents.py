@@ -563,7 +563,8 @@ class JointFile(File[Record]):
         """Return the error of a failed identification, with its cause before it or in its place."""
         from jointid.diagnostics.find_causes import explain_failure
 
-        return explain_failure(error, record, self.loop, progress, self.declared_numbers)
+        free = getattr(self.method, "free", ())
+        return explain_failure(error, record, self.loop, progress, self.declared_numbers, free)
 
     def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
         """Identify from several records in one fit, each under the controller and with the load of its own."""

@@ -46,8 +46,10 @@ from jointid.diagnostics.hypothesis_fits import (
 )
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.estimation.identify import plan_windows
+from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
@@ -167,6 +169,7 @@ def find_causes(
     shown: Sequence[DriveNumber] = (),
     progress: Progress = ignore_progress,
     low: Sequence[Fit] = (),
+    free: Sequence[str] = (),
 ) -> Causes:
     """Search for the cause of a misfit between a record and the declared drive.
 
@@ -178,6 +181,7 @@ def find_causes(
             without it they are given in SI.
         progress: called with each step.
         low: fits by `screen_causes`; made anew without them.
+        free: names of what is identified beside the joint, as the delay; that of the estimate where there is one.
 
     Raises:
         RecordError: a channel of the loop is missing, or the torque is 0 in every sample.
@@ -192,7 +196,7 @@ def find_causes(
     model = loop.joint.model
     asked = Filtering() if estimate is None else estimate.settings.filtering
     filtering = asked.resolve(record.torque.sample_time, model)
-    tried = list_hypotheses(record, loop, filtering)
+    tried = list_hypotheses(record, loop, filtering, free if estimate is None else _found_beside(estimate, loop))
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
     if isinstance(loop.joint, FlexibleJoint):
@@ -227,7 +231,11 @@ def find_causes(
 
 
 def screen_causes(
-    record: Record, loop: ClosedLoop, shown: Sequence[DriveNumber] = (), progress: Progress = ignore_progress
+    record: Record,
+    loop: ClosedLoop,
+    shown: Sequence[DriveNumber] = (),
+    progress: Progress = ignore_progress,
+    free: Sequence[str] = (),
 ) -> list[Fit]:
     """Return a rigid joint's fits under each hypothesis to the begin of a record, far below the resonance.
 
@@ -239,6 +247,7 @@ def screen_causes(
         loop: as declared, of a flexible joint.
         shown: see `find_causes`.
         progress: called with the likeliest cause.
+        free: see `find_causes`.
     """
     joint = loop.joint
     if not isinstance(joint, FlexibleJoint) or record.torque is None or record.reference is None:
@@ -250,7 +259,7 @@ def screen_causes(
     part = record.with_channels(
         {name: replace(one, values=one.values[: math.ceil(until / one.sample_time)]) for name, one in record.items()}
     )
-    declared, *others = list_hypotheses(part, loop, Filtering().resolve(record.torque.sample_time, joint.model))
+    declared, *others = list_hypotheses(part, loop, Filtering().resolve(record.torque.sample_time, joint.model), free)
     fits = fit_below_resonance([declared], joint)
     error = min((fit.error for fit in fits), default=math.inf)
     if error < _POOR_START:
@@ -276,13 +285,21 @@ def _suspect(
         progress(Suspicion(f"the likeliest cause so far: {words}", words))
 
 
-def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
+def _found_beside(estimate: Estimate, loop: ClosedLoop) -> tuple[str, ...]:
+    """Return the names of the numbers of law and log that an estimate found beside the joint."""
+    names = {*numbers_of(loop.controller), *DRIVE_AND_LOG}
+    return tuple(row.name for row in estimate.params.rows if row.name in names and not row.of_joint)
+
+
+def list_hypotheses(
+    record: Record, loop: ClosedLoop, filtering: Filtering, free: Sequence[str] = ()
+) -> tuple[Hypothesis, ...]:
     """Return the declared drive, and a hypothesis for every fault that this record and controller can have.
 
     A torque that is computed from the controller has no faults of its own. Where the declared law makes the logged
     torque of the logged motor position, a correction of law or log must make it, too.
     """
-    declared = Hypothesis(None, record, (loop,), filtering)
+    declared = Hypothesis(None, record, (loop,), filtering, beside=tuple(one for one in free if one not in INITIAL))
     corrected = (
         replace(one, fault=one.fault or f) for f in FAULTS if f.correct is not None for one in f.correct(declared)
     )
@@ -290,7 +307,7 @@ def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> t
     law = compare_law(record, loop)
     if law is not None and law.holds:
         possible = (one for one in possible if not _is_excluded(one, record, loop))
-    return (declared, *possible)
+    return (declared, *(one for one in possible if one.free not in declared.beside))
 
 
 def _is_excluded(corrected: Hypothesis, record: Record, loop: ClosedLoop) -> bool:
@@ -328,7 +345,7 @@ def _fit_free_responses(fit: Fit) -> float:
     """Return the share of the torque that is no linear response to the reference under a hypothesis."""
     assert fit.hypothesis.record.reference is not None
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
-    memory = MEMORY * max(fit.hypothesis.factor or 1.0, 1.0)
+    memory = MEMORY * (max(fit.hypothesis.factor or 1.0, 1.0) if fit.hypothesis.free is None else 1.0)
     return find_unexplained_share(fit.problem, fit.hypothesis.record.reference.values, memory)
 
 
@@ -426,6 +443,7 @@ def explain_failure(
     loop: ClosedLoop | None,
     progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
+    free: Sequence[str] = (),
 ) -> JointidError:
     """Return the error of a failed identification, with its cause before it or in its place.
 
@@ -435,6 +453,7 @@ def explain_failure(
         loop: as declared; without one there is no search.
         progress: called with each step.
         shown: see `find_causes`.
+        free: see `find_causes`.
     """
     if record.remarks and not isinstance(error, FaultsError):
         error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
@@ -442,7 +461,7 @@ def explain_failure(
         return error
     try:
         part, *_ = plan_windows(record, loop, None) or (record,)  # as much of it as the memory holds
-        causes = find_causes(part, loop, shown=shown, progress=progress)
+        causes = find_causes(part, loop, shown=shown, progress=progress, free=free)
     except (JointidError, np.linalg.LinAlgError):  # the first error counts
         return error
     if not causes.found:

@@ -17,7 +17,9 @@ from jointid.common.arrays import FloatArray, triangle
 from jointid.common.errors import JointidError
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.faults.fault import Hypothesis
-from jointid.estimation.methods.stiffness_search import RIGID_CUTOFF
+from jointid.estimation.methods.didim import DELAY, DELAYS
+from jointid.estimation.methods.stiffness_search import rigid_cutoff
+from jointid.estimation.problems.base import DRIVE_AND_LOG
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.prescribed import DriveSideProblem
 from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
@@ -38,12 +40,14 @@ ASTRAY = 3.0
 _TOLERANCE = 1e-4  # of a fit that only has to show its residual
 _STARTS = 2  # of a cause, that are followed
 _BEHIND = 2.5  # times the least error: a cause with more after its first steps is given up
+_NEAREST = 1.5  # times the least error: the descent of a cause with no more is followed to its end
+_TO_ITS_END = 40  # evaluations, at most
 _ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
 _AWAY = 1e50  # a derivative so large is of a loop that runs away
 _RANGE = 1e4  # times its start, up and down: bounds of a number
 _SHARES = (0.35, 0.65)  # of the load in the inertia of a flexible joint
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
-_FEW = 6  # loops of a hypothesis, which are all tried then
+_FEW = 10  # loops of a hypothesis, which are all tried then
 _APART = 2  # one of so many frequencies of the grid is tried
 
 
@@ -64,10 +68,10 @@ class Fit:
     @property
     def number(self) -> float | None:
         """The corrected number; None if the hypothesis has none."""
-        name, chosen = self.hypothesis.free, self.hypothesis.number
+        name, chosen, factor = self.hypothesis.free, self.hypothesis.number, self.hypothesis.factor
         if chosen is not None:  # that of the start which ended best
             return chosen(self.problem)
-        return self.values[name] if name else self.hypothesis.factor
+        return (factor or 1.0) * self.values[name] if name else factor
 
 
 def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0, least: float = math.inf) -> list[Fit]:
@@ -79,7 +83,12 @@ def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0, leas
     def begin(hypothesis: Hypothesis) -> list[Fit]:
         loops = [replace(loop, joint=joint) for loop in hypothesis.loops]
         problems = [p for loop in loops if (p := pose(hypothesis, loop)) is not None]
-        return _choose_best(start_at(hypothesis, p, p.vector(values)) for p in problems for values in _rigid_starts(p))
+        return _choose_best(
+            start_at(hypothesis, p, p.vector({**values, **late}))
+            for p in problems
+            for values in _rigid_starts(p)
+            for late in _delays_to_try(p)
+        )
 
     return _race(in_threads(begin, tried), loss, least)
 
@@ -90,7 +99,7 @@ def fit_below_resonance(tried: Sequence[Hypothesis], joint: FlexibleJoint, least
     for one in tried:
         assert one.record.torque is not None
         period = one.record.torque.sample_time
-        low.append(replace(one, filtering=Filtering(cutoff=RIGID_CUTOFF / period).resolve(period)))
+        low.append(replace(one, filtering=Filtering(cutoff=rigid_cutoff(one.record)).resolve(period)))
     return fit_rigid(low, joint.rigid, _ROUGHLY, least)
 
 
@@ -117,8 +126,9 @@ def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop, low: Sequence[Fi
             law, sample_time = problem.experiment.law, problem.experiment.sample_time
             for hertz in frequencies_to_try(law, rigid.values["inertia"], sample_time)[::_APART]:
                 for share in _SHARES:
-                    x = problem.vector(start_with_mode(problem, rigid.values, hertz, share))
-                    starts.append(start_at(hypothesis, problem, x))
+                    start = start_with_mode(problem, rigid.values, hertz, share)
+                    for late in _delays_to_try(problem):
+                        starts.append(start_at(hypothesis, problem, problem.vector({**start, **late})))
         return _choose_best(starts)
 
     left = [pair for pair in possible if pair[0].error <= max(_BEHIND * least, least + _ROUGHLY)]
@@ -128,7 +138,7 @@ def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop, low: Sequence[Fi
 def _loops_near(hypothesis: Hypothesis, rigid: Fit) -> tuple[ClosedLoop, ...]:
     """Return the loops of the starts: with numbers near that of the rigid joint, and a few others."""
     name, first = hypothesis.free, hypothesis.loops[0]
-    if name is None:
+    if name not in hypothesis.numbers:
         return hypothesis.loops
     numbers = [rigid.values[name] * by for by in _NEAR]
     near = [replace(first, controller=with_numbers(first.controller, {name: one})) for one in numbers]
@@ -141,7 +151,14 @@ def pose(hypothesis: Hypothesis, loop: ClosedLoop) -> ClosedLoopProblem | None:
         problem = torque_problem(hypothesis.record, loop, hypothesis.filtering, loop.joint.parameters)
     except JointidError:
         return None
-    return problem.keeping({"initial_velocity": 0.0})
+    around = [one for one in hypothesis.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
+    return problem.keeping({"initial_velocity": 0.0}).freeing(*around)
+
+
+def _delays_to_try(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
+    """Yield values of a free delay where none is declared, or once none."""
+    undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
+    yield from ({DELAY: late} for late in DELAYS) if undeclared else ({},)
 
 
 def _rigid_starts(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
@@ -172,14 +189,11 @@ def _choose_best(starts: Iterable[Fit]) -> list[Fit]:
     free = []
     for fit in best:
         name = fit.hypothesis.free
-        if name is not None:
-            start = numbers_of(fit.problem.loop.controller)[name]
-            problem = fit.problem.freeing(name)
-            number = next(p for p in problem.parameters if p.name == name)
+        problem = fit.problem if name is None else fit.problem.freeing(name)
+        for number in (p for p in problem.parameters if p.name == name):
+            start = number.start or 0.0
             problem = problem.replace_parameters({name: replace(number, lower=start / _RANGE, upper=start * _RANGE)})
-            free.append(replace(fit, problem=problem, x=problem.vector(fit.values | {name: start})))
-        else:
-            free.append(fit)
+        free.append(replace(fit, problem=problem, x=problem.vector(fit.values)))
     return free
 
 
@@ -196,7 +210,14 @@ def _race(started: Sequence[list[Fit]], loss: float, least: float = math.inf) ->
         if best.error <= bound:
             best = min((descend(fit, MORE) or fit for fit in fits if fit.error <= bound), key=lambda fit: fit.error)
         ends.append(best)
-    return sorted(ends, key=lambda fit: fit.error)
+    nearest = min((fit.error for fit in ends), default=0.0) * _NEAREST
+    return sorted((_end_of(fit) if fit.error <= nearest else fit for fit in ends), key=lambda fit: fit.error)
+
+
+def _end_of(fit: Fit) -> Fit:
+    """Return the end of a descent, whose number is told."""
+    end = descend(fit, _TO_ITS_END)
+    return fit if end is None or end.error > fit.error else end
 
 
 @dataclass(frozen=True, slots=True, eq=False)

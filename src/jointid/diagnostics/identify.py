@@ -145,7 +145,7 @@ def identify(
     def screen() -> Sequence[Fit]:
         if checks and tells and isinstance(part, Record) and isinstance(model, ClosedLoop):
             with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the identification says what is wrong
-                return screen_causes(part, model, shown, progress)
+                return screen_causes(part, model, shown, progress, getattr(method, "free", ()))
         return ()
 
     progress = Suspicions(progress, screen)

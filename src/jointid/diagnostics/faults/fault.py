@@ -292,7 +292,8 @@ class Hypothesis:
         loops: corrected, one for each start of the unknown number.
         filtering: resolved for this record.
         free: name of that number; None without one.
-        factor: of the correction of the record, if it is a number.
+        factor: of the correction of the record, if it is a number; the number that is free comes on top of it.
+        beside: names of what the identification finds beside the joint, free as well.
         number: returns the number of a problem that is corrected by the choice of a loop.
     """
 
@@ -302,6 +303,7 @@ class Hypothesis:
     filtering: Filtering
     free: str | None = None
     factor: float | None = None
+    beside: tuple[str, ...] = ()
     number: Callable[[ClosedLoopProblem], float] | None = None
 
     @property

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown, call_number
@@ -21,6 +22,7 @@ from jointid.models.joints import ClosedLoop
 
 _DECADES = 4  # of the factor on the loop's gain, up and down
 _FACTORS = tuple(10 ** (k / 3) for k in range(-3 * _DECADES, 3 * _DECADES + 1))
+_SCALES = tuple(10 ** (k / 2) for k in range(-6, 7))  # of the torque, beside an injected signal
 _NEAR = 0.08  # logarithm: a factor is taken for another one that is so near
 _RENAMED = 1.5  # times: a factor that is found so near to a known one may be that one
 _HARDLY_MORE = 1.03  # times the error that a factor leaves: a known one that leaves no more is as good
@@ -40,6 +42,16 @@ def _known_factors(loop: ClosedLoop) -> tuple[float, ...]:
     return tuple(sorted({one for one in known if one != 1.0}))
 
 
+def _try_torque_scales(declared: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield the torque in other scales, where a signal that is added to it has its own."""
+    torque = declared.record.torque
+    if declared.record.injected is None or torque is None:
+        return
+    for factor in (*_SCALES, *_known_factors(declared.loops[0])):
+        scaled = {"torque": replace(torque, values=torque.values / factor)}
+        yield replace(declared, record=declared.record.with_channels(scaled), free="log_gain", factor=factor)
+
+
 def _try_factors(declared: Hypothesis) -> Iterator[Hypothesis]:
     numbers, law = declared.numbers, declared.controller
     if "gain" not in numbers:
@@ -48,7 +60,8 @@ def _try_factors(declared: Hypothesis) -> Iterator[Hypothesis]:
     endless = with_numbers(law, {"limit": float("inf")}) if "limit" in numbers else law
     excess = [one for one in _known_factors(declared.loops[0]) if not _FACTORS[0] <= one <= _FACTORS[-1]]
     scaled = [with_numbers(endless, {"gain": factor * numbers["gain"]}) for factor in (*_FACTORS, *excess)]
-    yield declared.under(scaled, "gain")
+    factors = declared.under(scaled, "gain")
+    yield factors if declared.record.injected is None else replace(factors, fault=_LAW_BESIDE_INJECTED)
 
 
 def _prefer_known_factor(fit: Fit, loop: ClosedLoop) -> Fit:
@@ -68,6 +81,14 @@ def _prefer_known_factor(fit: Fit, loop: ClosedLoop) -> Fit:
         if end is not None and end.error <= _HARDLY_MORE * fit.error:
             return end
     return fit
+
+
+def _explain_beside_injected(of_torque: bool, value: float | None, loop: ClosedLoop, shown: Shown) -> Iterator[Meaning]:
+    """Yield the meanings that a signal in its own scale leaves: those of the torque, or of law and reference."""
+    law = (LAW_GAIN, REFERENCE_SCALE)
+    for fault, clause, factor in _explain_factor(value, loop, shown):
+        if fault not in (law if of_torque else (TORQUE_SCALE, TORQUE_CONSTANT)):
+            yield fault, clause, factor
 
 
 def _explain_factor(value: float | None, loop: ClosedLoop, shown: Shown) -> Iterator[Meaning]:
@@ -127,11 +148,15 @@ def say_times(factor: float) -> str:
 
 GEAR_SIDE = Fault("gear_side", "side of the gear")
 TORQUE_CONSTANT = Fault("torque_constant", "torque constant")
-TORQUE_SCALE = Fault("torque_scale", "scale of the torque", negligible=is_small_factor)
+TORQUE_SCALE = Fault(
+    "torque_scale", "scale of the torque", correct=_try_torque_scales, meanings=partial(_explain_beside_injected, True),
+    negligible=is_small_factor,
+)  # fmt: skip
 REFERENCE_SCALE = Fault("reference_scale", "scale of the reference", negligible=is_small_factor)
 LAW_GAIN = Fault(
     "law_gain", "gain of the law", correct=_try_factors, meanings=_explain_factor, negligible=is_small_factor,
     refine=_prefer_known_factor,
 )  # fmt: skip
+_LAW_BESIDE_INJECTED = replace(LAW_GAIN, meanings=partial(_explain_beside_injected, False))
 
 FAULTS = (GEAR_SIDE, TORQUE_CONSTANT, TORQUE_SCALE, REFERENCE_SCALE, LAW_GAIN)

@@ -35,13 +35,15 @@ from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop
 
 _FACTOR = "torque, reference, ratio or a gain is wrong by a"
-_GAINS = (0.1, 0.3, 0.6, 1.6, 3.0, 10.0)  # times a declared gain
+_DEGREES = 180 / math.pi
+_GAINS = (1e-3, 1 / _DEGREES, 0.1, 0.3, 0.6, 1.6, 3.0, 10.0, _DEGREES, 1e3)  # times a declared gain, units among them
 _INTEGRALS = (1e-3, 0.01, 0.1, 10.0, 100.0, 1e3)  # times a declared integral gain: its time may be in ms, read in s
 _NEW_INTEGRALS = (1.0, 10.0, 100.0)  # 1/s, of what they act beside, where none is declared
 _LATE = (1.0, 3.0, 8.0)  # periods of a delay or a filter
 _HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
 _SMALL = math.log(1.5)  # a number that is off by less is left to its test, which gives an interval
 _UNIT_SLIP = 1000.0  # s for ms
+_NEAR = 0.1  # logarithm: a gain that is found so near to the factor of degrees is off by that
 _ROUGHLY = 2.0  # times: a gain that is found so near to a unit's factor is off by that
 
 
@@ -157,6 +159,9 @@ def _say_gain(name: str, value: float | None, loop: ClosedLoop, shown: Shown) ->
         return f"{clause}, and is not declared"
     clause += f", not {show(there, declared, law)}" + _show_related_times(name, value, law, shown.values())
     factor = value / declared
+    if abs(abs(math.log(factor)) - math.log(_DEGREES)) < _NEAR:
+        times = "more" if factor > 1 else "less"
+        return f"{clause}: about 57 times {times}; degrees and radians may be mistaken in its unit"
     if name != "integral_gain" or abs(math.log(max(factor, 1 / factor) / _UNIT_SLIP)) >= math.log(_ROUGHLY):
         return clause
     less = (factor > 1) is there.inverse  # a time is so much shorter as its gain is larger

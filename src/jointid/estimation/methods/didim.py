@@ -103,8 +103,10 @@ _LEAST_ERROR = 'set method.form = "least-squares"'
 _LEAST_SQUARES = 'set method.minimiser = "least-squares"'
 _TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}
 _SIMPLEX_TOLERANCE = 1e-4  # that of fminsearch
-_DELAY = "delay"
-_DELAYS = (0.0, 0.003, 0.006, 0.009)  # s: those of drives and their buses
+DELAY = "delay"
+DELAYS = (0.0, 0.003, 0.006, 0.009)
+"""Seconds, of drives and their buses: where the search for a delay begins."""
+
 _RIGID, _FLEXIBLE = ("rigid",), ("flexible",)
 
 
@@ -252,18 +254,18 @@ class DIDIM(Method):
         """
         loop = task.loop
         assert loop is not None
-        if self.near or _DELAY not in self.free or numbers_of(loop.controller).get(_DELAY) != 0.0:
+        if self.near or DELAY not in self.free or numbers_of(loop.controller).get(DELAY) != 0.0:
             return task, []
         ends = list[Solved]()
-        for late in _DELAYS:
-            under = replace(task, loop=replace(loop, controller=with_numbers(loop.controller, {_DELAY: late})))
+        for late in DELAYS:
+            under = replace(task, loop=replace(loop, controller=with_numbers(loop.controller, {DELAY: late})))
             history.progress(Detail(f"looking for the delay near {1e3 * late:g} ms"))
             with contextlib.suppress(MethodError):  # no joint is stable with it
                 ends.append(self._glance(under, history))
         if not ends:
             return task, []
         values = min(ends, key=lambda end: end.norm).values
-        law = with_numbers(loop.controller, {_DELAY: values[_DELAY]})
+        law = with_numbers(loop.controller, {DELAY: values[DELAY]})
         return replace(task, loop=replace(loop, controller=law)), [Start(values, None)]
 
     def _glance(self, task: Task, history: History) -> Solved:
@@ -275,9 +277,9 @@ class DIDIM(Method):
         if flexible:
             own = replace(task, loop=problem.loop, joint=problem.joint)
             cutoffs = self.frequency, self.rigid_cutoff
-            return StiffnessSearch(problem, own, *cutoffs, self._tolerance, history).glance(_DELAY)
+            return StiffnessSearch(problem, own, *cutoffs, self._tolerance, history).glance(DELAY)
         resting = problem.keeping(self._first_sample(problem))
-        wider, ends = resting.freeing(_DELAY), list[Solved]()
+        wider, ends = resting.freeing(DELAY), list[Solved]()
         for start in rigid_starts(problem, self.start, ignore_progress).values():
             with contextlib.suppress(MethodError):
                 x = self._first_positions(resting, start, history)[0]
@@ -490,8 +492,8 @@ class DIDIM(Method):
         search = StiffnessSearch(linear, own, self.frequency, self.rigid_cutoff, tolerance, history)
         solved, simulations = search.search()
         if linear is not problem:
-            if _DELAY in self.free:  # a gap is found where torque and motion are in time alone
-                solved = free_more(solved, (_DELAY,), tolerance, history)
+            if DELAY in self.free:  # a gap is found where torque and motion are in time alone
+                solved = free_more(solved, (DELAY,), tolerance, history)
             solved = from_linear_laws(problem, solved, tolerance, history)
         return without_beginning(solved, tolerance, history), simulations
 

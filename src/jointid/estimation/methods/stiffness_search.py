@@ -48,13 +48,14 @@ from jointid.estimation.starts.inverse_controller import first_state, reconstruc
 from jointid.estimation.starts.rigid_joint import regular_start
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.solve import Counted, Solution, Solver, solve
 from jointid.uncertainty.position_dependent_error import repeatable
 
-RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
+_RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 
 _WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
 _SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer there is too little to tell a joint from
@@ -197,7 +198,7 @@ class StiffnessSearch:
             return self._refine(explore(wide, None, self.frequency, history))
         except MethodError as error:
             history.progress(Suspicion("starting from a joint that follows its reference", error))
-        filtering = Filtering(cutoff=RIGID_CUTOFF / self.problem.sample_time)
+        filtering = Filtering(cutoff=rigid_cutoff(self.task.record))
         loop = _rigid_loop(self.task)
         follows = regular_start(torque_problem(self.task.record, loop, filtering, loop.joint.parameters)).values
         try:
@@ -307,8 +308,8 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> F
             Task(record, rigid.joint, rigid, rigid.joint.parameters, Filtering(cutoff=edge), progress)
         )
 
-    least = _SWINGS / (record.torque.values.size * sample_time)
-    edge = cutoff or max(RIGID_CUTOFF / sample_time, least)
+    least = _least_cutoff(record)
+    edge = cutoff or rigid_cutoff(record)
     found = None
     for lower in () if cutoff else _LOWER:  # a mode below the cut-off may make the joint look like none at all
         try:
@@ -323,6 +324,17 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> F
     if cutoff is None and slow < 0.7 * edge:
         return replace(identify_rigid(slow), earlier=found.simulations)
     return found
+
+
+def rigid_cutoff(record: Record) -> float:
+    """Return the cut-off, Hz, below which a flexible joint is first identified as rigid."""
+    assert record.torque is not None
+    return max(_RIGID_CUTOFF / record.torque.sample_time, _least_cutoff(record))
+
+
+def _least_cutoff(record: Record) -> float:
+    assert record.torque is not None
+    return _SWINGS / (record.torque.values.size * record.torque.sample_time)
 
 
 def _rigid_loop(task: Task) -> ClosedLoop:
