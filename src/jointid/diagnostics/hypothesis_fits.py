@@ -192,7 +192,8 @@ def _choose_best(starts: Iterable[Fit]) -> list[Fit]:
         problem = fit.problem if name is None else fit.problem.freeing(name)
         for number in (p for p in problem.parameters if p.name == name):
             start = number.start or 0.0
-            problem = problem.replace_parameters({name: replace(number, lower=start / _RANGE, upper=start * _RANGE)})
+            wide = replace(number, lower=start / _RANGE, upper=start * _RANGE)
+            problem = problem.replace_parameters({number.name: wide})
         free.append(replace(fit, problem=problem, x=problem.vector(fit.values)))
     return free
 
