@@ -497,3 +497,66 @@ def test_a_factor_is_told_with_the_gear_that_may_make_it() -> None:
     told = {one.fault: one.words for one in explain_fault(LAW_GAIN, 0.4 * 10, 0.01, loop, shown)}
     assert told[REFERENCE_SCALE].endswith("as by another gear than 50:1")
     assert told[LAW_GAIN].endswith("where the velocity gain would be 21.0 A s/rad")
+
+
+DRIVE = ji.controller.PD(position_gain=60.0, derivative_gain=4.0, period=1e-3)
+LATE = 4e-3  # s: of the torque, which nobody declares
+
+
+def late_drive(record_period: float = 4e-3) -> ji.Record:
+    """Return the log of a rigid joint whose torque, with pulses added, acts late, with noise of 2 %."""
+    reference = trapezoids((0.5, 1.0), 10.0, 1.0, record_period, duration=4.0)
+    pulses = ji.excitation.pulses(reference.size, record_period, height=3.0, width=0.05, every=0.3, seed=0)
+    loop = ClosedLoop(RigidJoint("revolute"), replace(DRIVE, delay=LATE))
+    truth = {"inertia": 0.1, "viscous": 0.2, "coulomb": 0.4, "offset": 0.0}
+    record = simulated_record(loop, reference, truth, sample_time=record_period, injected=pulses)
+    torque = record.torque
+    assert torque is not None
+    noise = 0.02 * np.std(torque.values) * np.random.default_rng(0).standard_normal(torque.values.size)
+    return replace(record.without("motor_position"), torque=replace(torque, values=torque.values + noise))
+
+
+def test_hypotheses_find_the_delay_with_a_gain_that_is_off_by_a_unit() -> None:
+    loop = ClosedLoop(RigidJoint("revolute"), replace(DRIVE, derivative_gain=180 / np.pi * DRIVE.derivative_gain))
+    tried = searching.list_hypotheses(late_drive(), loop, ji.Filtering().resolve(4e-3, "rigid"), ("delay",))
+    assert not any(one.free == "delay" for one in tried)
+    (gain,) = (one for one in tried if one.free == "derivative_gain")
+    assert any(one.controller.derivative_gain == pytest.approx(DRIVE.derivative_gain) for one in gain.loops)
+    (fit,) = searching.fit_rigid([gain], loop.joint)
+    assert fit.number == pytest.approx(DRIVE.derivative_gain, rel=0.05)
+    assert fit.values["delay"] == pytest.approx(LATE, abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [180 / np.pi, np.pi / 180])
+def test_gain_in_degrees_is_told_beside_an_unknown_delay(times: float) -> None:
+    """The search begins at the factors of units, and the delay is as free as in the identification."""
+    declared = replace(DRIVE, derivative_gain=times * DRIVE.derivative_gain)
+    causes = find_causes(late_drive(), ClosedLoop(RigidJoint("revolute"), declared), free=("delay",))
+    first = causes.explanations[0]
+    assert first.fault is number_fault("derivative_gain")
+    assert first.value == pytest.approx(DRIVE.derivative_gain, rel=0.05)
+    assert first.error < 0.03
+    assert "degrees and radians may be mistaken" in causes.message.words
+
+
+@pytest.mark.slow
+def test_torque_in_another_scale_is_no_gain_of_the_law_beside_an_added_signal() -> None:
+    """What is added to the torque keeps its own scale, which tells the torque from law and reference."""
+    record = late_drive()
+    assert record.torque is not None
+    before = replace(record, torque=replace(record.torque, values=record.torque.values / 9))
+    causes = find_causes(before, ClosedLoop(RigidJoint("revolute"), DRIVE), free=("delay",))
+    assert [one.fault for one in causes.explanations] == [TORQUE_SCALE]
+    assert causes.explanations[0].value == pytest.approx(1 / 9, rel=0.03)
+    weaker = replace(DRIVE, position_gain=0.3 * DRIVE.position_gain, derivative_gain=0.3 * DRIVE.derivative_gain)
+    causes = find_causes(record, ClosedLoop(RigidJoint("revolute"), weaker), free=("delay",))
+    assert [one.fault for one in causes.explanations] == [LAW_GAIN, REFERENCE_SCALE]
+
+
+def test_few_rows_below_the_resonance_explain_no_cause() -> None:
+    """A log of 100 Hz is not cut off at half of a hertz, where as many rows as parameters are left."""
+    record, loop = late_drive(1e-2), ClosedLoop(ji.FlexibleJoint("revolute"), DRIVE)
+    tried = searching.list_hypotheses(record, loop, ji.Filtering().resolve(1e-2, "flexible"))
+    fits = searching.fit_below_resonance(tried[:2], ji.FlexibleJoint("revolute"))
+    assert all(fit.problem.residual(fit.x).size > 2 * fit.x.size for fit in fits)
