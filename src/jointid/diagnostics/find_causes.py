@@ -26,6 +26,7 @@ from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.record import (
+    explain_on_position,
     find_lost_motion,
     find_lost_samples,
     find_plain_cause,
@@ -217,10 +218,13 @@ def find_causes(
     tried_out = tuple(sorted(once.values(), key=lambda one: one.error))
     explaining = _explaining(tellings, declared, loop, record.torque.sample_time)
     left = _fit_free_responses(fits[0]) if fits else 0.0
-    if explaining:
-        best = explaining[0]
-        # In a loop that rings for long, responses as short as these leave much, too.
-        if best.error > (min(best.fault.more_than_responses * left, _FITS) if left > 0 else _FITS):
+    best = explaining[0] if explaining else None
+    # In a loop that rings for long, responses as short as these leave much, too.
+    more = best and best.error > (min(best.fault.more_than_responses * left, _FITS) if left > 0 else _FITS)
+    if (best is None or more) and (by_position := find_law_causes(record, loop, shown)) is not None:
+        return by_position
+    if best is not None:
+        if more:
             others = [one for one in tried_out if one.fault is not best.fault][:1]
             nearest = (best, *(one for one in others if one.error <= _EXPLAINS * declared))
             return Causes(declared, (), tried_out, nearest, left)
@@ -228,6 +232,12 @@ def find_causes(
     if not left and (problem := pose(tried[0], loop)) is not None and record.reference is not None:
         left = find_unexplained_share(problem, record.reference.values)
     return Causes(declared, (), tried_out, unexplained=left, plain=find_lost_motion(record, loop, left))
+
+
+def find_law_causes(record: Record, loop: ClosedLoop, shown: Sequence[DriveNumber] = ()) -> Causes | None:
+    """Return the number of the law that the motor position shows to be another one; None where it shows none."""
+    left, told = explain_on_position(record, loop, {one.number: one for one in shown})
+    return Causes(left, told[:_NAMED], told) if told else None
 
 
 def screen_causes(

@@ -19,10 +19,11 @@ from jointid.common.text import join, number
 from jointid.diagnostics.beside_delay import compare_with_delay
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
+from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.faults.record import find_lost_samples, find_too_short
-from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, screen_causes
+from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, find_law_causes, screen_causes
 from jointid.diagnostics.hypothesis_fits import Fit
 from jointid.diagnostics.law_tests import has_unstated_delay
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
@@ -276,6 +277,7 @@ def run_checks(
         causes = None
     if causes is not None:
         return CheckResults((Verdict(Subject.LOOP, Status.FAILED, (causes.message,)),), diagnosis=found)
+    verdict = _judge_by_position(record, problem.loop, shown, verdict, faults or ())
     short = find_too_short(record) if whole else None  # what is refused is not relied on
     if short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
@@ -293,6 +295,22 @@ def run_checks(
     kept = before.reasons if before is not None and before.status is Status.FAILED else ()
     follows = replace(follows, reasons=(*follows.reasons, *kept))
     return CheckResults((follows, verdict), tuple(widenings), found)
+
+
+def _judge_by_position(
+    record: Record, loop: ClosedLoop, shown: Sequence[DriveNumber], verdict: Verdict, named: Sequence[FaultTest]
+) -> Verdict:
+    """Return the verdict on a loop with the number of its law that the motor position shows to be another one.
+
+    The friction, the play and the spring of the joint have no part in it.
+    """
+    with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands
+        found = find_law_causes(record, loop, shown)
+        known = {fault.name for one in named for fault in (one.fault, *one.alike)}
+        if found is not None and not known & {one.fault.name for one in found.explanations}:
+            others = verdict.reasons if verdict.status is Status.FAILED else ()
+            return Verdict(Subject.LOOP, Status.FAILED, (found.message, *others))
+    return verdict
 
 
 def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:

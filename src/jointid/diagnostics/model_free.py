@@ -25,10 +25,11 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import INJECTED, Controller
+from jointid.models.controllers import INJECTED, Controller, Interpolation
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
+from jointid.records.signals.filtering import lowpass
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.controller_torque import law_outputs
@@ -45,6 +46,7 @@ _LATEST = 8.0  # samples: the largest delay, either way, of the torque
 _PARTS = 4  # of a sample: the steps of the delay
 _BORDER = 20  # samples at each end that are not compared
 _BETTER = 0.8  # of the residual: a delay must reduce it to this
+_WELL_SEEN, _LONGEST = 0.1, 0.012  # of the log's rate; s, of a delay
 _LAGS = 8  # samples of reference and position in a free law
 OF_LAW = 0.03
 """Share of a torque that a controller which holds leaves along the logged position, at most."""
@@ -268,7 +270,7 @@ def excludes(
 
 
 def _follow(
-    record: Record, loop: ClosedLoop
+    record: Record, loop: ClosedLoop, between: Interpolation | None = None
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]] | None:
     """Return the logged torque, (samples,), that of the law, (samples, columns), and the filter of both.
 
@@ -278,7 +280,7 @@ def _follow(
     if record.motor_position is None or record.reference is None or torque is None or record.computed:
         return None
     try:
-        made = law_outputs(record.motor_position, prepare(loop, record))
+        made = law_outputs(record.motor_position, prepare(loop, record), between)
     except JointidError:
         return None
     position, count = record.motor_position, min(torque.values.size, len(made))
@@ -287,6 +289,56 @@ def _follow(
     if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(torque.values) == 0 or np.ptp(made[:, 0]) == 0:
         return None
     return see(torque.values[:count]), see(made[:count]), see
+
+
+@dataclass(frozen=True, slots=True)
+class LawChange:
+    """Change of a law along a logged position, in its best size, beside a free delay of the torque.
+
+    Attributes:
+        size: of the change, 1 as given; of a scale less 1. std: its deviation.
+        left: residual share of the torque about its mean.
+    """
+
+    size: float
+    std: float
+    left: float
+
+
+def fit_law_changes(record: Record, loop: ClosedLoop, others: Sequence[Controller]) -> tuple[LawChange, ...]:
+    """Return changes of a law, one by one: none, the scale of its torque, and each other law.
+
+    Torques are compared far below the rate of the log, where the position between two samples is known. There is
+    nothing without a motor position.
+    """
+    followed = [_follow(record, replace(loop, controller=one), "cubic") for one in (loop.controller, *others)]
+    each, torque = [one for one in followed if one is not None], record.torque
+    if torque is None or len(each) < len(followed):
+        return ()
+    see = partial(lowpass, cutoff=_WELL_SEEN / torque.sample_time, sample_time=torque.sample_time)
+    count, last = min(len(made) for _, made, _ in each), math.ceil(_LONGEST / torque.sample_time)
+    if count < 2 * (last + _BORDER):
+        return ()
+    first, at, inside = each[0][1][:count], np.arange(count), slice(last + _BORDER, count - _BORDER)
+    other = [made[:count, 0] - first[:, 0] for _, made, _ in each[1:]]
+    signals = see(np.column_stack([first[:, 0], *other, first[:, 1:]]))
+    logged = see(each[0][0][:count])[inside]
+    logged -= logged.mean()
+    changes, around = 1 + len(other), [*range(1 + len(other), signals.shape[1])]
+    best = [LawChange(0.0, math.inf, math.inf)] * (1 + changes)
+    for late in np.arange(-_PARTS, _PARTS * last + 1) / _PARTS:
+        moved = np.column_stack([np.interp(at - late, at, one)[inside] for one in signals.T])
+        moved -= moved.mean(axis=0)
+        target = logged - moved[:, 0]
+        for k in range(1 + changes):
+            columns = moved[:, [*([k - 1] if k else []), *around]]
+            weights = np.linalg.lstsq(columns.T @ columns, columns.T @ target, rcond=None)[0]
+            error = target - columns @ weights
+            left = float(np.linalg.norm(error) / np.linalg.norm(logged))
+            if left < best[k].left:
+                std = float(robust(columns, columns, error).std[0]) if k else math.inf
+                best[k] = LawChange(float(weights[0]) if k else 0.0, std, left)
+    return tuple(best)
 
 
 def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArray], FloatArray]) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.models.controllers import POSITION, respond, run
+from jointid.models.controllers import POSITION, Interpolation, respond, run
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.resampling import at_period
@@ -67,15 +67,16 @@ def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
     )
 
 
-def law_outputs(position: Channel, experiment: LoopInput) -> FloatArray:
+def law_outputs(position: Channel, experiment: LoopInput, between: Interpolation | None = None) -> FloatArray:
     """Return the torque of the law as the log shows it and, where it has one, of a unit integral, (samples, columns).
 
     Args:
         position: of the motor.
         experiment: what `prepare` made of its record.
+        between: how the position goes between its samples; by lines without it.
     """
     law, inputs = experiment.law, experiment.inputs.copy()
-    inputs[:, POSITION] = at_period(position, law.period, experiment.periods, "motor_position")
+    inputs[:, POSITION] = at_period(position, law.period, experiment.periods, "motor_position", between)
     start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
     output = run(law, inputs, start).tapped + experiment.shown
     integral, columns = law.integral(), [output]

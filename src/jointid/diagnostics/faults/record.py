@@ -18,16 +18,17 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import join, number
-from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown
+from jointid.diagnostics.faults.fault import Explanation, Fault, Hypothesis, Meaning, Shown
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.loop_gain import LAW_GAIN, say_times
+from jointid.diagnostics.faults.loop_gain import LAW_GAIN, TORQUE_SCALE, say_times
+from jointid.diagnostics.faults.numbers import VELOCITY_FILTER, number_fault
 from jointid.diagnostics.hypothesis_fits import MORE, Fit, fit_flexible, follow
-from jointid.diagnostics.model_free import SHORTEST, compare_law
+from jointid.diagnostics.model_free import OF_LAW, SHORTEST, compare_law, fit_law_changes
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, grid_starts
 from jointid.estimation.problems.prescribed import motion_problem
-from jointid.models.controllers import numbers_of
+from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Record
@@ -44,6 +45,10 @@ _IMMOVABLE = 1e20  # kg or kg m2
 _FEW_STEPS = 20.0  # of an encoder, in all: fewer are no motion to a controller that sees them
 _AS_AT_REST = 0.15  # of the torque's scatter: so little is left where it is that of an axis at rest
 _SAME_SIZE = 0.25  # so near to 1 is then its size
+_GAINS = ("position_gain", "velocity_gain", "derivative_gain")
+_FILTERS = (1e-3, 2e-3, 4e-3, 8e-3)  # s
+_EXPLAINED, _MOST_LEFT, _ALIKE = 0.7, 0.15, 1.1  # of what the law leaves; of the torque; times the least
+_SURE, _FAR_OFF = 4.0, 0.1  # deviations; of a number: a position between two samples pretends less
 _LOST = 0.3  # of the torque, that is no response to the reference
 _AS_LARGE = 0.5  # of what the reference would make at rest: axes that move make a sixth of it at most
 _REMEDY = "record a larger or faster motion"
@@ -292,6 +297,39 @@ def find_torque_scale(record: Record, loop: ClosedLoop) -> Message | None:
     words = f"{clause}: check its unit, its torque constant and its side of the gear, and the gains of the law"
     cause = {"cause": "torque_scale", "value": law.gain, "error": law.left_in_time}
     return Message(Reason.CAUSE_FOUND, words, {"causes": [cause], "declared_error": None}, clause)
+
+
+def explain_on_position(record: Record, loop: ClosedLoop, shown: Shown) -> tuple[float, tuple[Explanation, ...]]:
+    """Return what the law leaves of the torque along the motor's position, and the changes that leave far less.
+
+    The mechanics have no part in it. Small changes may be those of a position that is unknown between two samples.
+    """
+    law: Any = loop.controller
+    declared = fit_law_changes(record, loop, ())
+    if not declared or declared[0].left < OF_LAW:
+        return 0.0, ()
+    numbers = numbers_of(law)
+    gains = {name: value for name, value in numbers.items() if name in _GAINS and value}
+    times = _FILTERS if getattr(law, "velocity_filter", None) == (1.0,) else ()
+    others = [with_numbers(law, {name: 2.0 * value}) for name, value in gains.items()]
+    others += [replace(law, velocity_filter=FirstOrder(time)) for time in times]
+    none, scale, *changes = fit_law_changes(record, loop, others)
+    found = [(TORQUE_SCALE, 1.0 + scale.size, scale)]
+    found += [(number_fault(name), v * (1 + c.size), c) for (name, v), c in zip(gains.items(), changes, strict=False)]
+    filters = [(time, one) for time, one in zip(times, changes[len(gains) :], strict=True) if one.size > 0.0]
+    if filters:  # that of a time whose size is as given
+        time, one = min(filters, key=lambda pair: pair[1].left)
+        found.append((VELOCITY_FILTER, time * one.size, one))
+    least = min(one.left for _, _, one in found)
+    if least > min(_EXPLAINED * none.left, _MOST_LEFT):
+        return none.left, ()
+    said = (
+        Explanation(cause, words, number, one.left)
+        for fault, value, one in sorted(found, key=lambda each: each[2].left)
+        if one.left < _ALIKE * least and value > 0 and abs(one.size) > max(_SURE * one.std, _FAR_OFF)
+        for cause, words, number in fault.explain(value, loop, shown)
+    )
+    return none.left, tuple(said)
 
 
 def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:
