@@ -28,13 +28,13 @@ from jointid.diagnostics.find_causes import explain as explain_fault
 from jointid.diagnostics.find_causes import explain_failure, find_causes
 from jointid.diagnostics.model_free import find_unexplained_share
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.models.controllers import Cascade, with_numbers
+from jointid.models.controllers import Cascade, FirstOrder, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.verdict import Reason, Status, Subject
+from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
 from studies.healthy import drive
 from tests.estimates import amended, identify
 from tests.mistakes import (
@@ -503,17 +503,17 @@ DRIVE = ji.controller.PD(position_gain=60.0, derivative_gain=4.0, period=1e-3)
 LATE = 4e-3  # s: of the torque, which nobody declares
 
 
-def late_drive(record_period: float = 4e-3) -> ji.Record:
+def late_drive(record_period: float = 4e-3, law: Any = DRIVE) -> ji.Record:
     """Return the log of a rigid joint whose torque, with pulses added, acts late, with noise of 2 %."""
     reference = trapezoids((0.5, 1.0), 10.0, 1.0, record_period, duration=4.0)
     pulses = ji.excitation.pulses(reference.size, record_period, height=3.0, width=0.05, every=0.3, seed=0)
-    loop = ClosedLoop(RigidJoint("revolute"), replace(DRIVE, delay=LATE))
+    loop = ClosedLoop(RigidJoint("revolute"), replace(law, delay=LATE))
     truth = {"inertia": 0.1, "viscous": 0.2, "coulomb": 0.4, "offset": 0.0}
     record = simulated_record(loop, reference, truth, sample_time=record_period, injected=pulses)
     torque = record.torque
     assert torque is not None
     noise = 0.02 * np.std(torque.values) * np.random.default_rng(0).standard_normal(torque.values.size)
-    return replace(record.without("motor_position"), torque=replace(torque, values=torque.values + noise))
+    return replace(record, torque=replace(torque, values=torque.values + noise))
 
 
 def test_hypotheses_find_the_delay_with_a_gain_that_is_off_by_a_unit() -> None:
@@ -532,7 +532,8 @@ def test_hypotheses_find_the_delay_with_a_gain_that_is_off_by_a_unit() -> None:
 def test_gain_in_degrees_is_told_beside_an_unknown_delay(times: float) -> None:
     """The search begins at the factors of units, and the delay is as free as in the identification."""
     declared = replace(DRIVE, derivative_gain=times * DRIVE.derivative_gain)
-    causes = find_causes(late_drive(), ClosedLoop(RigidJoint("revolute"), declared), free=("delay",))
+    record = late_drive().without("motor_position")
+    causes = find_causes(record, ClosedLoop(RigidJoint("revolute"), declared), free=("delay",))
     first = causes.explanations[0]
     assert first.fault is number_fault("derivative_gain")
     assert first.value == pytest.approx(DRIVE.derivative_gain, rel=0.05)
@@ -543,7 +544,7 @@ def test_gain_in_degrees_is_told_beside_an_unknown_delay(times: float) -> None:
 @pytest.mark.slow
 def test_torque_in_another_scale_is_no_gain_of_the_law_beside_an_added_signal() -> None:
     """What is added to the torque keeps its own scale, which tells the torque from law and reference."""
-    record = late_drive()
+    record = late_drive().without("motor_position")
     assert record.torque is not None
     before = replace(record, torque=replace(record.torque, values=record.torque.values / 9))
     causes = find_causes(before, ClosedLoop(RigidJoint("revolute"), DRIVE), free=("delay",))
@@ -560,3 +561,34 @@ def test_few_rows_below_the_resonance_explain_no_cause() -> None:
     tried = searching.list_hypotheses(record, loop, ji.Filtering().resolve(1e-2, "flexible"))
     fits = searching.fit_below_resonance(tried[:2], ji.FlexibleJoint("revolute"))
     assert all(fit.problem.residual(fit.x).size > 2 * fit.x.size for fit in fits)
+
+
+@pytest.mark.parametrize(
+    ("runs", "fault", "value"),
+    [
+        ({}, None, None),
+        ({"position_gain": 72.0}, number_fault("position_gain"), 72.0),
+        ({"derivative_gain": 4.0 * np.pi / 180}, number_fault("derivative_gain"), 4.0 * np.pi / 180),
+        ({"velocity_filter": FirstOrder(5e-3)}, VELOCITY_FILTER, 5e-3),
+        ({"gain": 9.0}, TORQUE_SCALE, 9.0),
+    ],
+)
+def test_motor_position_shows_a_number_of_the_law(runs: dict[str, Any], fault: Any, value: float | None) -> None:
+    """The torque of the law for that position is compared, beside a delay that is not known, and without the joint."""
+    record = late_drive(law=replace(DRIVE, **{name: one for name, one in runs.items() if name != "gain"}))
+    assert record.torque is not None
+    record = replace(record, torque=replace(record.torque, values=runs.get("gain", 1.0) * record.torque.values))
+    found = searching.find_law_causes(record, ClosedLoop(RigidJoint("revolute"), DRIVE))
+    told = () if found is None else found.explanations
+    assert [one.fault for one in told] == ([] if fault is None else [fault])
+    assert [one.value for one in told] == ([] if value is None else [pytest.approx(value, rel=0.05)])
+
+
+def test_number_that_the_position_shows_is_the_verdict_where_no_simulation_shows_it() -> None:
+    """A verdict that passed, or names something else, gets the number before its own reasons."""
+    record, loop = late_drive(law=replace(DRIVE, position_gain=72.0)), ClosedLoop(RigidJoint("revolute"), DRIVE)
+    passed = Verdict(Subject.LOOP, Status.PASSED, ())
+    told = identifying._judge_by_position(record, loop, (), passed, ())
+    assert told.status is Status.FAILED
+    assert told.reasons[0].values["causes"][0]["cause"] == "position_gain"
+    assert identifying._judge_by_position(late_drive(), loop, (), passed, ()) is passed
