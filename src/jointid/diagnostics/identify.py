@@ -302,12 +302,12 @@ def _judge_by_position(
 ) -> Verdict:
     """Return the verdict on a loop with the number of its law that the motor position shows to be another one.
 
-    The friction, the play and the spring of the joint have no part in it.
+    Faults of loop and log that were found stand. Friction, play and spring of the joint have no part in it.
     """
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands
-        found = find_law_causes(record, loop, shown)
-        known = {fault.name for one in named for fault in (one.fault, *one.alike)}
-        if found is not None and not known & {one.fault.name for one in found.explanations}:
+        of_loop = any(not fault.of_model for one in named for fault in (one.fault, *one.alike))
+        found = None if of_loop else find_law_causes(record, loop, shown)
+        if found is not None:
             others = verdict.reasons if verdict.status is Status.FAILED else ()
             return Verdict(Subject.LOOP, Status.FAILED, (found.message, *others))
     return verdict
