@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -592,3 +593,10 @@ def test_number_that_the_position_shows_is_the_verdict_where_no_simulation_shows
     assert told.status is Status.FAILED
     assert told.reasons[0].values["causes"][0]["cause"] == "position_gain"
     assert identifying._judge_by_position(late_drive(), loop, (), passed, ()) is passed
+    part: Any = SimpleNamespace(
+        model=SimpleNamespace(links=[SimpleNamespace(kind="revolute")]), setup=SimpleNamespace(controllers=(DRIVE,))
+    )
+    wrong, held = (SimpleNamespace(axes=[SimpleNamespace(name="elbow", law_holds=one)]) for one in (False, True))
+    (shown,) = identifying._numbers_by_position(part, [record], wrong)  # type: ignore[arg-type]
+    assert str(shown).startswith("elbow: the position gain is about 7")
+    assert identifying._numbers_by_position(part, [record], held) == []  # type: ignore[arg-type]

@@ -42,7 +42,7 @@ from jointid.estimation.result.assemble import CheckResults, FitResult, Widening
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
@@ -368,7 +368,8 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
     elif wrong := found.describe_laws(holds=False):
         said = "; ".join(filter(None, (wrong, found.untested_clause)))
-        loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said),))
+        shown = _numbers_by_position(part, fit.records, found)
+        loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said), *shown))
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
     elif possible := found.undecided:
@@ -381,6 +382,22 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
     tested = part.has_controllers or of_logs or lost is not None
     wider = _widen_for_undeclared(fit, found)
     return CheckResults((residual, loop) if tested else (residual,), tuple(wider), diagnosis=found)
+
+
+def _numbers_by_position(part: IdentifiedRobot, records: Sequence[Record], found: Diagnosis) -> list[Message]:
+    """Return the numbers of the laws that do not hold which the motors' positions show to be other ones."""
+    told = []
+    for link, axis, record, law in zip(
+        part.model.links, found.axes, records, getattr(part.setup, "controllers", ()), strict=False
+    ):
+        causes = None
+        if axis.law_holds is False:
+            with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands
+                causes = find_law_causes(record, ClosedLoop(RigidJoint(link.kind), law))
+        if causes is not None:
+            said = causes.message
+            told.append(replace(said, words=f"{axis.name}: {said}", clause=f"{axis.name}: {said.brief}"))
+    return told
 
 
 def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
