@@ -147,12 +147,12 @@ def _loops_near(hypothesis: Hypothesis, rigid: Fit) -> tuple[ClosedLoop, ...]:
 
 def pose(hypothesis: Hypothesis, loop: ClosedLoop) -> ClosedLoopProblem | None:
     """Return the problem of a hypothesis with one of its loops, its number fixed; None if there is none."""
+    around = [one for one in hypothesis.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
     try:
         problem = torque_problem(hypothesis.record, loop, hypothesis.filtering, loop.joint.parameters)
+        return problem.keeping({"initial_velocity": 0.0}).freeing(*around)
     except JointidError:
         return None
-    around = [one for one in hypothesis.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
-    return problem.keeping({"initial_velocity": 0.0}).freeing(*around)
 
 
 def _delays_to_try(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
