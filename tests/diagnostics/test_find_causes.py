@@ -578,7 +578,8 @@ def test_motor_position_shows_a_number_of_the_law(runs: dict[str, Any], fault: A
     """The torque of the law for that position is compared, beside a delay that is not known, and without the joint."""
     record = late_drive(law=replace(DRIVE, **{name: one for name, one in runs.items() if name != "gain"}))
     assert record.torque is not None
-    record = replace(record, torque=replace(record.torque, values=runs.get("gain", 1.0) * record.torque.values))
+    late = runs.get("gain", 1.0) * np.roll(record.torque.values, 1)
+    record = replace(record, torque=replace(record.torque, values=late))
     found = searching.find_law_causes(record, ClosedLoop(RigidJoint("revolute"), DRIVE))
     told = () if found is None else found.explanations
     assert [one.fault for one in told] == ([] if fault is None else [fault])
