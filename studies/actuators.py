@@ -21,6 +21,7 @@ import numpy as np
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.diagnostics.faults.record import explain_on_position
 from jointid.diagnostics.find_causes import explain_failure
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import PD
@@ -341,6 +342,29 @@ def judge(seed: int, kind: str, fault: str = "none") -> Said:
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Shown:
+    """Numbers of the law that the motor position shows to be other ones, likeliest first, and what the law leaves."""
+
+    seed: int
+    kind: str
+    fault: str
+    left: float
+    named: tuple[str, ...]
+
+    @property
+    def right(self) -> bool:
+        """Whether the fault is among them; without a fault, whether there are none."""
+        return not self.named if self.fault == "none" else bool({*self.named} & RIGHT[self.fault])
+
+
+def judge_position(seed: int, kind: str, fault: str = "none") -> Shown:
+    """Return what the motor position shows of an actuator's law, which no joint has a part in."""
+    made = log(seed, kind, fault)
+    left, told = explain_on_position(made.record, made.loop, {})
+    return Shown(seed, kind, fault, left, tuple(one.fault.name for one in told))
+
+
 def name_causes(estimate: ji.Estimate) -> tuple[str, ...]:
     """Return codes of all that the verdict on loop and log names, the likeliest first."""
     named: list[str] = []
@@ -359,13 +383,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=2)
     parser.add_argument("--kind", action="append", choices=KINDS)
     parser.add_argument("--fault", choices=FAULTS, default="none")
+    parser.add_argument("--position", action="store_true", help="judge the law by the motor position alone")
     given = parser.parse_args(arguments)
-    runs = []
+    runs, shown = list[Said](), list[Shown]()
     for kind in given.kind or KINDS:
         seeds = range(given.first, given.first + given.count)
-        for found in judge_seeds("studies.actuators:judge", seeds, {"kind": kind, "fault": given.fault}):
+        judged = "studies.actuators:judge_position" if given.position else "studies.actuators:judge"
+        for found in judge_seeds(judged, seeds, {"kind": kind, "fault": given.fault}):
             sys.stdout.write(json.dumps(found) + "\n")
-            runs.append(Said(**found | {"named": tuple(found["named"])}))
+            found |= {"named": tuple(found["named"])}
+            if given.position:
+                shown.append(Shown(**found))
+            else:
+                runs.append(Said(**found))
+    if shown:
+        sys.stderr.write(f"{sum(one.right for one in shown)} of {len(shown)} as they are by the motor position\n")
+        return
     holds = [run.stiffness_holds for run in runs if run.stiffness_holds is not None]
     named = [run.named_right for run in runs if run.named_right is not None]
     sys.stderr.write(
