@@ -18,9 +18,12 @@ from jointid.estimation.identify import memory_of, plan_windows
 from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.log_windows import (
     VISITS,
     LogProblem,
+    LoopWindow,
+    Member,
     Place,
     Places,
     Windowing,
@@ -106,12 +109,18 @@ def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
         assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
 
 
+def windows_of(record: Record, window: ClosedLoopProblem) -> LogProblem:
+    """Return the problem of windows of 5 s."""
+    member, places = Member.of([InMemory(record)], LoopWindow(window)), (Places.of(*motion(window)),)
+    return LogProblem((member,), window.free, 5000, 250, places, np.ones((1, 1)))
+
+
 def test_a_log_is_a_problem_that_any_solver_solves() -> None:
     """Its residual and derivatives, in as few rows as have the same sums: bounded least squares ends at the same."""
     record = rigid(30.0)
     joint, filtering = LOOP.joint, Filtering()
     window = window_problem(record, LOOP, filtering, joint.parameters, ())
-    problem = LogProblem(InMemory(record), window, 5000, 250, Places.of(*motion(window)))
+    problem = windows_of(record, window)
     start = window.vector(TRUTH | {"inertia": 33.0, "coulomb": 12.0})
     error, J = problem.linearise(start)
     sums = problem.pass_over(start).sums
@@ -159,7 +168,7 @@ def test_a_log_at_rest_is_no_problem_for_any_solver() -> None:
     assert record.reference is not None
     resting = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
     window = window_problem(record, LOOP, Filtering(), LOOP.joint.parameters, ())
-    problem = LogProblem(InMemory(resting), window, 5000, 250, Places.of(*motion(window)))
+    problem = windows_of(resting, window)
     with pytest.raises(MethodError, match="In no window of this record does the axis move"):
         problem.residual(window.vector(TRUTH))
 
@@ -291,7 +300,7 @@ def test_how_long_a_window_remembers_is_measured() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"method": IDIM()}, "give the method didim"),
+        ({"method": IDIM("robust")}, "IDIM by robust needs all rows at once"),
         ({"length": 0.0}, "A window lasts a finite time"),
         ({"length": 5.0, "settling": 3.0}, "at most half a window of 5 s; received 3 s"),
         ({"length": 5.0, "settling": 0.0}, "more than 0"),

@@ -235,7 +235,9 @@ class Interrupted(Rosenbrock):
     def pass_over(self, x: Array, every: int = 1) -> Pass:
         error, J = self.linearise(x)
         window = Window(0.0, 60.0, Sums.of(error, J, error), 0.0)
-        return Pass((window,) * 8 if every == 1 else (), {}, 0, ended=every > 1)
+        whole = every == 1
+        sizes, scores = np.ones((1, 1, 3)), np.zeros((1, J.shape[1]))
+        return Pass((window,) * 8 * whole, {}, 0, sizes, scores, 8 * whole, ended=not whole)
 
 
 def provoke(status: Status) -> Solution:

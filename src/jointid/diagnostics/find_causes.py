@@ -470,7 +470,8 @@ def explain_failure(
     if loop is None or any(getattr(record, name) is None for name in loop.channels):
         return error
     try:
-        part, *_ = plan_windows(record, loop, None) or (record,)  # as much of it as the memory holds
+        planned = plan_windows(record, loop, None)  # as much of it as the memory holds
+        part = planned.part if planned is not None and isinstance(planned.part, Record) else record
         causes = find_causes(part, loop, shown=shown, progress=progress, free=free)
     except (JointidError, np.linalg.LinAlgError):  # the first error counts
         return error

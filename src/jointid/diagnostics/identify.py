@@ -89,9 +89,9 @@ def identify(
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
             joint without anything added. Of a robot values and bounds of friction, as "joint1.viscous".
         several: what the records share, and what was added to the load; see `SeveralRecords`.
-        windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too. A record that
-            may take more than 4 GiB at once is identified in windows without it, and checked in a part; whole where
-            windows do not identify it.
+        windows: of a log; see `Windowing`. With it records in memory are identified in windows, too: of a joint by
+            DIDIM or IDIM, several, or a robot's. Records that may take too much memory at once are identified in
+            windows without it, and checked in a part; whole where windows do not identify them.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
             long as its identification.
@@ -139,8 +139,9 @@ def identify(
         (30.0, 10)
     """
     tells = method is None or method.tells_of_its_loop
-    planned = plan_windows(record, model, method) if windows is None and several is None else None
-    part, windows, said = planned or (record, windows, "")
+    planned = plan_windows(record, model, method) if windows is None else None
+    part, said = (record, "") if planned is None else (planned.part, planned.said)
+    windows = windows if planned is None else planned.windows
 
     @cache
     def screen() -> Sequence[Fit]:
@@ -154,7 +155,7 @@ def identify(
     simulated = checks and isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None) and windows is None
     if said:
         progress(said)
-    elif isinstance(record, Record) and simulated and (needed := memory_of(record)) > LARGEST:
+    elif isinstance(record, Record) and simulated and (needed := memory_of(record, model, method)) > LARGEST:
         progress(f"this takes up to {needed / 1e9:.1f} GB of memory; a part by start and stop takes less")
     try:
         fit = fit_one(record, model, method, several=several, windows=windows)
@@ -165,20 +166,20 @@ def identify(
         screen.cache_clear()
         said = f"the record is identified at once and not in windows: {str(error).partition(';')[0].removesuffix('.')}"
         progress(said)
-        fit = fit_one(record, model, method)
+        fit = fit_one(record, model, method, several=several)
     if said:
         fit = replace(fit, after=(*fit.after, said))
-    of_joint = planned is not None or (fit.record is not None and fit.problem is not None)
-    if not (fit.robot is not None or (of_joint and tells)):
+    part_of_joint = isinstance(part, Record) and planned is not None and isinstance(model, ClosedLoop)
+    of_joint = part_of_joint or (fit.record is not None and fit.problem is not None)
+    if not (fit.robot is not None or (of_joint and tells)) or (planned is not None and part is None):
         return assemble(fit, torque_constant=torque_constant)
     if not checks:
         return assemble(fit, _left_out("not checked: the checks were left out"), torque_constant=torque_constant)
     if unchecked is not None:
         unchecked(assemble(fit, _left_out("not checked yet"), torque_constant=torque_constant))
     checked: FitResult | str = fit
-    if planned is not None:
-        assert isinstance(record, Record)
-        checked = _fit_part(fit, planned[0], record, lambda: fit_one(part, model, method))
+    if planned is not None and part is not None:
+        checked = _fit_part(fit, part, record, lambda: fit_one(part, model, method))
     if isinstance(checked, str):
         return assemble(fit, _left_out(f"not checked: {checked}"), torque_constant=torque_constant)
     found = run_checks(checked, progress, shown, screen)
@@ -191,11 +192,12 @@ def identify(
     return assemble(fit, found, torque_constant=torque_constant)
 
 
-def _fit_part(fit: FitResult, part: Record, record: Record, fit_it: Callable[[], FitResult]) -> FitResult | str:
+def _fit_part(fit: FitResult, part: object, record: object, fit_it: Callable[[], FitResult]) -> FitResult | str:
     """Return the fit of the checked part of a record, or why there is none."""
     if fit.fit.interrupted:
         return "the identification was interrupted"
-    if find_too_short(part) is not None and find_too_short(record) is None:
+    short = [find_too_short(one) is not None for one in (part, record) if isinstance(one, Record)]
+    if short == [True, False]:
         return "no window has enough motion, both ways"
     try:
         return fit_it()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -11,15 +11,15 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.estimation.identify_log import identify_log
+from jointid.estimation.identify_log import LoopWindows, identify_log
 from jointid.estimation.identify_record import identify_record
-from jointid.estimation.identify_several import identify_several
+from jointid.estimation.identify_several import identify_several, require_distinct
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.outputs import fit_log, fit_outputs, state_position, state_scale
-from jointid.estimation.problems.log_windows import Windowing, moves
+from jointid.estimation.problems.log_windows import Windowing, commanded, moves
 from jointid.estimation.problems.several_records import RecordLayout, SeveralRecords
 from jointid.estimation.record_warnings import ask_about_gains, check_robot_records, robot_record_warnings
 from jointid.estimation.result.assemble import FitResult
@@ -28,8 +28,10 @@ from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.regression import Records, each_log, in_logs
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.unknown_timing import fit_unstated_timing
+from jointid.estimation.windowed import InverseJoint, robot_in_windows
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
+from jointid.records.checks import check_record
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -40,51 +42,122 @@ from jointid.simulation.robots import RobotLoop
 LARGEST = 2**32
 """Bytes that the identification of one record and its checks may take at once; a longer record goes in windows."""
 
-_PER_SAMPLE = 7000  # bytes of each joint, where the checks search for a cause; without a misfit 1000
+_PER_SAMPLE = 7000  # bytes of a joint by simulation, where the checks search for a cause; without a misfit 1000
+_BY_FIT = 1000  # the same without checks, of each of several records
+_BY_IDIM = 500  # of a joint by its inverse model
+_ROBOT_COLUMNS = 30  # bytes of a robot's rows, for each joint, each equation and each of its parameters
+_OF_JOINT = 14  # parameters of a joint of a robot
+_ROBOTS = Robot | RobotLoop | RobotDriveSide
 
 
-def memory_of(record: Record) -> int:
-    """Return the bytes that the identification of a record by simulation and its checks may take."""
-    return _PER_SAMPLE * max(len(channel) for _, channel in record.items())
+def memory_of(record: object, model: object = None, method: Method | None = None) -> int:
+    """Return the bytes that the identification of a record, or of several, and its checks may take."""
+    samples = [len(channel) for one in _flat(record) for _, channel in one.items()]
+    if isinstance(model, _ROBOTS):
+        joints = len(model if isinstance(model, Robot) else model.robot)
+        logs = len(_flat(record)) // joints
+        return _ROBOT_COLUMNS * _OF_JOINT * joints**2 * max(samples, default=0) * max(logs, 1)
+    if isinstance(record, Sequence):
+        return _BY_FIT * sum(max((len(channel) for _, channel in one.items()), default=0) for one in _flat(record))
+    each = _PER_SAMPLE if _is_joint_by_simulation(record, model, method) else _BY_IDIM
+    return each * max(samples, default=0)
 
 
-def plan_windows(record: object, model: object, method: Method | None) -> tuple[Record, Windowing, str] | None:
+def _is_joint_by_simulation(record: object, model: object, method: Method | None) -> bool:
+    return isinstance(record, Record) and isinstance(model, ClosedLoop | None) and isinstance(method, DIDIM | None)
+
+
+def limit_of(record: object, model: object, method: Method | None) -> int:
+    """Return the bytes that the identification of a record may take at once.
+
+    Without checks, of several records and of a joint by IDIM, every record takes what is said: a quarter.
+    """
+    checked = isinstance(model, _ROBOTS) or _is_joint_by_simulation(record, model, method)
+    return LARGEST if checked else LARGEST // 4
+
+
+def _flat(record: object) -> list[Record]:
+    """Return all records: of a joint, of several, of a robot's joints, or of these of several logs."""
+    if isinstance(record, Record):
+        return [record]
+    return [one for each in record for one in _flat(each)] if isinstance(record, list | tuple) else []
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """How a record that may take more than `LARGEST` is identified.
+
+    Attributes:
+        part: of it, to be checked; None of several records and of a joint by IDIM, whose fit is not checked.
+        windows: in which it is identified. said: what it would take, in a sentence.
+    """
+
+    part: Record | tuple[Record, ...] | None
+    windows: Windowing
+    said: str
+
+
+def plan_windows(record: object, model: object, method: Method | None) -> Planned | None:
     """Return for a record above `LARGEST` the part to check, the windows, and a sentence on what it takes.
 
     The part is the first with half the most travel or more. None of a record below, of one that moves in less than two
     windows, and of what is not identified in windows.
     """
-    if not (isinstance(record, Record) and isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None)):
+    needed, limit = memory_of(record, model, method), limit_of(record, model, method)
+    if needed <= limit or not _in_windows(record, model, method):
         return None
-    sizes = {len(channel) for _, channel in record.items()}
-    needed = memory_of(record)
-    both = method is not None and len(method.outputs) > 1  # weighted beside a fit of the whole
-    if needed <= LARGEST or both or len(sizes) > 1 or record.reference is None or model.joint.friction.follows_time:
-        return None
-    source = InMemory(record)
+    robot = isinstance(model, _ROBOTS)
+    logs = [list(log) for log in each_log(cast("Records", record))] if robot else [[one] for one in _flat(record)]
+    samples = sum(max(len(channel) for one in log for _, channel in one.items()) for log in logs)
+    step = InMemory(logs[0][0]).sample_time
     # The checks take several times as much as a fit.
-    longest, checked = (source.sample_time * LARGEST / (share * _PER_SAMPLE) for share in (3, 8))
+    longest, checked = (step * samples * limit / (share * needed) for share in (3, 8))
     windows = Windowing(min(Windowing().length, longest))
     length = min(checked, windows.length)
 
-    def divide(seconds: float) -> Iterator[Record]:
-        return (piece.record for piece in source.chunks(round(seconds / source.sample_time), 0))
+    def divide(log: Sequence[Record], seconds: float) -> Iterator[tuple[Record, ...]]:
+        chunks = (InMemory(one).chunks(round(seconds / step), 0) for one in log)
+        return (tuple(one.record for one in piece) for piece in zip(*chunks, strict=False))
 
-    if sum(map(moves, divide(windows.length))) < 2:
+    moving = sum(any(map(moves, piece)) for log in logs for piece in divide(log, windows.length))
+    if moving < 2:
         return None
-    enough = 0.5 * max(map(_travel, divide(length)))
-    part = next(part for part in divide(length) if _travel(part) >= enough)
+    part: Record | tuple[Record, ...] | None = None
+    checks = ""
+    if len(logs) == 1 and limit == LARGEST:
+        enough = 0.5 * max(map(_travel, divide(logs[0], length)))
+        first = next(one for one in divide(logs[0], length) if _travel(one) >= enough)
+        checks = f", and checked in {length:.3g} s from {first[0].begin:.3g} s on"
+        part = first if robot else first[0]
     said = (
-        f"at once, the {max(sizes)} samples of the record would take up to {needed / 1e9:.1f} GB of memory: they are "
-        f"identified in windows of {windows.length:.3g} s, and checked in {length:.3g} s from {part.begin:.3g} s on"
+        f"at once, the {samples} samples of the {'record' if len(logs) == 1 else 'records'} would take up to "
+        f"{needed / 1e9:.1f} GB of memory: they are identified in windows of {windows.length:.3g} s{checks}"
     )
-    return part, windows, said
+    return Planned(part, windows, said)
 
 
-def _travel(record: Record) -> float:
-    asked = record.reference if record.injected is None else record.injected.channel
-    assert asked is not None
-    return float(np.sum(np.abs(np.diff(asked.values))))
+def _in_windows(record: object, model: object, method: Method | None) -> bool:
+    """Return whether what is asked for is identified in windows; it is whole what its method refuses there."""
+    records = _flat(record)
+    both = isinstance(method, DIDIM) and len(method.outputs) > 1  # weighted beside a fit of the whole
+    clocks = {round(channel.sample_time, 12) for one in records for _, channel in one.items()}
+    sizes = [{len(channel) for _, channel in one.items()} for one in records]
+    if both or len(clocks) != 1 or any(len(size) != 1 for size in sizes):
+        return False
+    if isinstance(model, _ROBOTS):
+        return not isinstance(record, Record)
+    if isinstance(record, Record) and (isinstance(method, IDIM) or (method is None and isinstance(model, Joint))):
+        return isinstance(model, ClosedLoop | Joint)
+    each = model if isinstance(model, Sequence) else [model]
+    loops = [one for one in each if isinstance(one, ClosedLoop)]
+    simulated = isinstance(method, DIDIM | None) and len(loops) == len(each)
+    asked = all(one.reference is not None for one in records)
+    return simulated and asked and not any(one.joint.friction.follows_time for one in loops)
+
+
+def _travel(records: Sequence[Record]) -> float:
+    asked = [commanded(one) if one.injected is None else one.injected.channel for one in records]
+    return sum(float(np.sum(np.abs(np.diff(one.values)))) for one in asked if one is not None)
 
 
 def fit(
@@ -99,17 +172,18 @@ def fit(
     progress: Progress = ignore_progress,
 ) -> FitResult:
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
-    if isinstance(model, Robot | RobotLoop | RobotDriveSide):
+    if isinstance(model, _ROBOTS):
         if isinstance(record, Record):
             raise MethodError(
                 "A robot is identified from the record of each of its joints; received one: give them all."
             )
-        if not isinstance(record, Sequence) or several or windows:
+        if not isinstance(record, Sequence) or several:
             raise MethodError(
-                "A robot is identified from the records of its joints, without SeveralRecords or windows; give the "
-                "records alone."
+                "A robot is identified from the records of its joints, without SeveralRecords; give the records alone."
             )
-        found = fit_robot(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
+        found = fit_robot(
+            record, model, method, filtering=filtering, parameters=parameters, windows=windows, progress=progress
+        )
         robot = model if isinstance(model, Robot) else model.robot
         return replace(found, after=robot_record_warnings(record, robot))
     outputs = method.outputs if isinstance(method, DIDIM) else ()
@@ -117,8 +191,6 @@ def fit(
         if not all(isinstance(one, Record) for one in record):
             raise MethodError("Several records of a joint are a list of records; received something else in it.")
         record = cast("Sequence[Record]", record)
-        if windows is not None:
-            raise MethodError("Several records are identified whole; give one record or log, or leave out windows.")
         if not isinstance(model, ClosedLoop | Sequence):
             raise MethodError(
                 "Several records are identified by simulating their loop; give a ClosedLoop, with the controller."
@@ -127,6 +199,10 @@ def fit(
         layout = RecordLayout.of(len(record), model, settings)
 
         def fit_together(each: Sequence[Record]) -> FitResult:
+            if windows is not None:
+                require_distinct(each)
+                windowed = LoopWindows.of_several(layout, settings.own, method, filtering, parameters)
+                return state_scale(identify_log([[InMemory(one)] for one in each], windowed, windows, progress), each)
             return state_scale(identify_several(each, model, settings, method, filtering, parameters, progress), each)
 
         def fit_alone(number: int, each: Sequence[Record]) -> FitResult:
@@ -142,11 +218,23 @@ def fit(
         if isinstance(model, Sequence):
             raise MethodError("One record has one loop; received a list: give the loop, or a list of records.")
         return _fit_single(record, model, method, filtering, parameters, progress)
+    by_idim = isinstance(method, IDIM) or (method is None and isinstance(model, Joint))
+    if by_idim and isinstance(record, Record) and isinstance(model, ClosedLoop | Joint):
+        method = method if isinstance(method, IDIM) else IDIM()
+        joint, loop = (model.joint, model) if isinstance(model, ClosedLoop) else (model, None)
+        inverse = InverseJoint(joint, loop, method, filtering or Filtering(), parameters or {})
+        check_record(record)
+
+        def fit_inverse(one: Sequence[Record]) -> FitResult:
+            return identify_log([[InMemory(one[0])]], [inverse], windows or Windowing(), progress)
+
+        return fit_unstated_timing([record], fit_inverse)
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
 
     def fit_windows(source: LongRecord) -> FitResult:
-        return identify_log(source, model, windows or Windowing(), method, filtering, parameters, progress)
+        windowed = LoopWindows.of(model, method, filtering, parameters)
+        return identify_log([[source]], [windowed], windows or Windowing(), progress)
 
     def fit_whole(_: int, records: Sequence[Record]) -> FitResult:
         return identify_record(records[0], model, method, filtering=filtering, parameters=parameters, progress=progress)
@@ -191,6 +279,7 @@ def fit_robot(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
+    windows: Windowing | None = None,
     progress: Progress = ignore_progress,
 ) -> FitResult:
     """Return the fit of a robot, without the checks; see `jointid.identify`.
@@ -208,6 +297,10 @@ def fit_robot(
 
     def of_logs(read: Sequence[Record]) -> FitResult:
         logs = in_logs(read, records) if len(read) == len(every) else read
+        if windows is not None:
+            sources = [[InMemory(one) for one in log] for log in each_log(logs)]
+            windowed = robot_in_windows(model, method, filtering or Filtering(), known)
+            return identify_log(sources, [windowed] * len(sources), windows, progress)
         if isinstance(model, RobotDriveSide) and isinstance(method, DriveSideFit | None):
             return identify_simulated_robot(model, logs, method, filtering=filtering, known=known, progress=progress)
         if isinstance(model, RobotLoop) and isinstance(method, DIDIM | None):

@@ -94,7 +94,7 @@ def identify_several(
     if isinstance(method, IDIM):
         raise MethodError("Records are identified together by simulating their loops; IDIM does not, so use DIDIM.")
     layout, given = RecordLayout.of(len(records), loops, settings), parameters or {}
-    _require_distinct(records)
+    require_distinct(records)
     fits = []
     for k, record in enumerate(records):
         progress(f"record {k + 1}, {record.name}, by itself")
@@ -129,7 +129,8 @@ def identify_several(
     return _build_result(solved, simulations, weighting, about)
 
 
-def _require_distinct(records: Sequence[Record]) -> None:
+def require_distinct(records: Sequence[Record]) -> None:
+    """Raise a `MethodError` if a record is there twice."""
     seen: dict[str, int] = {}
     for number, record in enumerate(records, 1):
         mark = fingerprint(record.torque.values) if record.torque is not None else str(number)

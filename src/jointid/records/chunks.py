@@ -170,7 +170,7 @@ class InMemory:
         firsts = range(0, max(samples - max(overlap, 1), 0) + 1, length)
         for number, first in enumerate(firsts):
             if number % every == 0:
-                part = _cut(self.record, first, min(first + length + overlap, samples))
+                part = cut(self.record, first, min(first + length + overlap, samples))
                 yield Chunk(number, part, first == firsts[-1])
 
 
@@ -209,7 +209,8 @@ def _require_one_rate(record: Record) -> float:
     return first
 
 
-def _cut(record: Record, first: int, end: int) -> Record:
+def cut(record: Record, first: int, end: int) -> Record:
+    """Return some samples of a record, whose channels have one rate."""
     begin = record.begin + first * _require_one_rate(record)
     return _map_channels(record, lambda c: replace(c, values=c.values[first:end]), begin)
 

@@ -400,6 +400,24 @@ def with_measured_motion(
     return replace(covariance, std=np.hypot(covariance.std, bias))
 
 
+def rising_scores(J: FloatArray, error: FloatArray, ends: FloatArray) -> FloatArray:
+    """Return the scores ``J' e`` from frequency 0 up to each of some others, (ends, parameters).
+
+    Of parts of a record they add up to those of the whole, from which `with_measured_motion` has its bias.
+
+    Args:
+        J: (equations, rows, parameters), the derivatives.
+        error: (equations, rows), the residual.
+        ends: shares of the Nyquist frequency.
+    """
+    scores = np.sum(np.real(np.conj(np.fft.rfft(J, axis=1)) * np.fft.rfft(error, axis=1)[..., np.newaxis]), axis=0)
+    scores[1:] *= 2.0
+    if error.shape[1] % 2 == 0:
+        scores[-1] *= 0.5
+    last = np.floor(ends * (len(scores) - 1)).astype(np.intp)
+    return np.asarray(np.cumsum(scores, axis=0)[last] / error.shape[1])
+
+
 def band_words() -> str:
     """Describe what these deviations cover."""
     return f"or, where it is larger, the spread over {_BANDS} bands of frequency, which shows what the model lacks"

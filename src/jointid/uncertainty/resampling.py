@@ -22,7 +22,7 @@ Parameters that rest on few rows, as the initial state, are missing from many re
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,10 @@ class Sums:
         """Return those of the rows of both."""
         square, size, rows = self.square + other.square, self.size + other.size, self.rows + other.rows
         return Sums(self.A + other.A, self.b + other.b, square, size, rows)
+
+    def of_some(self, at: NDArray[np.intp]) -> Sums:
+        """Return the sums of some of the parameters."""
+        return replace(self, A=self.A[np.ix_(at, at)], b=self.b[at])
 
     def shift(self, step: FloatArray) -> Sums:
         """Update the sums for a step of the parameters, to first order."""

@@ -119,8 +119,8 @@ class Inputs:
         record = file.record(self.record, judged=judged)
         if isinstance(record, Record):  # the engine of a robot is another
             ready(self.progress)
-            if whole and plan_windows(record, file.setup, file.method):
-                raise MethodError(IN_WINDOWS)
+        if whole and plan_windows(record, file.setup, file.method):
+            raise MethodError(IN_WINDOWS)
         suspicions, known = Suspicions(self.progress), list[Estimate]()
         try:
             try:

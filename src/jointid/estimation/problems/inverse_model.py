@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
@@ -26,6 +27,7 @@ from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
     decimate_all,
+    decimated_at,
     differentiate,
     differentiate_twice,
     lowpass,
@@ -85,11 +87,19 @@ class InverseModel:
             return np.concatenate(decimate_all(list(inside), filtering, sample_time))
         if self.moving is None:
             return np.concatenate([filtering.decimate(equation, sample_time) for equation in inside])
-        weights = self.moving[:, self.inside]
-        weighted = inside * weights[..., np.newaxis]
-        share = np.array([filtering.decimate(one, sample_time) for one in weights])
-        stated = np.any(share > _TOLD, axis=0)
+        weighted, stated = inside * self.moving[:, self.inside, np.newaxis], self.stated(filtering, sample_time)
         return np.concatenate([filtering.decimate(equation, sample_time)[stated] for equation in weighted])
+
+    def stated(self, filtering: Filtering, sample_time: float) -> NDArray[np.bool_]:
+        """Return which decimated rows hold more than rest, (rows,)."""
+        weights = np.ones(self.torque.shape) if self.moving is None else self.moving
+        share = np.array([filtering.decimate(one, sample_time) for one in weights[:, self.inside]])
+        return np.asarray(np.any(share > _TOLD, axis=0))
+
+    def rows_at(self, filtering: Filtering, sample_time: float) -> NDArray[np.intp]:
+        """Return the samples of the decimated rows, (rows,)."""
+        stated = self.stated(filtering, sample_time)
+        return decimated_at(stated.size, self.inside.stop, filtering)[stated]
 
 
 def inverse_model(

@@ -1,4 +1,8 @@
-"""The windows of a long log as one problem, which streams its normal equations: memory does not grow with the log.
+"""The windows of long logs as one problem, which streams its normal equations: memory does not grow with the log.
+
+What a window says at a candidate, `Seen`, is a model's (`WindowModel`): a loop that is simulated, or the inverse model
+of a joint or a robot. Everything else is the same for all of them. Several records are members of one problem, which
+share parameters as in `SumProblem`.
 
 A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
 logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
@@ -19,8 +23,9 @@ the latter from products of different windows only, as in `uncertainty.position_
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,15 +36,17 @@ from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.problems.base import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
+from jointid.estimation.problems.rest import REST
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import Chunk, LongRecord
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.controller_torque import seen_position
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.solve import Tally
+from jointid.uncertainty.covariance import rising_scores
 from jointid.uncertainty.position_dependent_error import Repeatable, cells
 from jointid.uncertainty.resampling import Sums, root_of, total
 
@@ -49,9 +56,14 @@ FEW = 8
 _FORGOTTEN = 0.01  # of the torque
 _RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
 _PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood errs alike (`position_dependent_error`)
+_EQUATION = 2**20  # numbers of the places of one equation
+_BANDS = np.geomspace(1e-4, 1.0, 96)  # of the Nyquist frequency: up to these a bias by a force in the loop is sought
+_ROUNDING = 1e-6  # of the torque: a residual as good as none
 _AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
 VISITS = 8
 """Windows that a place must be visited in to say anything."""
+
+Weighted: TypeAlias = Literal["none", "records", "equations"]
 
 NO_MOTION = "In no window of this record does the axis move; give another record."
 
@@ -142,19 +154,88 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """The rows of one window at a candidate; equations share their instants.
+
+    Attributes:
+        error, measured: (equations, rows) residual, and what it is left of. J: (equations, rows, free) its derivatives.
+        at: (rows,) samples of the window. samples: of the window. keep: from one row to the next.
+        motion: of each equation position and velocity at all samples, from which its places are told.
+        at_limit: share of the periods in which the controller was at its limit.
+    """
+
+    error: FloatArray
+    J: FloatArray
+    measured: FloatArray
+    at: NDArray[np.intp]
+    samples: int
+    keep: int
+    motion: Sequence[tuple[FloatArray, FloatArray]]
+    at_limit: float = 0.0
+
+
+class WindowModel(Protocol):
+    """What is identified, as it is compared with one window."""
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified."""
+
+    @property
+    def motion_measured(self) -> bool:
+        """Whether the columns are along a measured motion, which a force in the loop biases."""
+
+    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
+        """Return the rows of a window, of a record for each axis; None where it does not move.
+
+        Raises:
+            NotSimulatedError: the window cannot be simulated.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Member:
+    """One log of a problem.
+
+    Attributes:
+        log: of each axis.
+        model: of its windows.
+        at: (its free,) places of the model's parameters among those of the problem.
+        added: (its free,) what is known on top of them.
+    """
+
+    log: tuple[LongRecord, ...]
+    model: WindowModel
+    at: NDArray[np.intp]
+    added: FloatArray
+
+    @classmethod
+    def of(cls, log: Sequence[LongRecord], model: WindowModel) -> Member:
+        """Return a log that has all parameters."""
+        size = len(model.free)
+        return cls(tuple(log), model, np.arange(size, dtype=np.intp), np.zeros(size))
+
+    def pieces(self, length: int, overlap: int, every: int = 1) -> Iterable[tuple[Chunk, ...]]:
+        """Yield the windows, a chunk for each axis."""
+        return zip(*(source.chunks(length, overlap, every) for source in self.log), strict=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Sums of one window.
+    """Sums of one window, or of a part of one.
 
     Attributes:
         begin, end: seconds from the first sample of the record, of what counts.
         sums: over its rows.
         at_limit: share of its periods in which the controller was at its limit.
+        record: the number of its log.
     """
 
     begin: float
     end: float
     sums: Sums
     at_limit: float
+    record: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,14 +243,20 @@ class Pass:
     """Sums of one pass over the windows.
 
     Attributes:
-        windows: in the order of time. places: over all of them, by the place's number.
+        windows: in the order of time, log after log. places: over all of them, by the place's number.
         still: windows in which nothing was asked of the axis, and which are left out.
+        sizes: (logs, equations, 3) squares of residual and of what it is left of, not weighted, and rows.
+        scores: (bands, free) of the derivatives with the residual, summed up to each band of frequency.
+        count: of windows that are in the sums.
         ended: False where it was interrupted.
     """
 
     windows: tuple[Window, ...]
     places: Mapping[int, Place]
     still: int
+    sizes: FloatArray
+    scores: FloatArray
+    count: int
     ended: bool = True
 
     @property
@@ -183,44 +270,68 @@ class Pass:
             raise MethodError(NO_MOTION)
         return total([w.sums for w in self.windows])
 
+    def level(self, sigma: FloatArray) -> float:
+        """Return the mean square of the residual in units of `sigma`, (logs, equations)."""
+        return float(np.sum(self.sizes[..., 0] / sigma**2) / np.sum(self.sizes[..., 2]))
+
+    def relative_errors(self) -> FloatArray:
+        """Return the share of each equation that is left, (equations,)."""
+        left, size, _ = self.sizes.sum(axis=0).T
+        return np.asarray(np.sqrt(left / np.where(size > 0, size, np.inf)))
+
+    @property
+    def total_error(self) -> float:
+        """The share of all equations' torque that is left."""
+        left, size, _ = self.sizes.sum(axis=(0, 1))
+        return math.sqrt(left / size) if size > 0 else 0.0
+
     def shift(self, step: FloatArray) -> Pass:
         """Return the pass after a small step of the parameters, to first order."""
         windows = tuple(replace(w, sums=w.sums.shift(step)) for w in self.windows)
         places = {at: replace(place, sums=place.sums.shift(step)) for at, place in self.places.items()}
-        return Pass(windows, places, self.still, self.ended)
+        return replace(self, windows=windows, places=places)
 
 
 class NotSimulatedError(MethodError):
     """A window whose loop could not be simulated to its end."""
 
+    @classmethod
+    def of(cls, record: Record, why: str) -> NotSimulatedError:
+        """Return the error of a window."""
+        return cls(
+            f"The window that begins at {record.begin:.0f} s cannot be simulated, because {why}; check the controller "
+            "and the start, or begin from another window."
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogProblem:
-    """A long log, window by window: a `solvers.solve.Problem` whose rows are summed as they are read.
+    """Long logs, window by window: a `solvers.solve.Problem` whose rows are summed as they are read.
 
     Attributes:
-        source: the log.
-        window: the problem of the window that is started from; those of all others are like it.
+        members: the logs.
+        free: the parameters that are identified.
         length: samples that count in a window.
         settling: samples at either end of a window that are simulated and not counted.
-        places: that repeat.
+        places: that repeat, of each equation.
+        sigma: (logs, equations) size of the residual, by which its rows are divided.
+        weighted: which of these differ: "records", "equations" over all logs, or "none".
+        parts: of a window, whose sums are kept apart.
         progress: receives the progress of a pass.
         tally: of windows that were simulated, each with its derivatives.
     """
 
-    source: LongRecord
-    window: ClosedLoopProblem
+    members: tuple[Member, ...]
+    free: tuple[Parameter, ...]
     length: int
     settling: int
-    places: Places
+    places: tuple[Places, ...]
+    sigma: FloatArray
+    weighted: Weighted = "none"
+    parts: int = 1
     progress: Progress = ignore_progress
     tally: Tally = field(default_factory=Tally)
     _windows: list[int] = field(default_factory=list)  # of the log, as the last pass to its end has counted
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
-        return self.window.free
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the residual in as few rows as say the same; see `linearise`."""
@@ -230,6 +341,17 @@ class LogProblem:
         """Return residual and derivatives in as few rows as have the same sums, (free + 1,) and (free + 1, free)."""
         return compress(self.pass_over(x).sums)
 
+    def reweigh(self, found: Pass) -> LogProblem:
+        """Return the problem weighted by what a pass left."""
+        if self.weighted == "none" or not found.count:
+            return self
+        axis = 1 if self.weighted == "records" else 0
+        squares, size, rows = np.moveaxis(found.sizes.sum(axis=axis, keepdims=True), 2, 0)
+        least = _ROUNDING * np.sqrt(np.max(size))
+        with np.errstate(invalid="ignore"):  # a log without a row yet
+            sigma = np.sqrt(np.maximum(squares, least**2) / rows)
+        return replace(self, sigma=np.where(rows > 0, sigma, self.sigma))
+
     def pass_over(self, x: FloatArray, every: int = 1) -> Pass:
         """Pass over one window in so many; an interrupt ends it with what it has.
 
@@ -237,64 +359,168 @@ class LogProblem:
             RecordError: a piece of the record cannot be read.
             NotSimulatedError: a window cannot be simulated with these parameters.
         """
-        values = dict(zip((p.name for p in self.free), map(float, x), strict=True))
         windows: list[Window] = []
         places: dict[int, Place] = {}
-        still, read, ended = 0, 0, True
-        pieces: Iterable[Chunk] = self.source.chunks(self.length, 2 * self.settling, every)
+        sizes, scores = np.zeros((*self.sigma.shape, 3)), np.zeros((_BANDS.size, x.size))
+        still, read, count, ended = 0, 0, 0, True
+        pieces: Iterable[tuple[int, tuple[Chunk, ...]]] = (
+            (number, piece)
+            for number, member in enumerate(self.members)
+            for piece in member.pieces(self.length, 2 * self.settling, every)
+        )
         # How many there are the first pass finds out.
         total = -(-self._windows[-1] // every) if self._windows else math.inf
         pieces = follow(pieces, self.progress, "passing over the log", total, "windows")
         try:
-            for piece in pieces:
+            for number, piece in pieces:
                 read += 1
-                if not moves(piece.record):
+                member, records = self.members[number], [one.record for one in piece]
+                seen = member.model.look(records, x[member.at] + member.added)
+                if seen is None:
                     still += 1
                     continue
-                found = self._look(piece, values)
                 self.tally.evaluations += 1
-                if found is None:
+                counted = (seen.at >= self.settling) & (seen.at < seen.samples - self.settling)
+                if not counted.any():
                     continue
-                window, there = found
+                found, there, own, rising = self._sum(seen, counted, number, records[0])
+                sizes[number] += own
+                scores += rising
                 for place, said in there.items():
                     places[place] = places[place] + said if place in places else said
-                windows.append(window)
+                windows += found
+                count += 1
                 if every == 1:
-                    self._tell(windows)
+                    self._tell(count, windows)
             self._windows.append(read * every)
         except KeyboardInterrupt:
             ended = False
-        return Pass(tuple(windows), places, still, ended)
+        return Pass(tuple(windows), places, still, sizes, scores, count, ended)
 
-    def _look(self, piece: Chunk, values: Mapping[str, float]) -> tuple[Window, dict[int, Place]] | None:
-        """Return the sums of a window, and of each place by its number; None where nothing of it counts."""
-        problem = begin_window(self.window, piece.record)
-        at, keep = problem.kept, problem.filtering.decimation or 1
-        counted = (at >= self.settling) & (at < problem.measured.size - self.settling)
-        if not counted.any():
-            return None
-        response, columns = problem.sensitivities(problem.vector(values))
-        begin, step = piece.record.begin, problem.sample_time
-        if response.outcome is not Outcome.FINISHED:
-            raise NotSimulatedError(
-                f"The window that begins at {begin:.0f} s cannot be simulated, because {response.outcome.value}; check "
-                "the controller and the start, or begin from another window."
-            )
-        error, J = problem.error(response)[counted], -problem.filter(columns)[counted]
-        measured = problem.filter(problem.measured)[counted]
-        label = self.places.label(*(signal[at[counted]] for signal in motion(problem)))
-        rows = {int(one): label == one for one in np.unique(label)}
-        there = {one: Place.of(error[these], J[these], measured[these]) for one, these in rows.items()}
-        first, last = at[counted][0], at[counted][-1]
-        sums = Sums.of(error, J, measured)
-        return Window(begin + first * step, begin + (last + keep) * step, sums, response.at_limit), there
+    def _sum(
+        self, seen: Seen, counted: NDArray[np.bool_], number: int, record: Record
+    ) -> tuple[list[Window], dict[int, Place], FloatArray, FloatArray]:
+        """Return the sums of a window, of each place by its number, its sizes, and its scores by frequency."""
+        member, at = self.members[number], seen.at[counted]
+        error, measured = seen.error[:, counted], seen.measured[:, counted]
+        sizes = np.array([np.sum(error**2, axis=1), np.sum(measured**2, axis=1), np.full(len(error), at.size)]).T
+        sigma = self.sigma[number, :, np.newaxis]
+        error, measured = error / sigma, measured / sigma
+        J = np.zeros((*error.shape, len(self.free)))
+        J[..., member.at] = seen.J[:, counted] / sigma[..., np.newaxis]
+        label = np.array(
+            [
+                places.label(position[at], velocity[at]) + equation * _EQUATION
+                for equation, (places, (position, velocity)) in enumerate(zip(self.places, seen.motion, strict=True))
+            ]
+        )
+        there = {
+            int(one): Place.of(error[these], J[these], measured[these])
+            for one in np.unique(label)
+            for these in [label == one]
+        }
+        windows, step = [], member.log[0].sample_time
+        for rows in np.array_split(np.arange(at.size), min(self.parts, at.size)):
+            sums = Sums.of(error[:, rows].ravel(), J[:, rows].reshape(-1, len(self.free)), measured[:, rows].ravel())
+            begin, end = (record.begin + one * step for one in (at[rows[0]], at[rows[-1]] + seen.keep))
+            windows.append(Window(begin, end, sums, seen.at_limit, number))
+        rising = np.zeros((_BANDS.size, len(self.free)))
+        if member.model.motion_measured:
+            rising = rising_scores(J, error, _BANDS)
+        return windows, there, sizes, rising
 
-    def _tell(self, windows: list[Window]) -> None:
+    def _tell(self, count: int, windows: list[Window]) -> None:
         """Report the progress of a pass, at growing intervals."""
-        count = len(windows)
         if count >= FEW and count % max(10 ** (len(str(count)) - 1), FEW) == 0:
             error = 100 * total([w.sums for w in windows]).relative_error
             self.progress(Detail(f"{count} windows, {windows[-1].end / 3600:.2f} h: torque error {error:.4f} %"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopWindow:
+    """The loop of a joint that is simulated, as it is compared with one window.
+
+    Attributes:
+        problem: of the window that is started from; those of all others are like it.
+    """
+
+    problem: ClosedLoopProblem
+    motion_measured: bool = False
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified."""
+        return self.problem.free
+
+    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
+        """Return the rows of a window; see `WindowModel`."""
+        (record,) = records
+        if not moves(record):
+            return None
+        problem = begin_window(self.problem, record)
+        values = dict(zip((p.name for p in self.free), map(float, x), strict=True))
+        response, columns = problem.sensitivities(problem.vector(values))
+        if response.outcome is not Outcome.FINISHED:
+            raise NotSimulatedError.of(record, f"{response.outcome.value}")
+        return Seen(
+            problem.error(response)[np.newaxis],
+            -problem.filter(columns)[np.newaxis],
+            problem.filter(problem.measured)[np.newaxis],
+            problem.kept,
+            problem.measured.size,
+            problem.filtering.decimation or 1,
+            [motion(problem)],
+            response.at_limit,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """The inverse model of one window: (equations, rows) torque and (equations, rows, parameters) columns."""
+
+    Y: FloatArray
+    W: FloatArray
+    at: NDArray[np.intp]
+    samples: int
+    keep: int
+    motion: Sequence[tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InverseWindow:
+    """The inverse model of a joint or a robot, as it is compared with one window.
+
+    Attributes:
+        free: the parameters that are identified. places: of them among the columns.
+        kept: (parameters,) values of the fixed ones, 0 for the free.
+        regress: from the records of a window.
+        speeds: (axes,) rms of the window that is started from.
+        ringing: samples that its filters ring.
+    """
+
+    free: tuple[Parameter, ...]
+    places: Sequence[int]
+    kept: FloatArray
+    regress: Callable[[Sequence[Record]], Regression]
+    speeds: FloatArray
+    ringing: int
+    motion_measured: bool = True
+
+    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
+        """Return the rows of a window; see `WindowModel`. One slower than rest is of rest."""
+        if not any(map(moves, records)):
+            return None
+        found = self.regress(records)
+        if np.all(speeds_of(found) < REST * self.speeds):
+            return None
+        W = found.W[..., list(self.places)]
+        error = found.Y - found.W @ self.kept - W @ x
+        return Seen(error, -W, found.Y, found.at, found.samples, found.keep, found.motion)
+
+
+def speeds_of(found: Regression) -> FloatArray:
+    """Return the rms speed of each equation's motion, (equations,)."""
+    return np.array([np.sqrt(np.mean(velocity**2)) for _, velocity in found.motion])
 
 
 def window_problem(
@@ -354,14 +580,24 @@ def measure_settling(problem: ClosedLoopProblem, record: Record, x: FloatArray) 
     other = begin_window(problem, record, disturbed=1.0)
     apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
     remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-    assert problem.filtering.cutoff is not None
-    return remembers + math.ceil(_RINGS / (problem.filtering.cutoff * problem.sample_time))
+    return remembers + ringing(problem.filtering, problem.sample_time)
+
+
+def ringing(filtering: Filtering, sample_time: float) -> int:
+    """Return how many samples a resolved filtering rings."""
+    assert filtering.cutoff is not None
+    return math.ceil(_RINGS / (filtering.cutoff * sample_time))
 
 
 def moves(record: Record) -> bool:
-    """Test whether the reference moves in a window."""
-    assert record.reference is not None
-    return record.injected is not None or float(np.ptp(record.reference.values)) > 0
+    """Test whether the reference, or without one the motor, moves in a window."""
+    asked = commanded(record)
+    return record.injected is not None or (asked is not None and float(np.ptp(asked.values)) > 0)
+
+
+def commanded(record: Record) -> Channel | None:
+    """Return the reference, or without one the motor position."""
+    return record.motor_position if record.reference is None else record.reference
 
 
 def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:

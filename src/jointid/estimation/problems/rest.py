@@ -8,7 +8,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 
-_REST = 0.02  # of the root mean square speed: a mass slower than that ...
+REST = 0.02
+"""Of the root mean square speed: a mass slower than that ..."""
+
 _LONG = 3  # ... for so many samples rests, or sticks as it turns round
 _REACH = 3  # samples on each side that the window smears a rest over
 SAID = 0.02  # of a record: a larger share of rest is said
@@ -26,7 +28,7 @@ def moving_weights(velocity: FloatArray, long: int = _LONG, reach: int = _REACH)
         reach: samples on each side that count with it.
     """
     speed = np.abs(velocity)
-    slow = speed < _REST * float(np.sqrt(np.mean(speed**2)))
+    slow = speed < REST * float(np.sqrt(np.mean(speed**2)))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]])))
     weights = np.ones(speed.size)
     for start, end in zip(edges[::2], edges[1::2], strict=True):

@@ -264,7 +264,13 @@ class DriftTest:
         return () if self.agreement is None else tuple(p.name for p in self.agreement.parameters if p.differs)
 
 
-def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], units: Mapping[str, str]) -> DriftTest:
+def drift(
+    windows: Sequence[Window],
+    x: FloatArray,
+    free: Sequence[Parameter],
+    units: Mapping[str, str],
+    records: Sequence[Sequence[Window]] | None = None,
+) -> DriftTest:
     """Return the estimates of a record's segments, and whether they agree.
 
     Args:
@@ -272,12 +278,15 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
         x: (free,) what all of them say.
         free: the parameters.
         units: of the parameters, by name.
+        records: the windows of several records, which are then the segments.
     """
     count = min(_MOST, len(windows) // (_WINDOWS * len(free)))
+    if records is not None:
+        count = len(records) if min(map(len, records)) > 1 and len(windows) > len(records) + len(free) + 1 else 0
     if count < 2:
         return DriftTest((), None, ())
     names = [p.name for p in free]
-    parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
+    parts = records or [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
     fits = [_Fit.of(part, x) for part in parts]
     scatter = _pool(fits, [len(part) for part in parts])
     segments, alone = [], []
@@ -290,7 +299,7 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
         segments.append(Segment(part[0].begin, part[-1].end, len(part), values, std, error))
         alone.append(Alone(values, covariance))
     judged = compare_records(alone, {name: units[name] for name in names})
-    trends = tuple(_trend(scatter.name, segments) for scatter in judged.parameters)
+    trends = () if records else tuple(_trend(scatter.name, segments) for scatter in judged.parameters)
     return DriftTest(tuple(segments), judged, trends)
 
 

@@ -139,7 +139,7 @@ def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
         if own:
             yield _table([each for _, each in own], [("record", [str(k) for k, _ in own], False)])
         errors = tuple(
-            (str(k), *(f"{100 * e:.4f}" for e in (r.relative_error, r.filtered_error, r.alone_error)), str(r.rows))
+            (str(k), *map(_share, (r.relative_error, r.filtered_error, r.alone_error)), str(r.rows))
             for k, r in enumerate(estimate.data.records, 1)
         )
         yield Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), errors)
@@ -166,12 +166,15 @@ def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
         yield Table(header, tuple(rows), caption, words=())
 
 
+def _share(error: float) -> str:
+    return f"{100 * error:.4f}" if math.isfinite(error) else "-"  # in windows no raw torque is kept
+
+
 def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, str]]:
     fit, checks, windows = estimate.fit, estimate.checks, estimate.data.windows
-    if checks.agreement is not None:
-        if not checks.agreement.differs:  # else it is a warning
-            yield "agreement", str(checks.agreement)
-    elif windows is not None:
+    if checks.agreement is not None and not checks.agreement.differs:  # else it is a warning
+        yield "agreement", str(checks.agreement)
+    if windows is not None:
         yield "torque error", f"{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)"
         still = f", {windows.still} without motion left out" if windows.still else ""
         yield (
@@ -179,7 +182,7 @@ def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, s
             f"{windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}; "
             f"{number(windows.duration / 3600, 3)} h",
         )
-    else:
+    elif checks.agreement is None:
         left, rows = "", ""
         if details:
             left = f" ({fit.borders[0]} + {fit.borders[1]} samples at the ends left out)"

@@ -138,10 +138,11 @@ def _log(estimate: Estimate) -> Json | None:
     return None if estimate.data.windows is None else take(estimate, _LOG) | {"drift": _drift(estimate)}
 
 
-def _drift(estimate: Estimate) -> Json:
-    """Return the drift over a long log."""
+def _drift(estimate: Estimate) -> Json | None:
+    """Return the drift over a long log; None of several records, whose agreement says as much."""
     drift = estimate.checks.drift
-    assert drift is not None
+    if drift is None:
+        return None
     judged = drift.agreement
     return {
         "differs": None if judged is None or judged.p_value is None else judged.differs,

@@ -105,6 +105,8 @@ class Report:
             True
         """
         again = repetition or Repetition()
+        if estimate.data.windows is not None:
+            raise MethodError(IN_WINDOWS)
         if not isinstance(record, Record):
             if len(checks) > 1 or tuned is not None or profiles:
                 raise MethodError(
@@ -114,8 +116,6 @@ class Report:
             (validation,) = checks or (None,)
             return cls(RobotReportData(estimate, found, validation, controllers), name, again)
         estimate.require_joint()
-        if estimate.data.windows is not None:
-            raise MethodError(IN_WINDOWS)
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)
 

@@ -246,10 +246,14 @@ def drop_ends(rows: NDArray[Any], filtering: Filtering, samples: int) -> NDArray
         filtering: resolved.
         samples: before the decimation.
     """
-    assert filtering.decimation is not None
-    inside, keep = filtering.inside(samples), filtering.decimation
-    at = samples - 1 - keep * np.arange(len(rows))[::-1]
+    inside, at = filtering.inside(samples), decimated_at(len(rows), samples, filtering)
     return np.asarray(rows[(at >= inside.start) & (at < inside.stop)])
+
+
+def decimated_at(rows: int, samples: int, filtering: Filtering) -> NDArray[np.intp]:
+    """Return the samples of decimated rows, (rows,): the last, and every so many before it."""
+    assert filtering.decimation is not None
+    return np.asarray(samples - 1 - filtering.decimation * np.arange(rows)[::-1], dtype=np.intp)
 
 
 def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: float) -> tuple[float, int, int, int]:

@@ -1,0 +1,213 @@
+"""A robot, several records and inverse models in windows: the answer of the whole, where memory asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError
+from jointid.estimation.identify import LARGEST, limit_of, memory_of, plan_windows
+from jointid.estimation.problems.log_windows import Windowing
+from jointid.records.record import Channel, Record
+from jointid.uncertainty.verdict import Status, Subject
+from tests.estimation.robots import twin
+from tests.estimation.robots.test_rigid_robots import recorded
+from tests.estimation.test_log import LOOP, TRUTH, rigid
+from tests.robots_plants import two
+
+IDIM = ji.IDIM()
+
+
+def arm_log(seconds: float = 40.0) -> tuple[Any, tuple[Record, ...]]:
+    """Return an arm of two joints, with records of 0.1 s of noise on its torques."""
+    arm, count = twin.arm(2), round(seconds / twin.SAMPLE_TIME)
+    one = twin.records_of(arm, 1)
+    random = np.random.default_rng(3)
+    records = []
+    for record, noise in zip(one, (0.5, 0.05), strict=True):
+        assert record.torque is not None and record.motor_position is not None
+        torque, position = (np.resize(c.values[:-1], count) for c in (record.torque, record.motor_position))
+        records.append(
+            Record(
+                torque=Channel(torque + noise * random.standard_normal(count), "N m", twin.SAMPLE_TIME),
+                motor_position=Channel(position, "rad", twin.SAMPLE_TIME),
+            )
+        )
+    return arm, tuple(records)
+
+
+def assert_same(parts: ji.Estimate, whole: ji.Estimate, apart: float = 0.5, ratio: float = 2.0) -> None:
+    """Assert that both say the same within a fraction of their deviations, which are alike."""
+    assert parts.fit.converged and parts.data.windows is not None
+    rows = [*zip(parts.params.rows, whole.params.rows, strict=True)]
+    for own, other in zip(parts.params.own, whole.params.own, strict=True):
+        known = {row.name: row for row in other}
+        rows += [(row, known[row.name]) for row in own]
+    for part, one in rows:
+        assert part.name == one.name
+        assert part.value is not None and one.value is not None
+        if one.stderr:
+            assert part.stderr is not None
+            assert abs(part.value - one.value) <= apart * one.stderr, part.name
+            assert 1 / ratio <= part.stderr / one.stderr <= ratio, part.name
+
+
+def limit(
+    monkeypatch: pytest.MonkeyPatch, record: object, model: object, method: Any = None, share: float = 1.01
+) -> None:
+    most = LARGEST // limit_of(record, model, method) * memory_of(record, model, method)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", most // share)
+
+
+def test_idim_of_a_joint_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, said = rigid(30.0), list[str]()
+    whole = ji.identify(record, LOOP.joint, IDIM)
+    assert whole.data.windows is None
+    limit(monkeypatch, record, LOOP.joint, IDIM, 4.0)
+    found = ji.identify(record, LOOP.joint, IDIM, progress=said.append)
+    assert_same(found, whole)
+    assert "motion was measured under control" in " ".join(found.checks.warnings)
+    assert found.params.basis.endswith("for the bias by which a force in the loop may move them")
+    assert any("30000 samples of the record would take up to 0.0 GB of memory" in one for one in said)
+    other = ji.identify(record, LOOP, ji.IDIM("robust"))
+    assert other.data.windows is None
+    assert any("needs all rows at once" in one for one in other.checks.warnings)
+
+
+@pytest.mark.slow
+def test_a_force_in_the_loop_widens_an_inverse_model_in_windows_as_in_the_whole() -> None:
+    """A slow force, which the loop carries into the motion, as a random walk that is held to the middle."""
+    reference = rigid(60.0).reference
+    assert reference is not None
+    random, force = np.random.default_rng(7), np.zeros(len(reference))
+    for k in range(1, force.size):
+        force[k] = 0.995 * force[k - 1] + 0.3 * random.standard_normal()
+    record = ji.simulated_record(LOOP, reference.values, TRUTH, sample_time=1e-3, disturbance=force)
+    whole = ji.identify(record, LOOP.joint, IDIM)
+    parts = ji.identify(record, LOOP.joint, IDIM, windows=Windowing(10.0))
+    assert_same(parts, whole)
+
+
+def test_a_window_at_rest_says_nothing_of_an_inverse_model() -> None:
+    record = rigid(40.0)
+    assert record.torque is not None and record.motor_position is not None
+    random, still = np.random.default_rng(2), 20_000
+    torque = np.concatenate([record.torque.values, 9.0 + random.standard_normal(still)])
+    position = np.concatenate([record.motor_position.values, 1e-7 * random.standard_normal(still)])
+    resting = Record(
+        torque=replace(record.torque, values=torque), motor_position=replace(record.motor_position, values=position)
+    )
+    found = ji.identify(resting, LOOP.joint, IDIM, windows=Windowing(5.0))
+    assert found.data.windows is not None and found.data.windows.still >= 3
+    for name, truth in TRUTH.items():
+        row = found.params[name]
+        assert row.value is not None and row.stderr is not None
+        assert abs(row.value - truth) < 4 * row.stderr, name
+
+
+def test_several_records_go_in_windows_by_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    records = [rigid(20.0, 1), rigid(20.0, 2, noise=4.0, viscous=90.0)]
+    records = [replace(record, name=f"run {k}") for k, record in enumerate(records)]
+    shared, said = ji.SeveralRecords(own=((), ("viscous",))), list[str]()
+    whole = ji.identify(records, LOOP, several=shared)
+    limit(monkeypatch, records, LOOP, share=5.0)
+    found = ji.identify(records, LOOP, several=shared, progress=said.append)
+    assert_same(found, whole)
+    first, second = found.data.records
+    assert (first.name, second.name) == ("run 0", "run 1")
+    assert second.level / first.level == pytest.approx(2.0, rel=0.1)
+    assert found.checks.agreement is not None and not found.checks.agreement.differs
+    assert any("40000 samples of the records would take up to" in one for one in said)
+    assert "2 records agree" in str(found) and "windows" in str(found)
+    assert len(ji.to_dict(found)["records"]) == 2
+    with pytest.raises(MethodError, match="are the same record"):
+        ji.identify([records[0], records[0]], LOOP)
+
+
+@pytest.mark.slow
+def test_records_that_differ_are_seen_in_windows() -> None:
+    records = [rigid(40.0, 1), rigid(40.0, 2, viscous=100.0)]
+    found = ji.identify(records, LOOP, windows=Windowing(4.0), checks=False)
+    assert found.checks.agreement is not None
+    assert found.checks.agreement["viscous"].differs
+    assert not found.checks.agreement["inertia"].differs
+    std = found.params["viscous"].stderr
+    assert std is not None and std > 5.0, "what the records differ by is in the interval"
+
+
+def test_idim_of_a_robot_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    (arm, log), said = arm_log(), list[str]()
+    whole = ji.identify(log, arm, checks=False)
+    limit(monkeypatch, log, arm)
+    found = ji.identify(log, arm, checks=False, progress=said.append)
+    assert_same(found, whole)
+    assert found.fit.axis_errors == pytest.approx(whole.fit.axis_errors, rel=0.05)
+    assert any("20000 samples of the record would take up to" in one for one in said)
+    assert "in windows" in str(found) and ji.to_dict(found)["model"] == "robot"
+    for use in (ji.diagnose, ji.Report.of):
+        with pytest.raises(MethodError, match="in windows, whose torque it does not keep; identify a part"):
+            use(found, log)
+
+
+@pytest.mark.slow
+def test_a_part_of_a_robot_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm, log = arm_log()
+    limit(monkeypatch, log, arm)
+    found = ji.identify(log, arm)
+    assert found.data.windows is not None
+    assert [one for one in found.checks.verdicts if one.subject is Subject.REPEATABLE]
+    assert found.checks.diagnosis is not None
+    other = ji.identify(log, arm, ji.IDIM("robust"), checks=False)
+    assert other.data.windows is None and any("IDIM by robust needs all" in one for one in other.checks.warnings)
+
+
+@pytest.mark.slow
+def test_two_logs_of_a_robot_go_in_windows() -> None:
+    arm, log = arm_log()
+    half = [[half_of(record, part) for record in log] for part in (0, 1)]
+    whole = ji.identify(half, arm, checks=False)
+    assert_same(ji.identify(half, arm, windows=Windowing(5.0), checks=False), whole)
+
+
+def half_of(record: Record, part: int) -> Record:
+    changes = {
+        name: replace(c, values=c.values[part * len(c) // 2 : (part + 1) * len(c) // 2]) for name, c in record.items()
+    }
+    return record.with_channels(changes)
+
+
+def test_known_friction_of_a_robot_holds_in_windows() -> None:
+    fixed = {"joint1.viscous": 8.0}
+    (arm, log), method = arm_log(20.0), ji.IDIM(fixed=fixed)
+    whole, parts = (ji.identify(log, arm, method, windows=w, checks=False) for w in (None, Windowing(5.0)))
+    assert_same(parts, whole, apart=0.6, ratio=2.5)
+    for name, value in fixed.items():
+        assert parts.params[name].value == value and parts.params[name].stderr is None
+
+
+def test_didim_of_a_robot_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = two()
+    loop = plant.loop()
+    log: Sequence[Record] = recorded(loop, plant.records(10.0, 1), 0.05, 1)[0]
+    whole = ji.identify(log, loop, checks=False)
+    limit(monkeypatch, log, loop, share=2.0)
+    assert plan_windows(log, loop, None) is not None
+    found = ji.identify(log, loop, checks=False)
+    assert_same(found, whole)
+    assert found.data.windows is not None and 0.05 < found.data.windows.settling < 1.0
+    (solver,) = (one for one in found.checks.verdicts if one.subject is Subject.SOLVER)
+    assert solver.status is Status.PASSED
+
+
+@pytest.mark.slow
+def test_springs_of_a_robot_go_in_windows() -> None:
+    plant = two((9.0, 12.0))
+    loop = plant.loop()
+    log = recorded(loop, plant.records(20.0, 1, multisine=0.01), 0.05, 1)[0]
+    whole = ji.identify(log, loop, checks=False)
+    assert_same(ji.identify(log, loop, windows=Windowing(10.0), checks=False), whole, apart=0.6, ratio=2.5)
