@@ -313,17 +313,19 @@ class Said:
 
 
 def judge(seed: int, kind: str, fault: str = "none") -> Said:
-    """Identify an actuator as flexible with its delay free, again with the play that it has, or as rigid if refused."""
+    """Identify an actuator as flexible with its delay free, with the play that it has, or as rigid if refused."""
     made = log(seed, kind, fault)
     one, loop, method = made.actuator, made.loop, DIDIM(free=("delay",))
     truth = one.truth
     about = {"period": one.period, "log": one.log, "noise": one.noise, "measured": float(one.measured), **truth}
+    loose = replace(loop, joint=replace(ji.FlexibleJoint("revolute"), spring=find_spring("backlash")))
     spring, bound = "linear", None
     try:
+        if "gap" in truth and fault == "none":  # what a linear spring gives is not looked at
+            spring, loop = "backlash", loose
         found = ji.identify(made.record, loop, method)
-        if "backlash" in name_causes(found) or ("gap" in truth and fault == "none"):
-            spring = "backlash"
-            loop = replace(loop, joint=replace(ji.FlexibleJoint("revolute"), spring=find_spring(spring)))
+        if spring == "linear" and "backlash" in name_causes(found):
+            spring, loop = "backlash", loose
             found = ji.identify(made.record, loop, method)
         if found["stiffness"].value is None:
             spring, bound = "rigid", found.answer.found.values.get("lower_bound")

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from jointid.common.arrays import FloatArray
-from jointid.uncertainty.covariance import by_spectrum, stationary
+from jointid.uncertainty.covariance import by_spectrum, prewhiten, robust, sandwich, stationary
 from jointid.uncertainty.spectral import spectral_covariance
 
 ROWS, RUNS = 600, 200
@@ -79,3 +79,39 @@ def test_nothing_left_has_no_deviation() -> None:
     covariance, factor = spectral_covariance(np.linalg.pinv(J).T, J, np.zeros(200), [slice(0, 200)])
     assert not np.any(covariance)
     assert np.all(factor == 1.0)
+
+
+@pytest.mark.parametrize("equations", [1, 2])
+def test_noise_of_a_difference_is_not_counted_at_low_frequencies(equations: int) -> None:
+    """Position noise that a controller differentiates: a short kernel takes its fast part for a slow one."""
+    random, rows = np.random.default_rng(14), ROWS // equations
+    W = np.vstack([(1.0 + k) * slow_columns(rows) for k in range(equations)])
+    inverse, runs, errors, found, smeared = np.linalg.pinv(W), 60, [], [], []
+    for _ in range(runs):
+        error = np.concatenate([np.diff(random.standard_normal(rows + 1)) for _ in range(equations)])
+        x = inverse @ error
+        left = error - W @ x
+        errors.append(x)
+        found.append(robust(W, W, left, equations=equations).std)
+        smeared.append(sandwich(W, W, left, equations).std)
+    smooth = [0, 2, 3]  # what jumps sees fast noise, too
+    ratio = (
+        np.sqrt(np.mean(np.square(each), axis=0) / np.mean(np.square(errors), axis=0)) for each in (found, smeared)
+    )
+    whitened, before = (each[smooth] for each in ratio)
+    assert np.all((whitened > 0.85) & (whitened < 0.8 * before))
+
+
+def test_a_residual_that_does_not_grow_with_the_frequency_stays_as_it_is() -> None:
+    random, W = np.random.default_rng(15), slow_columns(ROWS)
+    error = random.standard_normal(ROWS)
+    assert all(after is before for after, before in zip(prewhiten(W, W, error), (W, W, error), strict=True))
+
+
+def test_prewhitened_equations_have_the_same_estimate() -> None:
+    random, J = np.random.default_rng(16), slow_columns(ROWS)
+    Z, error = J + 0.3 * random.standard_normal(J.shape), np.diff(random.standard_normal(ROWS + 1))
+    other, slopes, white = prewhiten(Z, J, error, [ROWS // 3, ROWS - ROWS // 3])
+    assert other.T @ slopes == pytest.approx(Z.T @ J, rel=1e-9, abs=1e-9)
+    assert other.T @ white == pytest.approx(Z.T @ error, rel=1e-9, abs=1e-9)
+    assert abs(white[1:] @ white[:-1]) < 0.1 * (white @ white) < -0.1 / 0.4 * (error[1:] @ error[:-1])

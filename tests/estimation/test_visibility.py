@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +14,14 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
 from jointid.common.parameters import Parameter
+from jointid.diagnostics import identify as checks
 from jointid.diagnostics.identify import check_without_joint
 from jointid.diagnostics.validation import validate
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import visible
+from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
@@ -25,7 +29,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.verdict import POOR_FIT, Status
+from jointid.uncertainty.verdict import POOR_FIT, Status, Verdict
 from tests.estimates import amended, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faster_drives import CASCADE, drive
@@ -90,6 +94,30 @@ def test_the_loop_of_a_refused_spring_is_checked_along_the_motor_position(stiff_
     unchecked = check_without_joint(record.without("motor_position"), wrong)
     assert unchecked.status is Status.UNKNOWN
     assert "if the controller is as declared, which was not checked" in str(estimate.answer)
+
+
+def test_the_loop_of_a_refused_spring_is_checked_with_its_identified_delay(
+    stiff_axis: tuple[Record, Estimate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record, estimate = stiff_axis
+    loop, judged = estimate.settings.loop, list[ClosedLoop]()
+    assert loop is not None
+    problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters).freeing("delay")
+    x = np.array([{"delay": 2e-3}.get(p.name, 1.0) for p in problem.free])
+    fit: Any = SimpleNamespace(robot=None, record=record, problem=problem, x=x, params=estimate.params)
+    skipped = check_without_joint(record.without("motor_position"), loop)
+    monkeypatch.setattr(checks, "assemble", lambda _: None)
+    monkeypatch.setattr(checks, "find_gross_cause", lambda *_: None)
+    monkeypatch.setattr(checks, "explain_misfit", lambda *_: None)
+    monkeypatch.setattr(checks, "compare_with_delay", lambda *_: ([], {}))
+
+    def judge(_: Record, loop: ClosedLoop) -> Verdict:
+        judged.append(loop)
+        return skipped
+
+    monkeypatch.setattr(checks, "check_without_joint", judge)
+    checks.run_checks(fit)
+    assert [numbers_of(one.controller)["delay"] for one in judged] == [2e-3]
 
 
 @pytest.mark.slow

@@ -260,7 +260,7 @@ def run_checks(
     whole = all(p.value is not None for p in fit.params.rows)
     try:
         if not whole:
-            verdict = check_without_joint(record, problem.loop)
+            verdict = check_without_joint(record, problem.loop_at(x))
         else:
             found, state = diagnose_joint(fit, record, (problem, x), shown=shown)
             check = found.axes[0].faults

@@ -14,7 +14,8 @@ every block of a bandwidth's length gets its leave-out residual, ``(I - J_b (Z' 
 
 The short bandwidth smears the spectrum over several hertz: with a loop that rings at 10 Hz, 91 % of the 2-sigma
 intervals of the twin's viscous frictions hold the truth. A covariance by spectrum (`spectral`) assumes stationarity.
-`robust` takes the larger of both in every direction; 94-98 % then do.
+`robust` takes the larger of both in every direction; 94-98 % then do. A residual that grows with the frequency, as that
+of a differentiated position, would be smeared to low ones: it is made white before (`prewhiten`).
 
 Sums over time are formed within each record. The textbook's covariance, ``s^2 (J' J)^-1``, is kept for comparison
 (`white`).
@@ -41,6 +42,7 @@ from jointid.uncertainty.spectral import spectral_covariance
 FOR_MEASURED_MOTION = ", and for the bias by which a force in the loop may move them"
 """What `with_measured_motion` adds, in words behind a basis."""
 _BANDS = 8  # of frequency, whose scores are compared
+_BLUE = 0.1  # correlation of neighbouring rows, below 0, from which a residual grows with the frequency
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
 _SINGULAR = 1e-10  # of the largest: a direction whose variance is rounding
 _LOST = 1e-6  # of the largest: a direction that a block of rows determines alone
@@ -252,7 +254,28 @@ def robust(
     Each equation of one record has its own spectrum; `sandwich` covers their correlation.
     """
     own = [len(Z) // equations] * equations if equations > 1 else series
-    return larger(sandwich(Z, J, error, equations, series), by_spectrum(Z, J, error, own))
+    return larger(sandwich(*prewhiten(Z, J, error, own), equations, series), by_spectrum(Z, J, error, own))
+
+
+def prewhiten(
+    Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return equations of the same estimate with a white residual, where it grows with the frequency.
+
+    With the autoregression F of a series of rows, ``(F^-T Z)' (F e) = Z' e``, and likewise with J: the sums of scores
+    are the same, and scores nearly independent (Andrews and Monahan 1992). F has the order `bandwidth`.
+    """
+    from scipy import linalg, signal
+
+    for part in _parts(len(Z), series):
+        own, rows = error[part], part.stop - part.start
+        lagged = np.array([own[: rows - lag] @ own[lag:] for lag in range(min(bandwidth(rows), rows - 1) + 1)])
+        if lagged.size > 1 and lagged[1] < -_BLUE * lagged[0]:
+            law = np.concatenate([[1.0], -linalg.solve_toeplitz(lagged[:-1], lagged[1:])])
+            Z, J, error = Z.copy(), J.copy(), error.copy()
+            Z[part] = signal.lfilter([1.0], law, Z[part][::-1], axis=0)[::-1]
+            J[part], error[part] = signal.lfilter(law, [1.0], J[part], axis=0), signal.lfilter(law, [1.0], own)
+    return Z, J, error
 
 
 def larger(first: Covariance, second: Covariance) -> Covariance:
