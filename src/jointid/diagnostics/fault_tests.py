@@ -195,7 +195,7 @@ def _fitted_share(rows: int, *bases: FloatArray) -> FloatArray:
 
     Columns that are 0 outside of a block are given in it.
     """
-    taken = sum(smoothed_spectrum(basis, rows, rows)[0] for basis in bases)
+    taken = np.sum([smoothed_spectrum(basis, rows, rows)[0] for basis in bases], axis=0)
     return np.concatenate([taken[:1], taken])
 
 
