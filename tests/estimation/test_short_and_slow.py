@@ -127,5 +127,6 @@ def test_a_flexible_joint_whose_load_swings_as_the_record_begins() -> None:
     assert np.ptp(part.reference.values[:100]) > 2e-3
     estimate = ji.identify(part, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
     assert estimate.fit.filtered_error < 0.01
+    assert "which begin in motion, are left out" in estimate.fit.stop
     line = estimate["stiffness"]
     assert line.value == pytest.approx(TABLE_2["stiffness"], rel=0.01)

@@ -17,7 +17,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import Iteration
 from jointid.simulation.closed_loop import Simulation
 from jointid.solvers.bounded_least_squares import TrustRegion
-from jointid.solvers.solve import Counted, Solution, Solver, Step, Tally, solve
+from jointid.solvers.solve import Counted, Solution, Solver, Status, Step, Tally, solve
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUGHLY, _FEW, _GLANCES = 1e-5, 30, 8  # tolerance and evaluations of a rough descent; of a look
@@ -185,17 +185,19 @@ def without_beginning(solved: Solved, tolerance: float, history: History) -> Sol
     """
     problem, values = solved.problem, solved.values
     velocity = values.get("initial_velocity", 0.0) if any(p.name == "initial_velocity" for p in problem.free) else 0.0
-    if velocity == 0.0 or problem.seen is not None or not begins_badly(solved):
+    exact = solved.solution.status is Status.EXACT
+    if velocity == 0.0 or exact or problem.seen is not None or not begins_badly(solved):
         return solved
     history.tally.evaluations += 2
     other = problem.torque(problem.vector(values | {"initial_velocity": 2.0 * velocity}))
     apart = np.flatnonzero(np.abs(other - problem.torque(solved.x)) > _FORGOTTEN * np.std(problem.measured))
     settling = min(int(apart[-1]) + 1 if apart.size else 0, int(_MOST_SETTLING * other.size))
-    history.progress(Detail(f"the first {settling * problem.sample_time:.3g} s, which begin in motion, are left out"))
+    note = f"the first {settling * problem.sample_time:.3g} s, which begin in motion, are left out"
+    history.progress(Detail(note))
     state = {p.name: values[p.name] for p in INITIAL_STATE}
     settled = replace(problem.keeping(state), settling=settling)
     found = history.solve(settled, least_squares(settled, tolerance), settled.vector(values))
-    message = "; ".join([found.solution.message, *solved.solution.message.split("; ")[1:]])
+    message = "; ".join([found.solution.message, note, *solved.solution.message.split("; ")[1:]])
     return found._replace(solution=replace(found.solution, message=message, starts=solved.solution.starts))
 
 
