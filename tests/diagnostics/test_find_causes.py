@@ -542,6 +542,12 @@ def test_gain_in_degrees_is_told_beside_an_unknown_delay(times: float) -> None:
     assert "degrees and radians may be mistaken" in causes.message.words
 
 
+def test_scale_of_the_torque_is_a_factor_whatever_the_law_s_gain() -> None:
+    loop = ClosedLoop(RigidJoint("revolute"), Cascade(position_gain=40.0, velocity_gain=57.0, gain=35.15))
+    told = {one.fault: one.words for one in explain_fault(TORQUE_SCALE, 0.1, 0.01, loop, [])}
+    assert "about 10 times too small" in told[TORQUE_SCALE]
+
+
 @pytest.mark.slow
 def test_torque_in_another_scale_is_no_gain_of_the_law_beside_an_added_signal() -> None:
     """What is added to the torque keeps its own scale, which tells the torque from law and reference."""

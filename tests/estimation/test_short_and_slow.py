@@ -115,18 +115,3 @@ def test_six_seconds_that_begin_anywhere_have_one_answer(
         line = estimate[name]
         assert line.value is not None and line.stderr is not None
         assert line.value == pytest.approx(value, abs=3.5 * line.stderr)
-
-
-def test_a_flexible_joint_whose_load_swings_as_the_record_begins() -> None:
-    """The motor's motion is searched for, and the beginning, of which the load's swing is a part, is left out."""
-    axis = twin("L19", noise="white", residual=0.005)
-    assert axis.record.injected is not None
-    after = 1 + int(np.flatnonzero(np.diff(axis.record.injected.channel.values))[3])  # a pulse ends
-    part = cut(axis.record, after, 6000)
-    assert part.reference is not None
-    assert np.ptp(part.reference.values[:100]) > 2e-3
-    estimate = ji.identify(part, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
-    assert estimate.fit.filtered_error < 0.01
-    assert "which begin in motion, are left out" in estimate.fit.stop
-    line = estimate["stiffness"]
-    assert line.value == pytest.approx(TABLE_2["stiffness"], rel=0.01)

@@ -13,6 +13,7 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.identify import LARGEST, limit_of, memory_of, plan_windows
 from jointid.estimation.problems.log_windows import Windowing
+from jointid.records.chunks import cut
 from jointid.records.record import Channel, Record
 from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots import twin
@@ -77,6 +78,20 @@ def test_idim_of_a_joint_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPat
     other = ji.identify(record, LOOP, ji.IDIM("robust"))
     assert other.data.windows is None
     assert any("needs all rows at once" in one for one in other.checks.warnings)
+
+
+def test_a_friction_at_its_bound_in_the_first_window_is_free_in_all() -> None:
+    """Without viscous friction half of the windows by themselves find it below 0."""
+    for seed in range(4):
+        record = rigid(30.0, seed, viscous=0.0)
+        first = ji.identify(cut(record, 0, 5200), LOOP.joint, IDIM, checks=False)
+        if not all(row.free for row in first.params.rows):
+            break
+    assert not all(row.free for row in first.params.rows)
+    found = ji.identify(record, LOOP.joint, IDIM, windows=Windowing(5.0))
+    assert all(row.stderr for row in found.params.rows)
+    subjects = [one.subject for one in found.checks.verdicts]
+    assert subjects.count(Subject.BOUNDS) == 1
 
 
 @pytest.mark.slow

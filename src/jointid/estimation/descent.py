@@ -12,18 +12,16 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
-from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import Iteration
 from jointid.simulation.closed_loop import Simulation
 from jointid.solvers.bounded_least_squares import TrustRegion
-from jointid.solvers.solve import Counted, Solution, Solver, Status, Step, Tally, solve
+from jointid.solvers.solve import Counted, Solution, Solver, Step, Tally, solve
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUGHLY, _FEW, _GLANCES = 1e-5, 30, 8  # tolerance and evaluations of a rough descent; of a look
 _CLEARLY = 25.0  # times the residual's variance: the first rows of a filter without a lag vary more than the others ...
 _FIRST, _OUT = 10, 5.0  # rows; times the median size, which one in a hundred of ten rows of noise exceeds
-_FORGOTTEN, _MOST_SETTLING = 0.01, 0.25  # of the torque; of the record
 _SURELY = 2.0  # ... and robust standard deviations of that velocity
 
 
@@ -175,30 +173,6 @@ def begins_badly(solved: Solved) -> bool:
     """Test whether the first rows of a residual stand out of the others."""
     size = np.abs(solved.solution.residual)
     return bool(np.max(size[:_FIRST]) > _OUT * np.median(size))
-
-
-def without_beginning(solved: Solved, tolerance: float, history: History) -> Solved:
-    """Descend again without the beginning of a motion, if the first rows of the residual stand out.
-
-    A load that swings, or a friction that has wound up, is no part of the state that is identified. What is left out
-    is what the loop takes to forget a velocity.
-    """
-    problem, values = solved.problem, solved.values
-    velocity = values.get("initial_velocity", 0.0) if any(p.name == "initial_velocity" for p in problem.free) else 0.0
-    exact = solved.solution.status is Status.EXACT
-    if velocity == 0.0 or exact or problem.seen is not None or not begins_badly(solved):
-        return solved
-    history.tally.evaluations += 2
-    other = problem.torque(problem.vector(values | {"initial_velocity": 2.0 * velocity}))
-    apart = np.flatnonzero(np.abs(other - problem.torque(solved.x)) > _FORGOTTEN * np.std(problem.measured))
-    settling = min(int(apart[-1]) + 1 if apart.size else 0, int(_MOST_SETTLING * other.size))
-    note = f"the first {settling * problem.sample_time:.3g} s, which begin in motion, are left out"
-    history.progress(Detail(note))
-    state = {p.name: values[p.name] for p in INITIAL_STATE}
-    settled = replace(problem.keeping(state), settling=settling)
-    found = history.solve(settled, least_squares(settled, tolerance), settled.vector(values))
-    message = "; ".join([found.solution.message, note, *solved.solution.message.split("; ")[1:]])
-    return found._replace(solution=replace(found.solution, message=message, starts=solved.solution.starts))
 
 
 def or_moving(

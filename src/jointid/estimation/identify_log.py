@@ -6,8 +6,8 @@ a window. Noise that is averaged over a day leaves next to nothing, and what the
 is seen not to repeat with the motion (`repeats`), the deviations are the larger, in every direction, of what leaving
 out windows says and what leaving out places says (`uncertainty.resampling`).
 
-What a method does in windows is a `Windowed`: DIDIM of a joint here, the inverse model of a joint in `methods.idim`, a
-robot in `robots.windows`.
+What a method does in windows is a `Windowed`: DIDIM of a joint here, the inverse model of a joint and a robot
+in `windowed`.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ from jointid.estimation.result.build_result import (
 )
 from jointid.estimation.result.estimate import fingerprint
 from jointid.estimation.result.parts import Checks, Data, Fit, RecordFit, Settings, Windows
+from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import Chunk, InMemory, LongRecord, cut
 from jointid.records.record import Record
@@ -631,6 +632,8 @@ def _answer(
         found, changes.segments, repeated, end.message, end.converged,
     )  # fmt: skip
     made = method.answer(solved)
+    # The changes of what is searched for by its logarithm are none of the parameter.
+    by_logarithm = isinstance(made.robot, SimulatedRobot) and bool(np.any(made.robot.parameters.logarithmic))
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     names = [] if made.robot is None else made.robot.model.names
     error = float(np.sqrt(np.mean(errors**2))) if names else float(found.total_error)
@@ -656,7 +659,7 @@ def _answer(
             made.checks,
             known=None if names else known,
             repeatable=repeated if len(errors) == 1 and len(spans) == 1 else None,
-            drift=changes if len(spans) == 1 else None,
+            drift=changes if len(spans) == 1 and not by_logarithm else None,
             agreement=agreement,
             warnings=(
                 *([str(agreement)] if agreement is not None and agreement.differs else []),
@@ -669,6 +672,8 @@ def _answer(
         ),
         data=replace(
             made.data,
+            fingerprint="",
+            logs=(),
             record=join(list(dict.fromkeys(source.name for member in problem.members for source in member.log))),
             sample_time=sample_time,
             windows=Windows(

@@ -33,6 +33,7 @@ from jointid.estimation.problems.log_windows import (
     Weighted,
     WindowModel,
     commanded,
+    is_braked,
     moves,
     ringing,
     speeds_of,
@@ -116,7 +117,20 @@ class InverseJoint:
 
     def answer(self, solved: Solved) -> FitResult:
         """Return parameters and settings."""
-        return _with_values(solved.starts[0].fit, solved, solved.x, solved.covariance)
+        fit, model = solved.starts[0].fit, solved.starts[0].model
+        names = tuple(p.name for p in model.free)
+        # What a bound held in a window may be off it in all of them.
+        rows = tuple(replace(row, free=row.name in names) for row in fit.params.rows)
+        fit = replace(fit, params=replace(fit.params, rows=rows, names=names))
+        made = _with_values(fit, solved, solved.x, solved.covariance)
+        values = {row.name: row.value or 0.0 for row in made.params.rows}
+        verdicts = (solver_verdict(solved.stop, solved.converged), bounds_verdict(solved.held))
+        others = (one for one in fit.checks.verdicts if one.subject is Subject.STIFFNESS)
+        return replace(
+            made,
+            checks=replace(made.checks, verdicts=(*verdicts, *others)),
+            at_bounds={name: values[name] for name in solved.held},
+        )
 
 
 def _regress_joint(
@@ -236,7 +250,7 @@ class SimulatedRobotWindow:
 
     def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
         """Return the rows of a window; see `WindowModel`."""
-        if not any(map(moves, records)):
+        if not any(map(moves, records)) or is_braked(records):
             return None
         parameters, setup = self.part.parameters, self.part.setup
         if isinstance(setup, RobotLoop):

@@ -86,6 +86,8 @@ def _prefer_known_factor(fit: Fit, loop: ClosedLoop) -> Fit:
 def _explain_beside_injected(of_torque: bool, value: float | None, loop: ClosedLoop, shown: Shown) -> Iterator[Meaning]:
     """Yield the meanings that a signal in its own scale leaves: those of the torque, or of law and reference."""
     law = (LAW_GAIN, REFERENCE_SCALE)
+    if of_torque and value is not None:  # it is found as a factor, those of the law as its gain
+        value *= numbers_of(loop.controller)["gain"]
     for fault, clause, factor in _explain_factor(value, loop, shown):
         if fault not in (law if of_torque else (TORQUE_SCALE, TORQUE_CONSTANT)):
             yield fault, clause, factor

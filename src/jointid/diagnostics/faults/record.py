@@ -313,7 +313,10 @@ def explain_on_position(record: Record, loop: ClosedLoop, shown: Shown) -> tuple
     times = _FILTERS if getattr(law, "velocity_filter", None) == (1.0,) else ()
     others = [with_numbers(law, {name: 2.0 * value}) for name, value in gains.items()]
     others += [replace(law, velocity_filter=FirstOrder(time)) for time in times]
-    none, scale, *changes = fit_law_changes(record, loop, others)
+    fits = fit_law_changes(record, loop, others)
+    if not fits:  # the record does not show another law
+        return declared[0].left, ()
+    none, scale, *changes = fits
     found = [(TORQUE_SCALE, 1.0 + scale.size, scale)]
     found += [(number_fault(name), v * (1 + c.size), c) for (name, v), c in zip(gains.items(), changes, strict=False)]
     filters = [(time, one) for time, one in zip(times, changes[len(gains) :], strict=True) if one.size > 0.0]

@@ -49,16 +49,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Suspicion, ignore_progress
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.descent import (
-    History,
-    Solved,
-    begins_badly,
-    free_more,
-    glancing,
-    least_squares,
-    or_moving,
-    without_beginning,
-)
+from jointid.estimation.descent import History, Solved, begins_badly, free_more, glancing, least_squares, or_moving
 from jointid.estimation.methods.force_in_loop import (
     allow_for_force,
     instruments,
@@ -404,7 +395,7 @@ class DIDIM(Method):
                 best = or_moving(best, problem, there, solver, history)
         if best.norm <= _ROUNDING * size:
             best = best._replace(solution=replace(best.solution, status=Status.EXACT, message=REPRODUCED))
-        return without_beginning(best, self._tolerance, history)
+        return best
 
     def _first_sample(self, problem: ClosedLoopProblem) -> dict[str, float]:
         """Return the fixed initial state of a motor at rest."""
@@ -495,7 +486,7 @@ class DIDIM(Method):
             if DELAY in self.free:  # a gap is found where torque and motion are in time alone
                 solved = free_more(solved, (DELAY,), tolerance, history)
             solved = from_linear_laws(problem, solved, tolerance, history)
-        return without_beginning(solved, tolerance, history), simulations
+        return solved, simulations
 
 
 def _at_rest(record: Record, settings: DIDIM) -> tuple[Parameter, ...]:

@@ -64,13 +64,11 @@ class ClosedLoopProblem(RecordProblem):
         loop, experiment: what is simulated.
         seen: what takes a motor position to a torque where that is not logged, but computed; None where it is. Measured
             and simulated positions go through it alike, so it does not follow the law of a candidate.
-        settling: samples at the beginning that no row is of, where a torque was logged.
     """
 
     loop: ClosedLoop
     experiment: LoopInput
     seen: SeenPosition | None = None
-    settling: int = 0
 
     @property
     def joint(self) -> Joint:
@@ -112,14 +110,7 @@ class ClosedLoopProblem(RecordProblem):
 
     def _filter_all(self, signals: Sequence[FloatArray]) -> list[FloatArray]:
         rows, samples = decimate_all(signals, self.filtering, self.sample_time), len(signals[0])
-        if self.seen is not None:
-            return [drop_ends(one, self.filtering, samples) for one in rows]
-        return [one[self._unsettled(samples) :] for one in rows] if self.settling else rows
-
-    def _unsettled(self, samples: int) -> int:
-        """Return how many rows are of samples before the settling time's end."""
-        keep = self.filtering.decimation or 1
-        return max(-(((samples - 1) % keep - self.settling) // keep), 0)
+        return rows if self.seen is None else [drop_ends(one, self.filtering, samples) for one in rows]
 
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters, its torque as the log should show it."""
@@ -219,7 +210,7 @@ class ClosedLoopProblem(RecordProblem):
         """The samples that rows of the residual are taken at, (rows,): the last one, if no ends are dropped."""
         samples, keep = self.measured.size, self.filtering.decimation or 1
         rows = np.arange((samples - 1) % keep, samples, keep)
-        return rows[self._unsettled(samples) :] if self.seen is None else drop_ends(rows, self.filtering, samples)
+        return rows if self.seen is None else drop_ends(rows, self.filtering, samples)
 
     def cells(self, simulation: Simulation) -> Cells:
         """Return the cell of position and velocity of the simulated motor for each row of the residual."""

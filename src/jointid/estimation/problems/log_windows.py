@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.problems.base import INITIAL_STATE, INITIAL_TORQUE
@@ -375,7 +375,12 @@ class LogProblem:
             for number, piece in pieces:
                 read += 1
                 member, records = self.members[number], [one.record for one in piece]
-                seen = member.model.look(records, x[member.at] + member.added)
+                try:
+                    seen = member.model.look(records, x[member.at] + member.added)
+                except RecordError:
+                    if not (read > 1 and piece[0].last):  # a last one may be too short for filters
+                        raise
+                    continue
                 if seen is None:
                     still += 1
                     continue
@@ -508,7 +513,7 @@ class InverseWindow:
 
     def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
         """Return the rows of a window; see `WindowModel`. One slower than rest is of rest."""
-        if not any(map(moves, records)):
+        if not any(map(moves, records)) or is_braked(records):
             return None
         found = self.regress(records)
         if np.all(speeds_of(found) < REST * self.speeds):
@@ -516,6 +521,11 @@ class InverseWindow:
         W = found.W[..., list(self.places)]
         error = found.Y - found.W @ self.kept - W @ x
         return Seen(error, -W, found.Y, found.at, found.samples, found.keep, found.motion)
+
+
+def is_braked(records: Sequence[Record]) -> bool:
+    """Test whether the torque of a joint is 0 throughout a window, as while its brake holds it."""
+    return any(record.torque is not None and not np.any(record.torque.values) for record in records)
 
 
 def speeds_of(found: Regression) -> FloatArray:
