@@ -250,6 +250,7 @@ def test_a_joint_is_of_the_side_that_is_reported() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     geared, estimate = folder / "geared.toml", folder / "estimate.json"
     save(file_of(folder, BY_THE_LOAD), geared)

@@ -180,6 +180,7 @@ def test_the_answer_holds_what_a_program_needs(tmp_path: Path) -> None:
     assert Question.LAW in [one.question for one in found.answers]
 
 
+@pytest.mark.slow
 def test_the_command_says_by_its_code_whether_something_is_wrong(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -256,6 +257,7 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     assert not found.healthy
 
 
+@pytest.mark.slow
 def test_each_joint_of_a_robot_is_looked_over_under_its_name_and_the_clock_once() -> None:
     records = list(records_of(arm(), 2, noise=0.05))
     found = examine(records, arm(), IDIM())

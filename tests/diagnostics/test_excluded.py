@@ -92,6 +92,7 @@ def test_a_log_that_is_late_is_excluded_as_the_motor_position_shows() -> None:
     assert not excludes(record.without("motor_position"), loop, LAW, late=5e-4)
 
 
+@pytest.mark.slow
 def test_a_delay_within_a_sample_that_nobody_stated_is_identified() -> None:
     joint = RigidJoint("prismatic", SymmetricFriction())
     record = logged(joint, PLAIN, replace(LAW, delay=4e-4))

@@ -234,6 +234,7 @@ def test_a_rigid_joint_has_no_load_to_put_an_encoder_on(disturbed: tuple[Twin, E
     assert [one.name for one in rigid.sensors] == ["motor encoder"]
 
 
+@pytest.mark.slow
 def test_a_refused_stiffness_is_answered_with_what_would_show_it(stiff_axis: tuple[Record, Estimate]) -> None:
     record, estimate = stiff_axis
     answer = design_stiffness_test(estimate, record)
@@ -251,6 +252,7 @@ def test_a_refused_stiffness_is_answered_with_what_would_show_it(stiff_axis: tup
     assert str(advise(estimate, record)) == str(answer)
 
 
+@pytest.mark.slow
 def test_what_was_kept_fixed_is_no_reason_not_to_answer(stiff_axis: tuple[Record, Estimate]) -> None:
     record, _ = stiff_axis
     loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])

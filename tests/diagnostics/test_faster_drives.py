@@ -100,6 +100,7 @@ def test_no_other_cause_is_looked_for_where_the_period_is_all_that_is_wrong(monk
     assert verdict.reasons[0].values["suspect"] == PERIOD.name
 
 
+@pytest.mark.slow
 def test_the_search_for_a_cause_tries_the_period() -> None:
     record, loop = drive(CASCADE, 8, noise=0.05)
     first = find_causes(record, loop).tried[0]
@@ -188,6 +189,7 @@ def test_a_reference_that_is_filled_in_as_declared_is_not_blamed() -> None:
     assert faults_of(identify(record, loop), record).as_declared
 
 
+@pytest.mark.slow
 def test_the_search_for_a_cause_tries_a_held_reference() -> None:
     record, loop = _filled_in("hold", SERVO)
     first = find_causes(record, loop).tried[0]

@@ -290,6 +290,7 @@ def test_a_search_that_fails_hides_no_error_and_ends_no_identification(
     assert ji.identify(record, loop).checks.verdicts[-1].subject is Subject.LOOP
 
 
+@pytest.mark.slow
 def test_a_factor_that_putting_right_does_not_help_is_not_blamed() -> None:
     """A flexible joint that is taken for a rigid one, up to beyond its resonance: the drive is as declared."""
     healthy = twin("L19", noise="white")
@@ -399,6 +400,7 @@ def test_a_refused_spring_at_its_bounds_is_no_reason_to_look_for_a_cause(monkeyp
     assert verdict.status is Status.UNKNOWN
 
 
+@pytest.mark.slow
 def test_a_cause_explains_no_more_than_the_declared_drive_does_from_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """A filter of a third of a period was told, since the search with it alone had found the joint."""
     record, loop = without_mistake(axis("rigid"))

@@ -65,6 +65,7 @@ def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(found
     assert 0.5 * (forwards - backwards) == pytest.approx(3.04, rel=2e-2)  # the offset
 
 
+@pytest.mark.slow
 def test_symmetric_friction_is_told_as_that() -> None:
     case = rigid(prismatic(1))
     torque = simulate(case.loop, prepare(case.loop, case.clean), case.truth).torque

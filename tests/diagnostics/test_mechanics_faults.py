@@ -124,6 +124,7 @@ def test_the_law_that_is_advised_first_is_the_one_that_a_comparison_shows(fault:
     assert check.list_laws_with(check.findings[0])[0] == ji.compare(made.record, made.axis.loop, kind).shown.name
 
 
+@pytest.mark.slow
 def test_a_small_second_mode_is_found_by_a_search() -> None:
     """The modes that are tried do not show it."""
     made = spoiled(125, "second mode", 8.0)
@@ -359,6 +360,7 @@ def wound_up(seed: int, share: float, friction: float) -> tuple[Spoiled, Estimat
     return made, identify(record, axis.loop)
 
 
+@pytest.mark.slow
 def test_a_joint_with_winding_friction_is_identified_from_a_far_softer_one() -> None:
     made, estimate = wound_up(704, 0.004, 2.5)
     own, x = rebuild_problem(estimate, made.record, "")

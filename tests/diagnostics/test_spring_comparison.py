@@ -46,6 +46,7 @@ def plain() -> tuple[Case, SpringComparison]:
     return case, compare_springs(record, case.loop, didim=ji.DIDIM(frequency=case.mode))
 
 
+@pytest.mark.slow
 def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple[Case, SpringComparison]) -> None:
     case, found = gapped
     assert found.shown.name == "backlash"
@@ -59,6 +60,7 @@ def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple
     assert found.sentence.endswith('; declare the joint with spring = "backlash" to identify it.')
 
 
+@pytest.mark.slow
 def test_a_linear_spring_is_told_as_that(plain: tuple[Case, SpringComparison]) -> None:
     case, found = plain
     assert found.shown.name == "linear"
@@ -79,6 +81,7 @@ def judging(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     monkeypatch.setattr(law_comparison, "SPRINGS", {name: SPRINGS[name] for name in names})
 
 
+@pytest.mark.slow
 def test_a_rigid_axis_shows_no_spring(monkeypatch: pytest.MonkeyPatch) -> None:
     judging(monkeypatch, "linear", "backlash", "three-piece")  # the fewest parameters, and the most
     loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))

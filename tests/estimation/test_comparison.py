@@ -26,6 +26,7 @@ def flexible() -> MethodComparison:
     return compare(axis.record, axis.loop, didim=DIDIM(frequency=30.0))
 
 
+@pytest.mark.slow
 def test_every_method_that_can_run_has_run(flexible: MethodComparison) -> None:
     names = ["DIDIM", "IDIM-LS", "IDIM-WLS", "IDIM-IRLS", "IDIM-IV", "DIDIM asymmetric", "IDIM-LS asymmetric"]
     assert [method.name for method in flexible.methods] == names

@@ -270,6 +270,7 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     assert "; 2 of 2 starts led there" in estimate.fit.stop
 
 
+@pytest.mark.slow
 def test_nelder_mead_reaches_the_minimum_after_one_restart(monkeypatch: pytest.MonkeyPatch) -> None:
     """By ``fminsearch`` rules, from (13) at 30 Hz; the best known is least squares from four starts."""
     from jointid.simulation.kernels import drive as kernels

@@ -69,6 +69,7 @@ def test_a_log_is_identified_and_every_key_documented(
     assert "None of 4 quantities changed" in (printed := capsys.readouterr().out) and "states no SHA-256" in printed
 
 
+@pytest.mark.slow
 def test_an_interrupted_log_is_told_as_far_as_it_was_read(
     joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

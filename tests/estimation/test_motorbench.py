@@ -62,6 +62,7 @@ def both(bench: Bench, rows: slice = slice(None)) -> ji.Record:
     return replace(record, load_position=ji.Channel(part.load, "rad", 4e-4))
 
 
+@pytest.mark.slow
 def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_both_halves(
     bench: Bench, reference: dict[str, float]
 ) -> None:

@@ -65,6 +65,7 @@ def test_noise_of_the_encoder_leaves_the_truth_in_the_intervals() -> None:
         assert line.stderr < 0.01 * line.value, name
 
 
+@pytest.mark.slow
 def test_a_record_with_a_reference_has_wider_intervals_for_a_force_in_its_loop() -> None:
     """The torque of loop L30 answers to a disturbance, so it is no free input."""
     made = twin("L30", seed=1).record

@@ -178,6 +178,7 @@ def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:
         ji.diagnose(both, logged())
 
 
+@pytest.mark.slow
 def test_a_wrong_ratio_of_gains_is_named() -> None:
     found = identify(logged().without("torque"), ji.controller.PD(position_gain=480.0, derivative_gain=30.0))
     assert not found.answer.reliable

@@ -407,6 +407,7 @@ def test_the_first_line_needs_no_interval() -> None:
     )
 
 
+@pytest.mark.slow
 def test_changes_are_measured_by_the_deviations_of_the_table() -> None:
     where = setting("L19", brief=True)
     made = problem(where, FAULTS["position_gain"], "disturbance", 1)

@@ -364,6 +364,7 @@ def test_a_drive_of_today_is_the_same_on_either_side() -> None:
     assert motor["initial_torque"].free
 
 
+@pytest.mark.slow
 def test_a_limit_that_is_not_declared_is_told_in_the_torque_of_the_side() -> None:
     clean = logged("flexible")
     assert clean.reference is not None

@@ -177,6 +177,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     assert "the load never moves" in found.verdict.said
 
 
+@pytest.mark.slow
 def test_no_bound_is_told_where_the_model_does_not_explain_the_torque() -> None:
     """How soft a spring may be is said beside a joint that fits."""
     for noise, given in ((0.3, True), (6.0, False)):

@@ -83,6 +83,7 @@ def designed() -> Design:
         )
 
 
+@pytest.mark.slow
 def test_it_tells_more_than_the_one_there_is_and_keeps_the_limits(designed: Design) -> None:
     assert designed.present is not None
     assert designed.proposed.std["stiffness"] < 0.7 * designed.present.std["stiffness"]

@@ -172,6 +172,7 @@ WHOLE = [
 ]
 
 
+@pytest.mark.slow
 @given(
     whole=st.sampled_from(WHOLE),
     spoils=st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), max_size=6),

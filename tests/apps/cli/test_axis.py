@@ -128,6 +128,7 @@ def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
         load(robot, ["method.fixed={a=1.0}"], axis="base")
 
 
+@pytest.mark.slow
 def test_a_report_of_one_joint_is_repeated_for_that_joint(robot: Path, tmp_path: Path) -> None:
     run("report", robot, "--axis", "base", "--markdown", tmp_path, "--no-profiles", "--no-tuning")
     assert "--record log.csv --axis base" in (tmp_path / "report.md").read_text(encoding="utf-8")

@@ -328,6 +328,7 @@ def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsy
     assert "3.1117 %" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_path: Path) -> None:
     """The proof that DIDIM does not read it: the column is gone, and the answer is the same to the last digit."""
     cut = {name: values[:5000] for name, values in read_table(emps_path).columns.items()}

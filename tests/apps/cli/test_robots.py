@@ -100,6 +100,7 @@ def test_validate(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         run("validate", folder / "robot.toml")
 
 
+@pytest.mark.slow
 def test_a_saved_estimate_is_taken_by_every_command(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

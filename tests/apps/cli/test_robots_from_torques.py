@@ -82,6 +82,7 @@ def needed(robot: ji.Robot) -> np.ndarray:
     return inverse_dynamics(robot.tree, robot.inertials, q, v, a) + robot.of_joints("rotor_inertia") * a
 
 
+@pytest.mark.slow
 def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_files(tmp_path, two(), 4.0)
     joint, truth = tmp_path / "robot.toml", two().robot.joints
@@ -178,6 +179,7 @@ def test_a_joint_without_gains_falls_and_that_is_said(tmp_path: Path, capsys: py
     assert list(json.loads(found.read_text(encoding="utf-8"))["strays"]) == ["joint2"]
 
 
+@pytest.mark.slow
 def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_files(tmp_path, two(), 3.0)
     joint, out = tmp_path / "robot.toml", tmp_path / "test"
@@ -313,6 +315,7 @@ def measured_alone(tmp_path: Path) -> Twin:
     return twin
 
 
+@pytest.mark.slow
 def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With motor positions in the file, and springs, and no controllers at all once the records are there."""
     twin, joint = measured_alone(tmp_path), tmp_path / "robot.toml"

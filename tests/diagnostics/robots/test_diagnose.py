@@ -337,6 +337,7 @@ def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
     assert {one.name: one.formula for one in found}["joint1.offset"] == said
 
 
+@pytest.mark.slow
 def test_what_is_fixed_is_neither_told_nor_not_told() -> None:
     records = records_of(arm(), 2, noise=0.2)
     free, kept = (

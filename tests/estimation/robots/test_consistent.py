@@ -65,6 +65,7 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     assert found.robot.of_joints("coulomb") == pytest.approx(COULOMB, rel=0.03)
 
 
+@pytest.mark.slow
 def test_bodies_that_do_not_fit_are_not_exported() -> None:
     estimate = identified(ARM, records_of(ARM, 2, noise=0.1))
     part = estimate.require_robot()
@@ -147,6 +148,7 @@ def test_idim_gives_a_robot_without_springs_the_friction_of_both_sides() -> None
         assert one.viscous == pytest.approx(truth.viscous + truth.spring.viscous, rel=0.05)
 
 
+@pytest.mark.slow
 def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:
     robot = arm(3)
     estimate = identified(robot, records_of(robot, 4, noise=15.0))

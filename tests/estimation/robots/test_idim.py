@@ -130,6 +130,7 @@ def test_a_friction_that_is_less_towards_standstill_drives_nothing() -> None:
         assert drives(replace(found, values=values), 1) is objects
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_there_is_little_noise() -> None:
     """Samples about reversals are left out: with them hardly any interval of a Coulomb friction would hold."""
     off = []
@@ -240,6 +241,7 @@ def test_instruments_from_the_loop_are_free_of_the_positions_noise() -> None:
     assert bias["iv"] < 0.02
 
 
+@pytest.mark.slow
 def test_coupled_motors() -> None:
     joints = (*ARM.joints[:5], replace(ARM.joints[5], coupling={"joint5": -0.3}))
     robot = replace(ARM, joints=joints)

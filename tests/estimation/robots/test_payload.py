@@ -65,6 +65,7 @@ def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
     assert answer["schema"] == "jointid.payload/1" and answer["ways_agree"] is True
 
 
+@pytest.mark.slow
 def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
     """It is not the loaded one's, so the estimates that are compared leave it free."""
     records, settings = pair(12), IDIM(fixed={"joint6.rotor_inertia": 0.3})
@@ -203,6 +204,7 @@ def unstated(records: Sequence[Record]) -> list[Record]:
     return [replace(one, torque=replace(one.torque, stated=False)) for one in records if one.torque is not None]
 
 
+@pytest.mark.slow
 def test_an_unstated_timing_is_said_of_a_payload_and_of_gains_and_widens_them() -> None:
     """The twin has less noise than half a sample changes."""
     records = pair(30, noise=0.05)

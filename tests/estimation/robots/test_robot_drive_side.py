@@ -186,6 +186,7 @@ def test_a_spring_that_the_record_does_not_show_is_refused() -> None:
     assert 1e4 < second.at_least < 3e6
 
 
+@pytest.mark.slow
 def test_the_answer_is_held_against_another_record() -> None:
     twin = replace(two((12.0, 18.0)), home=np.array([1.6, -2.3]))  # far from 0
     heavier = twin.robot.with_inertials(1.3 * np.array([link.inertial for link in twin.robot.links]))

@@ -95,6 +95,7 @@ def test_a_refused_stiffness_is_told_in_words_and_bounds(emps_path: Path) -> Non
     assert len(html.encode()) < 3_000_000
 
 
+@pytest.mark.slow
 def test_it_begins_with_the_answer() -> None:
     """Title with axis, date and tool, then the answer's line, as a box that says good or bad news."""
     told = replace(reports.flexible(), name="Axis 1", repetition=Repetition(date="2026-11-21"))
@@ -298,6 +299,7 @@ def test_the_emps_report_is_one_small_file(emps_path: Path, tmp_path: Path) -> N
     assert "samples are drawn" not in text
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(rigid_page: str) -> None:
     elements = Elements(rigid_page)
     for tag, attributes in elements.found:
