@@ -275,7 +275,9 @@ def _choose_steps(
 
 def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
     steps, groups = sorted(steps, key=lambda step: step.signature.fault.last), list[list[int]]()
-    alone = np.array([step.alone for step in steps]).reshape(len(steps), -1)
+    if not steps:
+        return []
+    alone = np.array([step.alone for step in steps])
     products = np.abs(alone @ alone.T)
     sizes = np.sqrt(np.diag(products))
     same = products > _SAME * np.maximum(np.outer(sizes, sizes), np.finfo(float).tiny)

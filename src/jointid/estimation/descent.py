@@ -192,12 +192,12 @@ def or_moving(
         history: of the search.
     """
     moving = history.solve(problem, solver, problem.vector(values))
-    if not _is_significant(resting, moving, history):
+    if not is_significant(resting, moving, history):
         return resting
     return moving.with_starts(resting.solution.starts)
 
 
-def _is_significant(resting: Solved, moving: Solved, history: History) -> bool:
+def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
     """Test whether a first velocity explains more torque than noise, and is above two robust standard deviations.
 
     A residual is correlated as a rule, and a motor that slips before it sticks changes where it stands for the rest of

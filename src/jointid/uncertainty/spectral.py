@@ -84,8 +84,8 @@ def spectral_covariance(
     freedom = np.maximum(np.diag(M), 1e-3)
     inverse = inverses(M, _ROUNDING)
     level = _solve_levels(inverse, M, power, freedom)
-    i, j = np.triu_indices(J.shape[1] if asked is None else asked.shape[1])
-    covariance = np.empty((i[-1] + 1, i[-1] + 1))
+    size = J.shape[1] if asked is None else asked.shape[1]
+    (i, j), covariance = np.triu_indices(size), np.empty((size, size))
     covariance[i, j] = covariance[j, i] = level @ sought
     answers = inverse.T @ sought[:, i == j]  # of each deviation squared, to the power of each band
     variance = 2.0 * (level**2 * freedom) @ answers**2

@@ -382,14 +382,16 @@ class DIDIM(Method):
         size = problem.size
         if self.initial_state == "free" and best.norm > _ROUNDING * size:
             # Of a motor at rest the derivative by its velocity is 0: no search leaves it. Where the motor moves, the
-            # end at rest has another friction, and is not near.
+            # end at rest may have another friction, and where the law is off, the start another state.
             moving = next((one.values for one in starts if one.values["initial_velocity"] != 0.0), best.values)
             velocity = moving["initial_velocity"]
-            near = moving if wound_up(problem.experiment, velocity) else best.values | {"initial_velocity": velocity}
-            best = or_moving(best, problem, near, solver, history)
+            near = [moving] if wound_up(problem.experiment, velocity) else []
+            for there in (*near, best.values | {"initial_velocity": velocity}):
+                best = or_moving(best, problem, there, solver, history)
             steps = np.diff(problem.experiment.inputs[:, REFERENCE])
             aside = _ASIDE * float(np.max(np.abs(steps))) / problem.experiment.law.period
-            for velocity in (aside, -aside) if begins_badly(best) else ():
+            # A law that is off looks like a motion; what is free of it is found from rest.
+            for velocity in (aside, -aside) if begins_badly(best) and not self.free else ():
                 home = beginning_position(problem, velocity)
                 there = best.values | {"initial_velocity": velocity, "initial_position": home}
                 best = or_moving(best, problem, there, solver, history)

@@ -30,7 +30,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Doubt, Progress, Suspicion, ignore_progress
 from jointid.common.parameters import Bounds, Quantity
-from jointid.estimation.descent import History, Solved, glancing, least_squares, or_moving, roughly
+from jointid.estimation.descent import History, Solved, glancing, is_significant, least_squares, or_moving, roughly
 from jointid.estimation.methods.registry import Method, Task, method_of
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -172,17 +172,17 @@ class StiffnessSearch:
         return float(np.linalg.norm(left)) / solved.problem.size
 
     def _from_rigid_joint(self, rigid: FitResult) -> Solved:
+        found = self._explore(rigid)
+        found = _or_moving(found, rigid, least_squares(found.problem, self.tolerance), self.history)
         steps = np.diff(self.problem.experiment.inputs[:, REFERENCE])
         if abs(steps[0]) > _MOVES * np.max(np.abs(steps)):  # an end at rest is not near
             with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
                 first = first_state(self.problem, reconstructed_position(self.problem))
                 state = {p.name: replace(p, start=first[p.name]) for p in INITIAL_STATE}
-                moving = replace(self, problem=self.problem.replace_parameters(state))
-                found = moving._explore(rigid)
-                if not moving._explains_little(found):
-                    return found
-        found = self._explore(rigid)
-        return _or_moving(found, rigid, least_squares(found.problem, self.tolerance), self.history)
+                moving = replace(self, problem=self.problem.replace_parameters(state))._explore(rigid)
+                if is_significant(found, moving, self.history):
+                    return moving
+        return found
 
     def _explore(self, rigid: FitResult) -> Solved:
         return self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))

@@ -118,6 +118,9 @@ def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
 
 
+_MOST = 0.5  # of the samples
+
+
 def _regress(
     problem: ClosedLoopProblem,
     torque: FloatArray,
@@ -140,6 +143,8 @@ def _regress(
     assert filtering.position_cutoff is not None
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
     weights = known * steady_weights(model.motor.velocity, filtering.position_cutoff, sample_time)[1]
+    if np.sum(weights) < _MOST * np.sum(known):  # what is left tells less than what friction at rest bends
+        weights = known.astype(np.float64)
     columns = model.columns * weights[:, np.newaxis]
     model = InverseModel(model.torque * weights, columns, model.inside, model.motor)
     parameters, free = problem.parameters[: len(joint.parameters)], problem.free_joint
