@@ -114,6 +114,9 @@ def test_a_printed_command_runs_as_it_stands(
         (place / "finished").rename(place / "results")
     if "--window" not in command:
         shutil.copy(place / "a.csv", place / "record.csv")
+    if "axis.toml" in command:
+        shutil.copy(place / "joint.toml", place / "axis.toml")
+        shutil.copy(place / "a.csv", place / "loaded.csv")
     if "robot.toml" in command:
         for name in ("other", "a", "b"):
             shutil.copy(place / "other-robot.csv", place / f"{name}.csv")
