@@ -27,6 +27,7 @@ _RESOLVED = 1.5e-8  # relative decrease of the criterion that rounding can hide:
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
+_NONE = 1e-150  # a start so near to 0 is at its bound, and no unit
 _THERE = 1e-2  # of a tolerance
 _STATUS = {-2: Status.COST, 2: Status.COST, 3: Status.STEP, 4: Status.STEP_AND_COST}
 _CHANGED = {
@@ -177,7 +178,7 @@ class TrustRegion:
         if self.size is not None:
             norms = np.linalg.norm(J, axis=0)
             sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
-            unit = np.where(start != 0.0, np.abs(start), np.where(sizes > 0, sizes, 1.0))
+            unit = np.where(np.abs(start) > _NONE, np.abs(start), np.where(sizes > 0, sizes, 1.0))
 
         def residual(y: FloatArray) -> FloatArray:
             return (counted.linearise(y * unit)[0] if self.eager else counted.residual(y * unit)) / size
