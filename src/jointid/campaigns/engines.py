@@ -384,7 +384,7 @@ def _held(path: str) -> Iterator[str]:
 
 
 def _can_lose_names(folder: str) -> bool:
-    """Test whether this system connects to a socket whose file has no name any more."""
+    """Test whether this system connects to a socket without a name."""
     path = f"{folder}/test"
     with socket.socket(socket.AF_UNIX) as listener, socket.socket(socket.AF_UNIX) as client:
         try:

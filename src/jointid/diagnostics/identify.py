@@ -387,7 +387,7 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
 
 
 def _numbers_by_position(part: IdentifiedRobot, records: Sequence[Record], found: Diagnosis) -> list[Message]:
-    """Return the numbers of the laws that do not hold which the motors' positions show to be other ones."""
+    """Return the numbers of refuted laws that the motor positions show to differ."""
     told = []
     for link, axis, record, law in zip(
         part.model.links, found.axes, records, getattr(part.setup, "controllers", ()), strict=False

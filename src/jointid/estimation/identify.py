@@ -137,7 +137,7 @@ def plan_windows(record: object, model: object, method: Method | None) -> Planne
 
 
 def _in_windows(record: object, model: object, method: Method | None) -> bool:
-    """Return whether what is asked for is identified in windows; it is whole what its method refuses there."""
+    """Test whether these records, model and method can be identified in windows."""
     records = _flat(record)
     both = isinstance(method, DIDIM) and len(method.outputs) > 1  # weighted beside a fit of the whole
     clocks = {round(channel.sample_time, 12) for one in records for _, channel in one.items()}

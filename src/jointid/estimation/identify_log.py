@@ -92,8 +92,8 @@ class Windowed(Protocol):
         """Of each axis whose controller is simulated."""
 
     @property
-    def keep(self) -> Filtering:
-        """The filtering, as far as it is known before a window is identified."""
+    def filtering(self) -> Filtering:
+        """As far as it is known before a window is identified."""
 
     @property
     def weighted(self) -> Weighted:
@@ -104,9 +104,6 @@ class Windowed(Protocol):
 
     def pose(self, records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
         """Return the model of all windows, and where its search starts."""
-
-    def units(self, start: Start, free: Sequence[Parameter]) -> list[str]:
-        """Return the unit of each free parameter."""
 
     def answer(self, solved: Solved) -> FitResult:
         """Return parameters, system and settings of the fit of all windows."""
@@ -124,7 +121,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """What all windows say.
+    """The solution of all windows.
 
     Attributes:
         starts: of each log.
@@ -185,7 +182,7 @@ class LoopWindows:
         filtering: Filtering | None,
         changes: Mapping[str, Parameter] | None,
     ) -> LoopWindows:
-        """Return what is done with a record under this loop.
+        """Return the windows of a record under this loop.
 
         Raises:
             MethodError: it is not identified in windows.
@@ -210,7 +207,7 @@ class LoopWindows:
         filtering: Filtering | None,
         parameters: Mapping[str, Parameter] | None,
     ) -> list[LoopWindows]:
-        """Return what is done with each of several records.
+        """Return the windows of each of several records.
 
         Raises:
             MethodError: they are not identified in windows.
@@ -226,11 +223,6 @@ class LoopWindows:
         """The one."""
         return (self.loop,)
 
-    @property
-    def keep(self) -> Filtering:
-        """The filtering."""
-        return self.filtering
-
     def fit(self, records: Sequence[Record], progress: Progress) -> FitResult:
         """Return the fit of a window."""
         return identify_record(
@@ -242,12 +234,6 @@ class LoopWindows:
         wanted = adjust_parameters(self.loop.joint.parameters, self.changes)
         window = window_problem(records[0], self.loop, self.filtering, wanted, self.method.free)
         return LoopWindow(window), window.vector({p.name: p.value for p in fit.params.rows if p.value is not None})
-
-    def units(self, start: Start, free: Sequence[Parameter]) -> list[str]:
-        """Return the units of the window's problem; a record's own parameter has that of the shared one."""
-        assert isinstance(start.model, LoopWindow)
-        units = start.model.problem.units
-        return [units[p.name.partition("@")[0]] for p in free]
 
     def answer(self, solved: Solved) -> FitResult:
         """Return parameters and settings."""
@@ -351,7 +337,7 @@ def identify_log(
 
     # Whole rows, so that all windows keep the same samples, and whole periods of a controller that is slower than the
     # log: the law's first is at a window's first sample.
-    keep = each[0].keep.resolve(sample_time).decimation or 1
+    keep = each[0].filtering.resolve(sample_time).decimation or 1
     length, settling = samples(settings.length, math.lcm(keep, *periods)), samples(settings.length / 20, keep)
     starts = [
         _start(Member.of(log, _NONE).pieces(length, 2 * settling), one, progress)
@@ -473,7 +459,7 @@ def _pose(
 
 
 def _settled_after(whole: Seen, later: Seen, first: int) -> int:
-    """Return how many samples after its beginning the error of a window is that of one which began before.
+    """Return the samples after which a window has forgotten how it began.
 
     Args:
         whole: of a window.
@@ -618,7 +604,9 @@ def _answer(
     covariance, basis = _covariance(found, repeated)
     if any(member.model.motion_measured for member in problem.members):
         covariance, basis = _widen_for_motion(covariance, found), f"{basis}{FOR_MEASURED_MOTION}"
-    units = dict(zip((p.name for p in problem.free), method.units(starts[0], problem.free), strict=True))
+    of_rows = {row.name: row.unit for row in starts[0].fit.params.rows}
+    # A record's own parameter has the unit of the shared one.
+    units = {p.name: of_rows[p.name.partition("@")[0]] for p in problem.free}
     spans = [[w for w in found.windows if w.record == number] for number in range(len(problem.members))]
     changes = drift(found.windows, end.x, problem.free, units, spans if len(spans) > 1 else None)
     agreement = changes.agreement if len(spans) > 1 and len(found.sizes[0]) == 1 else None

@@ -1,4 +1,4 @@
-"""What inverse models and robots do with a window of a long log; DIDIM of a joint is in `identify_log`.
+"""Windows of inverse models and robots; those of DIDIM of a joint are in `identify_log`.
 
 Each takes the rows of a window from the code that takes those of a whole record: the inverse model of a joint
 (`methods.idim`), that of a robot (`robots.regression`), and a robot that is simulated (`robots.simulated`), whose
@@ -18,7 +18,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
-from jointid.estimation.identify_log import Solved, Start, Windowed
+from jointid.estimation.identify_log import Solved, Windowed
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -88,11 +88,6 @@ class InverseJoint:
         of_joint = (None, "ols") if self.joint.model == "flexible" else (None, "ols", "weighted")
         _require_sums(self.method, of_joint)
 
-    @property
-    def keep(self) -> Filtering:
-        """The filtering."""
-        return self.filtering
-
     def fit(self, records: Sequence[Record], progress: Progress) -> FitResult:
         """Return the fit of a window."""
         model = self.loop or self.joint
@@ -110,10 +105,6 @@ class InverseJoint:
         rings = ringing(fit.settings.filtering, fit.data.sample_time)
         model = InverseWindow(tuple(wanted[i] for i in free), free, kept, regress, speeds_of(regress(records)), rings)
         return model, np.array([found[wanted[i].name].value for i in free], dtype=np.float64)
-
-    def units(self, start: Start, free: Sequence[Parameter]) -> list[str]:
-        """Return the units of the table."""
-        return _units(start, free)
 
     def answer(self, solved: Solved) -> FitResult:
         """Return parameters and settings."""
@@ -172,11 +163,6 @@ class InverseRobot:
     def __post_init__(self) -> None:
         _require_sums(self.method, (None, "weighted"))
 
-    @property
-    def keep(self) -> Filtering:
-        """The filtering."""
-        return self.filtering
-
     def fit(self, records: Sequence[Record], progress: Progress) -> FitResult:
         """Return the fit of a window."""
         del progress
@@ -197,10 +183,6 @@ class InverseRobot:
         regress = partial(_regress_robot, part, fit.settings.filtering)
         rings = ringing(fit.settings.filtering, fit.data.sample_time)
         return InverseWindow(parameters, free, kept, regress, speeds_of(regress(records)), rings), part.values[free]
-
-    def units(self, start: Start, free: Sequence[Parameter]) -> list[str]:
-        """Return the units of the table."""
-        return _units(start, free)
 
     def answer(self, solved: Solved) -> FitResult:
         """Return parameters, robot and settings."""
@@ -300,11 +282,6 @@ class SimulatedRobots:
         """Of the joints."""
         return self.model.loops if isinstance(self.model, RobotLoop) else ()
 
-    @property
-    def keep(self) -> Filtering:
-        """The filtering."""
-        return self.filtering
-
     def fit(self, records: Sequence[Record], progress: Progress) -> FitResult:
         """Return the fit of a window; the first of all begins as the model says, any other in motion."""
         model = self.model
@@ -326,10 +303,6 @@ class SimulatedRobots:
         x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
         along = isinstance(self.model, RobotDriveSide)
         return SimulatedRobotWindow(part, fit.settings.filtering, along), x
-
-    def units(self, start: Start, free: Sequence[Parameter]) -> list[str]:
-        """Return the units of the table."""
-        return _units(start, free)
 
     def answer(self, solved: Solved) -> FitResult:
         """Return parameters, robot and settings."""
@@ -355,7 +328,7 @@ def robot_in_windows(
     filtering: Filtering,
     known: Mapping[str, Parameter],
 ) -> Windowed:
-    """Return what is done with a window of a robot's log.
+    """Return the windows of a robot's log.
 
     Raises:
         MethodError: it is not identified in windows.
@@ -407,12 +380,6 @@ def _with_values(fit: FitResult, solved: Solved, values: FloatArray, covariance:
         before=(),
         after=(),
     )
-
-
-def _units(start: Start, free: Sequence[Parameter]) -> list[str]:
-    """Return the units of a window's table."""
-    units = {row.name: row.unit for row in start.fit.params.rows}
-    return [units[p.name] for p in free]
 
 
 def _spread(covariance: Covariance, places: Sequence[int], size: int) -> Covariance:

@@ -43,7 +43,7 @@ def _known_factors(loop: ClosedLoop) -> tuple[float, ...]:
 
 
 def _try_torque_scales(declared: Hypothesis) -> Iterator[Hypothesis]:
-    """Yield the torque in other scales, where a signal that is added to it has its own."""
+    """Yield the torque in other scales beside an injected signal, which keeps its own."""
     torque = declared.record.torque
     if declared.record.injected is None or torque is None:
         return

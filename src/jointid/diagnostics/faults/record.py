@@ -300,9 +300,10 @@ def find_torque_scale(record: Record, loop: ClosedLoop) -> Message | None:
 
 
 def explain_on_position(record: Record, loop: ClosedLoop, shown: Shown) -> tuple[float, tuple[Explanation, ...]]:
-    """Return what the law leaves of the torque along the motor's position, and the changes that leave far less.
+    """Compare the logged torque with that of the law along the motor position.
 
-    The mechanics have no part in it. Small changes may be those of a position that is unknown between two samples.
+    Return the residual of the declared law, and the changes that leave far less. The mechanics have no part in it.
+    Small changes may be those of a position that is unknown between two samples.
     """
     law: Any = loop.controller
     declared = fit_law_changes(record, loop, ())

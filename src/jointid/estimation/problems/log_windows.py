@@ -175,7 +175,7 @@ class Seen:
 
 
 class WindowModel(Protocol):
-    """What is identified, as it is compared with one window."""
+    """The model that is compared with one window."""
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -183,7 +183,7 @@ class WindowModel(Protocol):
 
     @property
     def motion_measured(self) -> bool:
-        """Whether the columns are along a measured motion, which a force in the loop biases."""
+        """Whether columns follow a measured motion, which a loop's force biases."""
 
     def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
         """Return the rows of a window, of a record for each axis; None where it does not move.
