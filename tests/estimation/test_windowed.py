@@ -94,6 +94,22 @@ def test_a_friction_at_its_bound_in_the_first_window_is_free_in_all() -> None:
     assert subjects.count(Subject.BOUNDS) == 1
 
 
+def test_a_last_window_that_is_shorter_than_its_filters_is_passed_over() -> None:
+    record = cut(rigid(30.0), 0, 20_030)
+    found = ji.identify(record, LOOP.joint, IDIM, windows=Windowing(4.0, settling=0.01))
+    assert found.data.windows is not None and found.data.windows.count == 5
+
+
+def test_a_window_in_which_a_brake_holds_a_joint_is_passed_over() -> None:
+    arm, (first, second) = arm_log(20.0)
+    assert second.torque is not None
+    held = second.torque.values.copy()
+    held[len(held) // 2 :] = 0.0
+    records = (first, replace(second, torque=replace(second.torque, values=held)))
+    found = ji.identify(records, arm, windows=Windowing(2.0))
+    assert found.data.windows is not None and found.data.windows.still >= 4
+
+
 @pytest.mark.slow
 def test_a_force_in_the_loop_widens_an_inverse_model_in_windows_as_in_the_whole() -> None:
     """A slow force, which the loop carries into the motion, as a random walk that is held to the middle."""
