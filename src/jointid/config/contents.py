@@ -275,7 +275,7 @@ class File(ABC, Generic[R]):
 
     @property
     def only_lists(self) -> bool:
-        """Whether all its records are listed ones, which are identified together."""
+        """Whether the file lists all its records, for one fit of them."""
         return bool(self.runs) and self.source.first is None
 
     def of_record(self, path: str | os.PathLike[str] | None) -> Self:

@@ -232,7 +232,7 @@ def _find_faults(
     frictions: Sequence[tuple[str, ...]],
     laws: Sequence[LawOnPosition | None],
 ) -> tuple[Sequence[AxisFaults], Sequence[Follows], float]:
-    """Return the faults of each axis, what its residual follows, and what they explain; see `find_axis_faults`.
+    """Find the faults of each axis, as `find_axis_faults` returns them.
 
     Where a reference goes another way than declared, the other faults are searched for beside that.
     """

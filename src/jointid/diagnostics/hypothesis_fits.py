@@ -216,7 +216,7 @@ def _race(started: Sequence[list[Fit]], loss: float, least: float = math.inf) ->
 
 
 def _end_of(fit: Fit) -> Fit:
-    """Return the end of a descent, whose number is told."""
+    """Continue a descent to its minimum, where its number can be stated."""
     end = descend(fit, _TO_ITS_END)
     return fit if end is None or end.error > fit.error else end
 

@@ -487,7 +487,7 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
 
 
 def _with_torques(records: Sequence[Record], loops: Sequence[ClosedLoop | None]) -> list[Record]:
-    """Return records that have torques, where none was logged the controllers'."""
+    """Add the controllers' torques to records without a logged torque."""
     return [
         one if one.torque is not None or one.motor_position is None or loop is None
         else compute_controller_torque(one, loop)

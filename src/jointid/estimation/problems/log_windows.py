@@ -183,7 +183,7 @@ class WindowModel(Protocol):
 
     @property
     def motion_measured(self) -> bool:
-        """Whether columns follow a measured motion, which a loop's force biases."""
+        """Whether the regressor is of a measured motion, which a disturbance biases."""
 
     def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
         """Return the rows of a window, of a record for each axis; None where it does not move.
