@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 
 from jointid.apps.cli import main
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.config import load
 from jointid.diagnostics.examine_record import Examination, Question, examine
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.methods.idim import IDIM
-from jointid.models.controllers import Cascade
+from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json.documents import to_dict
 from jointid.paper.twin import twin
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record, Timing
 from jointid.records.writing import write
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -129,6 +130,29 @@ def test_nothing_is_wrong_with_a_record_at_its_declared_limit() -> None:
     assert 0.1 < np.mean(np.abs(record.torque.values) > 0.99 * 1.1) < 0.4
     found = examine(record, loop)
     assert found.healthy, str(found)
+
+
+def test_a_law_holds_that_is_fifty_times_faster_than_the_log_of_a_motion_up_to_a_fifth_of_its_rate() -> None:
+    law = PD(position_gain=40.0, derivative_gain=2.0, reference_velocity="channel", period=1e-4, interpolation="hold")
+    time, period = 5e-3 * np.arange(800), 1e-4
+    frequencies, phases = np.geomspace(0.3, 40.0, 24), np.random.default_rng(4).uniform(0, 2 * np.pi, 24)
+
+    def position(at: FloatArray) -> FloatArray:
+        return 0.02 * np.sin(2 * np.pi * frequencies * at[:, None] + phases).sum(axis=1)
+
+    torque = -40.0 * position(time) - 2.0 * (position(time) - position(time - period)) / period
+    still = np.zeros(time.size)
+    record = Record(
+        torque=Channel(torque, "N m", 5e-3, Timing.HELD),
+        reference=Channel(still, "rad", 5e-3),
+        reference_velocity=Channel(still, "rad/s", 5e-3),
+        motor_position=Channel(position(time), "rad", 5e-3, Timing.SAMPLED),
+    )
+    found = compare_law(record, ClosedLoop(RigidJoint("revolute"), law))
+    assert found is not None
+    assert found.left < 0.01  # lines between the positions leave 44 %, and show a delay of half a sample
+    assert found.late == 0.0
+    assert found.holds
 
 
 def test_the_law_is_seen_in_the_motor_s_position_alone() -> None:

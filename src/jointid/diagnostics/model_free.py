@@ -25,7 +25,7 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import INJECTED, Controller, Interpolation
+from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
@@ -143,8 +143,8 @@ class LawOnPosition:
 def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     """Compare the logged torque with that of the law for the motor's position; None without both.
 
-    The initial value of the integral and a constant torque are free. The position between two samples of the log is
-    interpolated linearly. Torques are compared up to the frequency that the noise of the position allows: a law
+    The initial value of the integral and a constant torque are free. The position follows a cubic spline between two
+    samples of the log. Torques are compared up to the frequency that the noise of the position allows: a law
     differentiates that noise, and a controller that is as declared has not seen it.
     """
     if (followed := _follow(record, loop)) is None:
@@ -270,7 +270,7 @@ def excludes(
 
 
 def _follow(
-    record: Record, loop: ClosedLoop, between: Interpolation | None = None
+    record: Record, loop: ClosedLoop
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]] | None:
     """Return the logged torque, (samples,), that of the law, (samples, columns), and the filter of both.
 
@@ -280,7 +280,7 @@ def _follow(
     if record.motor_position is None or record.reference is None or torque is None or record.computed:
         return None
     try:
-        made = law_outputs(record.motor_position, prepare(loop, record), between)
+        made = law_outputs(record.motor_position, prepare(loop, record))
     except JointidError:
         return None
     position, count = record.motor_position, min(torque.values.size, len(made))
@@ -311,7 +311,7 @@ def fit_law_changes(record: Record, loop: ClosedLoop, others: Sequence[Controlle
     Torques are compared far below the rate of the log, where the position between two samples is known. There is
     nothing without a motor position.
     """
-    followed = [_follow(record, replace(loop, controller=one), "cubic") for one in (loop.controller, *others)]
+    followed = [_follow(record, replace(loop, controller=one)) for one in (loop.controller, *others)]
     each, torque = [one for one in followed if one is not None], record.torque
     if torque is None or len(each) < len(followed):
         return ()

@@ -22,6 +22,7 @@ from jointid.estimation.result.assemble import FitResult
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import CHANNELS, Record
+from jointid.records.signals.filtering import lowpass
 from jointid.simulation.controller_torque import SOURCE, compute_controller_torque, seen_position
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.verdict import CHECK_DECLARED, Status, Subject, Verdict, scale_verdict
@@ -39,6 +40,7 @@ _ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
 _SURE, _SAME = 4.0, 0.02  # deviations, and size or samples: what two torques must differ by to be two
 _MOST_TURNS = 1.0  # that a joint in rad makes, as a rule; from there to as many degrees, its positions may be degrees
 _BANDS = 64  # of the spectrum, in each of which the shares of both outputs are one
+_WELL_SEEN = 0.1  # of the log's rate
 _LOOK = 1000  # samples of a log that tell its channels
 _FEWEST = 8  # frequencies in one
 
@@ -185,9 +187,14 @@ def _average(record: Record, other: Record, errors: tuple[FloatArray, FloatArray
     assert record.torque is not None
     # The noise of the logged torque is in the difference, too: beside it a factor would look smaller than it is.
     torque, difference = record.torque.values[: errors[0].size] - errors[0], errors[1] - errors[0]
-    columns = np.column_stack([torque, np.gradient(torque), np.ones(torque.size)])
-    weights = np.linalg.lstsq(columns, difference, rcond=None)[0]
-    std = robust(columns, columns, difference - columns @ weights).std
+    assert other.computed_by is not None
+    sample_time = _sample_time(record)
+    law, seen = other.computed_by.law(sample_time), np.column_stack([torque, np.gradient(torque), difference])
+    if law.period < sample_time:  # the position between two samples is known far below the rate of the log
+        seen = lowpass(seen, _WELL_SEEN / sample_time, sample_time)
+    columns = np.column_stack([seen[:, :2], np.ones(torque.size)])
+    weights = np.linalg.lstsq(columns, seen[:, 2], rcond=None)[0]
+    std = robust(columns, columns, seen[:, 2] - columns @ weights).std
     sure = np.abs(weights) > np.maximum(_SURE * std, _SAME)
     if sure[0] or sure[1]:
         told = (f"{format_signed(100 * weights[0], 2)} % in size", f"{number(abs(weights[1]), 2)} samples in time")
@@ -196,8 +203,7 @@ def _average(record: Record, other: Record, errors: tuple[FloatArray, FloatArray
             f"The controller's torque for the logged motor position differs from the logged torque by {apart_by}; "
             "expected one torque: identify from one output, which tests the other, and correct gains, units or delay."
         )
-    assert other.computed_by is not None
-    unknown = difference.mean() if other.computed_by.law(_sample_time(record)).integrates else 0.0
+    unknown = difference.mean() if law.integrates else 0.0
     logged, apart = np.fft.rfft(errors[0]), np.fft.rfft(difference - unknown)
     width = max(logged.size // _BANDS, _FEWEST)
     common, size = (uniform_filter1d(one, width) for one in (-(logged * apart.conj()).real, np.abs(apart) ** 2))

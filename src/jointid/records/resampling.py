@@ -34,6 +34,7 @@ _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST_MEAN = 10_000  # values
 _LONGEST = 10_000  # refreshes within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
+_FEWEST_OF_SPLINE = 4  # samples
 _SHOWN = 25.0  # F of the jitter in a position, or of its absence, that decides: five standard deviations
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
 
@@ -359,6 +360,21 @@ def at_period(
     straight, low, high = second - first, 0.5 * (second - before), 0.5 * (after - first)
     curve = (low - straight) * (1 - t) - (high - straight) * t
     return np.asarray(first + t * (straight + (1 - t) * curve))
+
+
+def position_at_period(position: Channel, period: float, periods: int) -> FloatArray:
+    """Resample a measured position to the controller's instants, (periods,).
+
+    Between the samples of a slower log it follows the cubic spline through all of them. A law differentiates it, and
+    the slope of a line is that of half a sample earlier. The last value stays.
+    """
+    _, repeat = period_ratio(period, position.sample_time, "motor_position")
+    if repeat == 1 or position.values.size < _FEWEST_OF_SPLINE:
+        return at_period(position, period, periods, "motor_position")
+    from scipy.interpolate import CubicSpline
+
+    at = np.minimum(np.arange(periods) / repeat, position.values.size - 1)
+    return np.asarray(CubicSpline(np.arange(position.values.size), position.values)(at))
 
 
 def fill_in(channel: Channel, every: int, period: float, interpolation: Interpolation) -> Channel:

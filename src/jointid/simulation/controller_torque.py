@@ -14,10 +14,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.models.controllers import POSITION, Interpolation, respond, run
+from jointid.models.controllers import POSITION, respond, run
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.resampling import at_period
+from jointid.records.resampling import position_at_period
 from jointid.simulation.closed_loop import Simulation
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.simulation.sensitivities import Sensitivities
@@ -28,7 +28,7 @@ SOURCE = "computed from the controller and the motor position"
 def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
     """Return the record with the torque that the controller outputs for its motor position.
 
-    The position between two samples of the log is interpolated linearly. A logged torque is replaced; the computed one
+    Between two samples of the log the position follows a cubic spline. A logged torque is replaced; the computed one
     is then shown as the logged one was, at the same tap and with the same timing. The value of an integral at the first
     sample is unknown, and taken as 0: an offset of the joint then includes it.
 
@@ -67,16 +67,15 @@ def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
     )
 
 
-def law_outputs(position: Channel, experiment: LoopInput, between: Interpolation | None = None) -> FloatArray:
+def law_outputs(position: Channel, experiment: LoopInput) -> FloatArray:
     """Return the torque of the law as the log shows it and, where it has one, of a unit integral, (samples, columns).
 
     Args:
         position: of the motor.
         experiment: what `prepare` made of its record.
-        between: how the position goes between its samples; by lines without it.
     """
     law, inputs = experiment.law, experiment.inputs.copy()
-    inputs[:, POSITION] = at_period(position, law.period, experiment.periods, "motor_position", between)
+    inputs[:, POSITION] = position_at_period(position, law.period, experiment.periods)
     start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
     output = run(law, inputs, start).tapped + experiment.shown
     integral, columns = law.integral(), [output]
@@ -119,6 +118,6 @@ class SeenPosition:
         law, experiment = self.experiment.law, self.experiment
         channel = Channel(position, "", experiment.sample_time)
         inputs = inputs.copy()
-        inputs[:, POSITION] = at_period(channel, law.period, experiment.periods, "motor_position")
+        inputs[:, POSITION] = position_at_period(channel, law.period, experiment.periods)
         start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
         return to_log(experiment, respond(law, inputs, start)[:, law.output])
