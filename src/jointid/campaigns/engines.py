@@ -29,7 +29,7 @@ from typing import Any, Protocol
 
 from jointid.campaigns.cases import canonical, sha256_of
 from jointid.common.errors import MethodError, RecordError, extra
-from jointid.common.parallel import BLAS_THREADS, THREADS, end_with_parent
+from jointid.common.parallel import BLAS_THREADS, THREADS, cores, end_with_parent
 
 _PATIENCE = 10.0  # s that a scheduler has to answer
 _TRIM, _MMAP = -1, -3  # thresholds of glibc's mallopt: free memory is given back, and a block has a mapping of its own
@@ -326,12 +326,6 @@ def _copy_result(future: Future[Any], found: Future[Any]) -> None:
         future.set_exception(error)
     else:
         future.set_result(found.result())
-
-
-def cores() -> int:
-    """Number of usable cores, at most 61 for Windows."""
-    allowed = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-    return min(allowed, 61) if sys.platform == "win32" else allowed
 
 
 def on_one_core(carry: Callable[[Any], Any], cases: Sequence[Any]) -> list[Any]:

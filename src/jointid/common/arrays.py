@@ -95,6 +95,8 @@ def inverses(matrices: FloatArray, lost: float) -> FloatArray:
         matrices: (..., n, n).
         lost: of the largest: a singular value that is taken for 0.
     """
+    if matrices.shape[-1] == 1 and np.all(np.abs(matrices) > 0.0):
+        return 1.0 / matrices
     try:
         found = np.linalg.inv(matrices)
     except np.linalg.LinAlgError:

@@ -11,13 +11,15 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 from jointid.common.errors import JointidError
 
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _ENDINGS = (signal.SIGINT, signal.SIGTERM)
@@ -30,9 +32,31 @@ BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def threads() -> int:
-    """Number of threads: one per core, or JOINTID_THREADS."""
+    """Number of threads: one per usable core, or JOINTID_THREADS."""
     said = os.environ.get(THREADS, "")
-    return max(int(said), 1) if said.isdecimal() else os.cpu_count() or 1
+    return max(int(said), 1) if said.isdecimal() else cores()
+
+
+def cores() -> int:
+    """Number of usable cores, at most 61 for Windows."""
+    allowed = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    return min(allowed, 61) if sys.platform == "win32" else allowed
+
+
+_SHARED = threading.local()  # of each thread, whether it is one of several that share the cores
+
+
+def in_threads(function: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None) -> list[Result]:
+    """Map a function over items with threads, one per core; see `threads`.
+
+    What a thread maps in turn stays in it, so that there are never more threads than cores. The results do not depend
+    on the number of threads if those of the function do not.
+    """
+    workers = min(workers or threads(), max(len(items), 1))
+    if workers == 1 or getattr(_SHARED, "cores", False):
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(workers, initializer=lambda: setattr(_SHARED, "cores", True)) as pool:
+        return list(pool.map(function, items))
 
 
 _limiting, _guard = list[list[int]](), threading.Lock()  # the own numbers of threads, once for each call that goes on

@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
+from jointid.common.parallel import in_threads
 from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
 from jointid.diagnostics.fault_tests import score_signatures
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
@@ -26,7 +27,6 @@ from jointid.diagnostics.faults.numbers import LOG_GAIN
 from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.faults.record import SWAPPED_CHANNELS, TORQUE_SIGN
 from jointid.diagnostics.faults.springs import COMPLIANCE
-from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.position_dependent_error import cells
 from jointid.uncertainty.residual_tests import Coupling, coupling
 from jointid.uncertainty.verdict import POOR_FIT

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.parallel import in_threads
 from jointid.diagnostics.faults.fault import AxisMotion, FaultSignature
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -34,7 +35,6 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robots import RobotRun, simulation_of
 
 _TURN = 1e-4  # rad or m: step of a derivative

@@ -28,6 +28,7 @@ given the joint's parameters, are one.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,6 +38,7 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
+from jointid.common.parallel import in_threads
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
 from jointid.diagnostics.faults.forces import OFFSET
 from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN, number_fault
@@ -44,7 +46,6 @@ from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.trials import vary_mechanics
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
-from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.covariance import robust, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, widen
 
@@ -217,15 +218,18 @@ def _find_common_basis(
     """
     if not blocks:
         return [(slice(None), orthonormal_basis(np.column_stack([own, *(a.column for a in signatures)]), _RANK))]
-    shared, parts = own / column_norms(own), list[tuple[slice, FloatArray]]()
-    for block in blocks:
+    shared = own / column_norms(own)
+
+    def reduce(block: slice) -> list[tuple[slice, FloatArray]]:
         columns = [a.column[block] for a in signatures if np.any(a.column[block])]
         if not columns:
-            continue
+            return []
         part = orthonormal_basis(np.column_stack(columns), _RANK)
         for _ in range(2):  # one pass leaves rounding of the size of what it takes
             shared[block] -= part @ (part.T @ shared[block])
-        parts.append((block, part))
+        return [(block, part)]
+
+    parts = itertools.chain.from_iterable(in_threads(reduce, blocks))
     return [*parts, (slice(None), orthonormal_basis(shared, _RANK, 1.0))]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, triangle
 from jointid.common.errors import JointidError
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.faults.fault import Hypothesis
 from jointid.estimation.methods.didim import DELAY, DELAYS
@@ -27,7 +28,6 @@ from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 

@@ -24,6 +24,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Detail, Message, Progress, follow, ignore_progress
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.common.text import interval, join, number
 from jointid.common.transmission import Transmission
@@ -39,7 +40,6 @@ from jointid.models.springs import SPRINGS, LinearSpring, Spring
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import solve
 from jointid.uncertainty.position_dependent_error import uncertainty
 

@@ -23,6 +23,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
+from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import INJECTED, Controller
@@ -31,7 +32,6 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import lowpass
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
 from jointid.uncertainty.covariance import robust

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.parallel import in_threads
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.fault_tests import score_signatures
@@ -24,7 +25,7 @@ from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
-from jointid.simulation.closed_loop import Outcome, in_threads
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_sensitivities import respond_to_laws
 from jointid.simulation.robots import RobotLoop, RobotRun

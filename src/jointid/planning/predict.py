@@ -27,6 +27,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import POSITION_UNIT, Parameter
 from jointid.diagnostics.experiment_design import rebuild_declared_problem
 from jointid.diagnostics.other_experiments import add_information, compute_encoder_information
@@ -36,7 +37,7 @@ from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Outcome, Simulation, in_threads
+from jointid.simulation.closed_loop import Outcome, Simulation
 from jointid.simulation.loop_input import to_log
 from jointid.simulation.robots import RobotSimulation
 from jointid.simulation.simulated import require_success

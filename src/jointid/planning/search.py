@@ -19,9 +19,9 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, Work
+from jointid.common.parallel import in_threads
 from jointid.models.limits import AxisLimits, find_excess
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import in_threads
 
 MARGIN = 0.97
 """Of each limit, that a test may reach in the search: other joints and other noise reach more."""

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
-from jointid.common.parallel import threads
+from jointid.common.parallel import in_threads
 from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
@@ -24,9 +23,6 @@ from jointid.simulation.simulated import FINISHED
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Trace
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 class Outcome(StrEnum):
@@ -434,12 +430,3 @@ def simulate_many(
 ) -> list[Response]:
     """Simulate many candidates in parallel threads, in order."""
     return in_threads(lambda values: simulate_torque(loop, experiment, values), candidates, workers)
-
-
-def in_threads(function: Callable[[T], R], items: Sequence[T], workers: int | None = None) -> list[R]:
-    """Map a function over items with threads, one per core; see `jointid.common.parallel.threads`."""
-    workers = min(workers or threads(), max(len(items), 1))
-    if workers == 1:
-        return [function(item) for item in items]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(function, items))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parallel import threads
+from jointid.common.parallel import in_threads, threads
 from jointid.models.controllers import POSITION
 from jointid.models.controllers import run as run_law
 from jointid.models.controllers.sampled import LawRun
@@ -21,7 +21,7 @@ from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap
-from jointid.simulation.closed_loop import first_state, in_threads
+from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
 from jointid.simulation.robot_numbers import (
     MassNumbers,

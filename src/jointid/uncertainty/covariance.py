@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms, inverses
 from jointid.common.messages import Message
+from jointid.common.parallel import in_threads
 from jointid.uncertainty.spectral import spectral_covariance
 
 FOR_MEASURED_MOTION = ", and for the bias by which a force in the loop may move them"
@@ -254,7 +255,11 @@ def robust(
     Each equation of one record has its own spectrum; `sandwich` covers their correlation.
     """
     own = [len(Z) // equations] * equations if equations > 1 else series
-    return larger(sandwich(*prewhiten(Z, J, error, own), equations, series), by_spectrum(Z, J, error, own))
+    ways: tuple[Callable[[], Covariance], ...] = (
+        lambda: sandwich(*prewhiten(Z, J, error, own), equations, series),
+        lambda: by_spectrum(Z, J, error, own),
+    )
+    return larger(*in_threads(lambda way: way(), ways))
 
 
 def prewhiten(

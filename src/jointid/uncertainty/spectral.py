@@ -134,7 +134,9 @@ def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:
     while True:
         k = first[-1]
         wide = max(_FEWEST, min(int(_SHARE * k), math.isqrt(rows)))
-        after = max(k + wide, int(total.searchsorted(total[k] + _LEFT)))
+        after = min(k + wide, left.size)
+        if total[after] < total[k] + _LEFT:
+            after = max(after, int(total.searchsorted(total[k] + _LEFT)))
         if after + _FEWEST > left.size:  # what is left is the last band's
             return np.array(first)
         first.append(after)

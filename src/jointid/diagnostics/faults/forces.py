@@ -12,6 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
+from jointid.common.parallel import in_threads
 from jointid.common.text import number, pluralise
 from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, FaultTest, Hint, Measure, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
@@ -22,7 +23,6 @@ from jointid.models.controllers import with_numbers
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import PositionHarmonics
 from jointid.records.record import Record, Tap
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.simulated import require_success
 from jointid.uncertainty.verdict import Reason
 

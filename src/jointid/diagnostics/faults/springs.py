@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, Hint, Measure, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
@@ -16,7 +17,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import FlexibleJoint, springs_beside
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring, TwoPieceSpring
 from jointid.records.signals.position_noise import lowpass_below_noise
-from jointid.simulation.closed_loop import Simulation, in_threads
+from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.verdict import Reason
 
 _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode

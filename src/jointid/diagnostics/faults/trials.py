@@ -16,13 +16,13 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import ignore_progress
+from jointid.common.parallel import in_threads
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.estimation.descent import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import SymmetricFriction
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Tap
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import to_log
 from jointid.simulation.simulated import require_success
 

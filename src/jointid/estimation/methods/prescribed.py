@@ -28,6 +28,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.methods.endogeneity import judge_endogeneity
@@ -47,7 +48,6 @@ from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_prescribed_result
 from jointid.models.joints import acts_on_whole
 from jointid.records.signals.position_noise import describe_noise_limit
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Multistart, Step, Watch, solve

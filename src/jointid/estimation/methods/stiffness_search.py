@@ -29,6 +29,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Doubt, Progress, Suspicion, ignore_progress
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Quantity
 from jointid.estimation.descent import History, Solved, glancing, is_significant, least_squares, or_moving, roughly
 from jointid.estimation.methods.registry import Method, Task, method_of
@@ -50,7 +51,6 @@ from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.solve import Counted, Solution, Solver, solve
 from jointid.uncertainty.position_dependent_error import repeatable

@@ -29,6 +29,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress
+from jointid.common.parallel import in_threads
 from jointid.estimation.descent import History, descend
 from jointid.estimation.methods.force_in_loop import InLoop, allow_for_force, simulate_mean, widened_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -45,7 +46,6 @@ from jointid.estimation.result.stiffness_bounds import (
 from jointid.estimation.starts.flexible_joint import FASTEST, frequency_of
 from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
-from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import Solution
 from jointid.uncertainty.identifiability import find_separable
 from jointid.uncertainty.model_tests import flexible_against_rigid

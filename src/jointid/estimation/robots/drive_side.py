@@ -27,6 +27,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
 from jointid.estimation.problems.rest import moving_weights
@@ -48,7 +49,6 @@ from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robot_drive_side import (
     PARTS,
     MotorMotion,

@@ -12,7 +12,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms, triangle
 from jointid.common.errors import MethodError
-from jointid.common.parallel import threads
+from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.regression import join_rows, require_one_log, require_torques
@@ -22,7 +22,6 @@ from jointid.models.robots.robot import Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
 from jointid.records.signals.position_noise import noise_limit_of_computed
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
@@ -170,7 +169,7 @@ class RobotProblem(ABC, Generic[Run]):
 
     def decimate_each(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
-        rows = decimate_all(each, self.filtering, self.sample_time)
+        rows = in_threads(lambda one: decimate_all([one], self.filtering, self.sample_time)[0], each)
         return np.concatenate([self.drop_ends(one, len(each[0])) for one in rows])
 
     def decimate(self, signals: FloatArray) -> FloatArray:

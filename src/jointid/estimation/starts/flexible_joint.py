@@ -18,6 +18,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Work
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import Quantity
 from jointid.estimation.descent import History
 from jointid.estimation.problems.base import INITIAL
@@ -25,7 +26,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.starts.inverse_controller import reconstructed_position, torque_behind_limit
 from jointid.models.controllers import REFERENCE, SampledLaw
 from jointid.models.joints import FlexibleJoint, acts_on_whole, split_by_mode, spring_at
-from jointid.simulation.closed_loop import in_threads
 
 FASTEST = 0.22  # of the sampling frequency: a mode faster than about a fifth is not followed by the log
 

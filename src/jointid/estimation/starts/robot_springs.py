@@ -16,13 +16,12 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
-from jointid.common.parallel import threads
+from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.models.joints import spring_at
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robots import RobotOutcome
 

@@ -228,7 +228,7 @@ class Room(NamedTuple):
         still: (n,) zeros. links: (n, ROOM) of `equations`.
         M: (n, n) mass matrix of the links. L: its root, with one over the diagonal.
         bias: (n,) torques of the links. push: (masses,) beside torque and grip.
-        order: (n,) links that slide. slopes: (2, masses) accelerations of the stages.
+        order: (2, n) links that slide, and where the rows of L begin. slopes: (2, masses) accelerations of the stages.
     """
 
     still: FloatArray
@@ -446,7 +446,7 @@ def accelerate(
         M: (n, n) of `load_forces`.
         L: (n, n) scratch: its root, with one over the diagonal.
         push: (masses,) of `load_forces`.
-        links: (n,) scratch.
+        links: (2, n) scratch: which links slide, and where the rows of their root begin.
         torque: (n,) of the motors.
         modes: (masses,) the direction in which each slides, 0 of one that rests.
         grip: (masses,) of `load_forces`.
@@ -459,32 +459,35 @@ def accelerate(
     for i in range(n):
         held[rotors[i]] += torque[i]
         if modes[i] != 0.0:
-            links[free] = i
+            links[0, free], links[1, free] = i, 0
             free += 1
     for i in range(n, push.size):
         if modes[i] != 0.0:
             a[i] = held[i] / masses[i, INERTIA]
     for x in range(free):
-        i = links[x]
-        total = held[i]
-        for y in range(x):
-            cell = M[i, links[y]]
-            for k in range(y):
+        i = links[0, x]
+        total, begin = held[i], 0
+        while begin < x and M[i, links[0, begin]] == 0.0:  # as of two arms on one base
+            begin += 1
+        links[1, x] = begin
+        for y in range(begin, x):
+            cell = M[i, links[0, y]]
+            for k in range(max(begin, links[1, y]), y):
                 cell -= L[x, k] * L[y, k]
             L[x, y] = cell * L[y, y]
-            total -= L[x, y] * a[links[y]]
+            total -= L[x, y] * a[links[0, y]]
         pivot = M[i, i]
-        for k in range(x):
+        for k in range(begin, x):
             pivot -= L[x, k] * L[x, k]
         if not pivot > 0.0:
             return False
         L[x, x] = 1.0 / math.sqrt(pivot)
         a[i] = total * L[x, x]
     for x in range(free - 1, -1, -1):
-        total = a[links[x]]
-        for y in range(x + 1, free):
-            total -= L[y, x] * a[links[y]]
-        a[links[x]] = total * L[x, x]
+        total = a[links[0, x]] * L[x, x]
+        a[links[0, x]] = total
+        for y in range(links[1, x], x):
+            a[links[0, y]] -= L[x, y] * total
     if free < n:
         for i in range(n):
             if modes[i] == 0.0:
@@ -755,7 +758,7 @@ def run(
     rotors, every, lags, w = bodies.rotors, clock.every, clock.lags, driven.w
     command, tapped, cuts = seen.command, seen.tapped, seen.cuts
     torque, modes = np.empty(n), np.empty(nd)
-    M, L, order = np.empty((n, n)), np.empty((n, n)), np.empty(n, dtype=np.int64)
+    M, L, order = np.empty((n, n)), np.empty((n, n)), np.empty((2, n), dtype=np.int64)
     room = Room(np.zeros(n), np.empty((n, ROOM)), M, L, np.empty(n), np.empty(nd), order, np.empty((2, nd)))
     laws = np.zeros(tape.laws.shape[1:])
     guards = nd if laws.size == 0 else 3 * nd + 4 * n

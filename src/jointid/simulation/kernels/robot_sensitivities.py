@@ -130,8 +130,9 @@ def _solve(A: FloatArray, rows: FloatArray) -> None:
             rows[k, c] *= share
         for i in range(k):
             factor = A[i, k]
-            for c in range(rows.shape[1]):
-                rows[i, c] -= factor * rows[k, c]
+            if factor != 0.0:
+                for c in range(rows.shape[1]):
+                    rows[i, c] -= factor * rows[k, c]
 
 
 @inline_kernel
@@ -525,6 +526,8 @@ def differentiate_run(
                         for j in range(n):
                             left[i, j] = 2.0 / h * M[i, j] + Cv[i, j] + half * K[i, j]
                             inert, pulls = 2.0 / h * M[i, j], K[i, j]
+                            if inert == 0.0 and pulls == 0.0:  # as of two arms on one base
+                                continue
                             for c in range(count):
                                 rows[i, c] += inert * dv[j, c] - pulls * dq[j, c]
                         r = rotors[i]
