@@ -20,20 +20,21 @@ from jointid.common.errors import RecordError
 from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.registry import METHODS, method_of
-from jointid.estimation.problems.base import LOG_DELAY, log_delay
+from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict
 from jointid.estimation.robots.drive_side import of_record
 from jointid.estimation.robots.idim import InverseModelRobot, friction_formulas
-from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
-from jointid.estimation.robots.simulated import SimulatedRobot
+from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
+from jointid.estimation.robots.simulated import SimulatedRobot, at_estimate
 from jointid.estimation.unknown_timing import read_timing
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.base_parameters import BaseParameters, base_parameters
 from jointid.models.robots.friction_terms import friction_terms
+from jointid.models.robots.names import name_of
 from jointid.models.robots.robot import Robot
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide, OpenLoop
@@ -170,7 +171,8 @@ def _part(
     robot = system if isinstance(system, Robot) else system.robot
     if isinstance(own, BaseParameters):
         return InverseModelRobot(setup=system if isinstance(system, RobotLoop) else robot, base=own, **common)
-    setup = system if isinstance(system, RobotLoop) and answer["method"] == "didim" else RobotDriveSide(robot)
+    under = isinstance(system, RobotLoop) and answer["method"] == "didim"
+    setup = at_estimate(system, own, common["values"]) if under else RobotDriveSide(robot)  # type: ignore[arg-type]
     return SimulatedRobot(setup=setup, parameters=own, **common)
 
 
@@ -185,6 +187,9 @@ def _compute_sums(
     if answer["method"] == "didim" and not isinstance(system, RobotLoop):
         raise RecordError("it was identified under controllers, and this robot has none; add the [controller] tables")
     found = _parameters(robot, rows, answer["robot"], finite(answer["record"]["sample_time"]))
+    if isinstance(system, RobotLoop):
+        names = {row.name for row in rows}
+        found = add_delays(found, system, [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in names])
     fixed = {p.name: p.symbol for p in found.fixed}
     return found, dict(zip(found.names, found.formulas(robot), strict=True)) | fixed
 
@@ -282,7 +287,7 @@ def _row(name: str, one: dict[str, Any]) -> EstimatedParameter:
         free=bool(one.get("free", True)),
         identifiable=bool(one.get("identifiable", True)),
         lower_bound=optional("lower_bound"),
-        of_joint=bool(one.get("axis")) and ".initial_" not in name,
+        of_joint=bool(one.get("axis")) and ".initial_" not in name and not name.endswith(f".{DELAY}"),
         at_bound=optional("at_bound"),
         lack_of_fit=optional("lack_of_fit") or 0.0,
         axis=str(one.get("axis", "")),

@@ -339,6 +339,11 @@ def robot_in_windows(
         return InverseRobot(model, method or IDIM(), filtering, known)
     if not isinstance(method, DIDIM | DriveSideFit | None):
         raise MethodError(f"{method.title} is not for a robot that is simulated; give DIDIM or DriveSideFit.")
+    if isinstance(method, DIDIM) and method.free:
+        raise MethodError(
+            "DIDIM.free of a robot is not identified in windows: choose a part of the record by start and stop, or "
+            "leave it out."
+        )
     return SimulatedRobots(model, method, filtering, known)
 
 

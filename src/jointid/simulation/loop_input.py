@@ -121,6 +121,12 @@ class LoopInput:
             self.begin,
         )  # fmt: skip
 
+    def delayed(self, delay: float) -> LoopInput:
+        """Let the torque act by another delay, s, later than the law puts it out."""
+        law = replace(self.law, delay=delay)
+        cut = _cut_periods(law, self.periods, self.repeat, self.every, self.samples)
+        return replace(self, law=law, lengths=cut[0], lags=cut[1], log_index=cut[2], torque_index=cut[3])
+
     def scale(self, factor: float) -> LoopInput:
         """Scale the law's output and what is added to it."""
         more = replace(self, after_limit=factor * self.after_limit, logged=factor * self.logged)
@@ -186,12 +192,7 @@ def _build_input(
     from jointid.simulation.kernels.drive import Feedback
 
     repeat, every = period_ratio(law.period, sample_time, "the log")
-    lengths, lags = _parts(law, repeat)
-    starts = np.cumsum(lengths) - lengths
-    inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
-    log_index = (np.arange(0, len(inputs), every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
-    newest = int(np.argmin(lags))
-    torque_index = np.minimum(log_index // lengths.size + lags[newest], len(inputs) - 1) * lengths.size + newest
+    lengths, lags, log_index, torque_index = _cut_periods(law, len(inputs), repeat, every, samples)
     feedback, feedforward, driven, state = _split_law(law, inputs)
     far = _far(law, feedforward[law.output], after_limit)
     B, D = np.ascontiguousarray(feedback.B[:, :, POSITION]), np.ascontiguousarray(feedback.D[:, :, POSITION])
@@ -219,6 +220,19 @@ def _split_law(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatAr
     found, elements = respond(beforehand, inputs, state[~moved]), law.limits.size
     driven = np.ascontiguousarray(found[:, elements:])
     return feedback, np.ascontiguousarray(found[:, :elements].T), driven, state[moved]
+
+
+def _cut_periods(
+    law: SampledLaw, periods: int, repeat: int, every: int, samples: int
+) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
+    """Return `lengths`, `lags`, `log_index` and `torque_index` of `LoopInput`."""
+    lengths, lags = _parts(law, repeat)
+    starts = np.cumsum(lengths) - lengths
+    inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
+    log_index = (np.arange(0, periods, every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
+    newest = int(np.argmin(lags))
+    torque_index = np.minimum(log_index // lengths.size + lags[newest], periods - 1) * lengths.size + newest
+    return lengths, lags, log_index, torque_index
 
 
 def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:

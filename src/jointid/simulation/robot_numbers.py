@@ -35,6 +35,8 @@ class RobotNumbers:
         beside: (n, 2) position and velocity of each flexible joint's link at the first sample, beside where steady
             motion has it; or (0, 2). log: (1, 1) s, by which the log shows torques late; or (0, 1). Both are read where
             the record prescribes the motors' motion (`robot_drive_side`), and nowhere else.
+        delays: (n, 1) s, by which each motor's torque acts later than its law puts it out; or (0, 1), those of the
+            laws.
     """
 
     inertials: FloatArray
@@ -44,6 +46,7 @@ class RobotNumbers:
     laws: tuple[tuple[Friction, Spring | None], ...]
     beside: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     log: FloatArray = field(default_factory=lambda: np.zeros((0, 1)))
+    delays: FloatArray = field(default_factory=lambda: np.zeros((0, 1)))
 
     @classmethod
     def of(cls, robot: Robot) -> RobotNumbers:
@@ -81,9 +84,9 @@ class RobotNumbers:
         return Bodies(self.inertials, self.rotors, own, bands, pieces, bends, rests)
 
     @property
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Arrays with the numbers of parameters, in the order of `NumberOf`."""
-        return self.inertials, self.masses, self.springs, self.beside, self.log
+        return self.inertials, self.masses, self.springs, self.beside, self.log, self.delays
 
     @property
     def sliding(self) -> Bools:
@@ -118,7 +121,8 @@ class RobotNumbers:
         positive = (turning, held, risen, slips, 1.0 - self.masses[:, MassNumbers.PER_TORQUE])
         return (
             finite
-            and min(least, np.min(faded, initial=0.0), np.min(standing)) >= 0.0
+            and min(least, np.min(faded, initial=0.0), np.min(standing), np.min(self.delays, initial=0.0)) >= 0.0
+            and np.max(self.delays, initial=0.0) <= duration
             and all(bool(np.all(each > 0.0)) for each in positive)
             and bool(np.all(ascending))
         )
@@ -251,7 +255,8 @@ class NumberOf(IntEnum):
     SPRING = 2
     BESIDE = 3
     LOG = 4
-    PUSH = 5
+    DELAY = 5
+    PUSH = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,16 +278,16 @@ class NumberPlace:
 
     @property
     def is_positive(self) -> bool:
-        """Whether it is of no robot below 0: friction, a stiffness, a damping."""
+        """Whether it is of no robot below 0: friction, a stiffness, a damping, a delay."""
         signed = MassNumbers.OFFSET, MassNumbers.RISE, *_DRIFTS
         if self.of is NumberOf.SPRING:
             return self.column != SPRING_NUMBERS.index("cubic_stiffness")
-        return self.of is NumberOf.MASS and self.column not in signed
+        return self.of is NumberOf.DELAY or (self.of is NumberOf.MASS and self.column not in signed)
 
     @property
     def is_of_record(self) -> bool:
-        """Whether it is of the record and how it begins, not of the robot."""
-        return self.of in (NumberOf.BESIDE, NumberOf.LOG)
+        """Whether it is of the record and how it begins, or of the drives, not of the robot."""
+        return self.of in (NumberOf.BESIDE, NumberOf.LOG, NumberOf.DELAY)
 
     def read(self, numbers: RobotNumbers) -> float:
         """Return the number."""
@@ -336,10 +341,10 @@ def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:
 
 def with_values(numbers: RobotNumbers, places: tuple[NumberPlace, ...], values: FloatArray) -> RobotNumbers:
     """Return a candidate with other numbers in these places."""
-    inertials, masses, springs, beside, log = arrays = tuple(one.copy() for one in numbers.arrays)
+    inertials, masses, springs, beside, log, delays = arrays = tuple(one.copy() for one in numbers.arrays)
     for place, value in zip(places, values, strict=True):
         arrays[place.of][place.row, place.column] = value
-    return replace(numbers, inertials=inertials, masses=masses, springs=springs, beside=beside, log=log)
+    return replace(numbers, inertials=inertials, masses=masses, springs=springs, beside=beside, log=log, delays=delays)
 
 
 def all_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:

@@ -20,9 +20,9 @@ from jointid.models.controllers.sampled import LawRun
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
-from jointid.records.record import Tap
+from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import first_state
-from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
+from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
 from jointid.simulation.robot_numbers import (
     MassNumbers,
     NumberOf,
@@ -142,7 +142,14 @@ def _follow(
     found = []
     for j, each in enumerate(experiment.experiments):
         seen = tapped[j] if through and each.tap is Tap.COMMAND else command[j]
-        found.append(to_log(each, clock.own(j, seen, each.periods))[: clock.samples])
+        logged = to_log(each, clock.own(j, seen, each.periods))
+        late = np.flatnonzero((rows[:, 0] == NumberOf.DELAY) & (rows[:, 1] == j))
+        if late.size and each.tap is Tap.MEASURED and each.timing is Timing.AVERAGED:
+            # An edge that moves takes its height from the mean over the sample time it stands in.
+            shown = (clock.own(j, signal[j], each.periods) for signal in (run.command, run.tapped))
+            edges = -np.diff(torque := acting(each, seen_torque(each, *shown)), prepend=torque[0])
+            logged[:, late] += averages(each, edges)[:, np.newaxis]
+        found.append(logged[: clock.samples])
     return found
 
 
@@ -224,6 +231,8 @@ def slopes_at_start(
     turning = np.column_stack([(there - here) / _SMALL for there in shifted])
     direct, own, stretched = (np.zeros((n, count)) for _ in range(3))
     for c, place in enumerate(places):
+        if place.of is NumberOf.DELAY:  # a steady torque acts whenever
+            continue
         if place.of is NumberOf.LINK:
             unit = replace(numbers, inertials=np.zeros_like(numbers.inertials))
             unit.inertials[place.row, place.column] = 1.0
@@ -332,6 +341,8 @@ def _find_carriers(parents: IntArray) -> NDArray[np.bool_]:
 
 def _acts(place: NumberPlace, row: int, numbers: RobotNumbers, carried: NDArray[np.bool_]) -> bool:
     """True of a parameter that is in the equation of a mass."""
+    if place.of is NumberOf.DELAY:
+        return False
     if place.of is NumberOf.LINK:
         return row < len(carried) and bool(carried[row, place.row])
     return row == place.row or (place.of is NumberOf.SPRING and row == numbers.rotors[place.row])

@@ -129,6 +129,13 @@ class RobotInput:
         inertials[-1] += self.payload
         return replace(numbers, inertials=inertials)
 
+    def delayed(self, numbers: RobotNumbers) -> RobotInput:
+        """Return the inputs with a candidate's delays of the torques."""
+        if not numbers.delays.size:
+            return self
+        each = [one.delayed(float(late)) for one, (late,) in zip(self.experiments, numbers.delays, strict=True)]
+        return replace(self, experiments=tuple(each), clock=common_clock(each, [""] * len(each)))
+
     @property
     def references(self) -> FloatArray:
         """Commanded positions at the steps of the clock, (clock, n), held between the controllers' instants."""
@@ -264,6 +271,8 @@ def run_robot(
     """
     from jointid.simulation.kernels import robot_loop
 
+    possible = numbers.possible(experiment.clock.steps * float(np.sum(experiment.clock.lengths)))
+    experiment = experiment.delayed(numbers) if possible else experiment
     clock, n, masses = experiment.clock, len(experiment.experiments), len(numbers.masses)
     carried = experiment.carrying(numbers)
     parts, (_, elements, periods) = clock.lengths.size, experiment.feedforward.shape
@@ -273,7 +282,7 @@ def run_robot(
     cuts = np.zeros((n, periods if keep else 0, elements if keep else 0), dtype=np.bool_)
     start, outcome = np.zeros(masses), RobotOutcome.INVALID
     taken = 1 if steps is None else steps
-    if numbers.possible(clock.steps * float(np.sum(clock.lengths))):
+    if possible:
         longest = float(np.max(clock.lengths))
         taken = choose_steps(experiment.tree, experiment.references, longest, carried) if steps is None else steps
         # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.

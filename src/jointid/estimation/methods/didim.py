@@ -69,7 +69,7 @@ from jointid.estimation.methods.registry import (
 from jointid.estimation.methods.regressor_steps import REPRODUCED, RegressorSteps, describe_unstable
 from jointid.estimation.methods.stiffness_search import NOTHING, StiffnessSearch, search_by_simplex
 from jointid.estimation.outputs import check_outputs
-from jointid.estimation.problems.base import INITIAL_STATE
+from jointid.estimation.problems.base import DELAY, DELAYS, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_closed_loop_result
@@ -94,10 +94,6 @@ _LEAST_ERROR = 'set method.form = "least-squares"'
 _LEAST_SQUARES = 'set method.minimiser = "least-squares"'
 _TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}
 _SIMPLEX_TOLERANCE = 1e-4  # that of fminsearch
-DELAY = "delay"
-DELAYS = (0.0, 0.003, 0.006, 0.009)
-"""Seconds, of drives and their buses: where the search for a delay begins."""
-
 _RIGID, _FLEXIBLE = ("rigid",), ("flexible",)
 
 
@@ -180,7 +176,7 @@ class DIDIM(Method):
         "far too small",
         systems=_FLEXIBLE,
     )
-    free: tuple[str, ...] = setting((), SURROUNDINGS, systems=MODELS)
+    free: tuple[str, ...] = setting((), SURROUNDINGS)
     outputs: tuple[str, ...] = setting(
         (),
         'what the simulation reproduces: ["torque"], ["motor_position"] seen through the controller, or both, weighted '

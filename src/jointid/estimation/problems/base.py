@@ -43,6 +43,12 @@ INITIAL_STATE = (
 )
 """The motor's state at the first sample; an axis may already move when the log begins."""
 
+DELAY = "delay"
+"""The number of a controller by which its torque acts later than it is put out."""
+
+DELAYS = (0.0, 0.003, 0.006, 0.009)
+"""Seconds, of drives and their buses: where the search for a delay begins."""
+
 LOG_DELAY = Parameter("log_delay", "d log", Quantity.TIME, free=False, start=0.0)
 
 DRIVE_AND_LOG = {

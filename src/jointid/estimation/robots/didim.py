@@ -15,7 +15,8 @@ of Coulomb friction is that of the direction of sliding, but of the velocity's s
 without it never rests, and a fixed point with a negative one would stay. Viscous and Coulomb friction are not let below
 0.
 
-Friction that is not linear in its parameters is searched from there (`laws`).
+Friction that is not linear in its parameters, and free delays of the torques, are searched from there (`laws`). Where
+no delay is declared, that search begins at the fixed point of several delays that leaves the least torque error.
 
 Valid for rigid joints, or below about a fifth of the first resonance; the robot at rest at the first sample, or moving
 as its references do.
@@ -25,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -32,13 +34,21 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Bounds, Parameter
+from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.robots.fit import NEAR, SETTLED, RobotFit, fixed_point
+from jointid.estimation.robots.fit import NEAR, SETTLED, FixedPoint, RobotFit, fixed_point
 from jointid.estimation.robots.laws import search_laws
-from jointid.estimation.robots.numbers import apply_constraints, robot_parameters
+from jointid.estimation.robots.numbers import (
+    add_delays,
+    apply_constraints,
+    find_free_delays,
+    robot_parameters,
+    with_delays,
+)
 from jointid.estimation.robots.problem import EXACT, RobotLoopProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.estimation.starts.inverse_controller import command_of, reconstructed_position
+from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record, Timing
@@ -64,6 +74,7 @@ def identify_rigid_robot(
     evaluations: int = 60,
     settled: float = SETTLED,
     known: Mapping[str, Parameter] | None = None,
+    free: Sequence[str] = (),
     progress: Progress = lambda _: None,
 ) -> RobotFit:
     """Identify a robot of rigid joints from torques and references; positions in the records are not read.
@@ -78,6 +89,7 @@ def identify_rigid_robot(
         evaluations: simulations with derivatives, at most, of each descent to laws that are not linear.
         settled: the largest change of a parameter that ends them, standard deviations.
         known: values and bounds to keep, by name; see `apply_constraints`.
+        free: of the delays of the torques, see `find_free_delays`.
         progress: receives each iteration.
 
     Raises:
@@ -85,17 +97,19 @@ def identify_rigid_robot(
         MethodError: the records do not determine the parameters, or nothing can be simulated at the start.
     """
     known, logs, robot = known or {}, each_log(records), loop.robot.rigid
+    late = find_free_delays(robot, free)
+    settled = settled if robot.linear.joints == robot.joints and not late else NEAR
 
-    def pose(of: Robot) -> list[RobotLoopProblem]:
-        parameters = apply_constraints(robot_parameters(of, offsets=offsets), known)
-        return [robot_problem(replace(loop, robot=of), log, parameters, filtering) for log in logs]
+    def pose(of: Robot, under: RobotLoop, freed: Sequence[int]) -> list[RobotLoopProblem]:
+        under = replace(under, robot=of)
+        parameters = add_delays(apply_constraints(robot_parameters(of, offsets=offsets), known), under, freed)
+        return [robot_problem(under, log, parameters, filtering) for log in logs]
 
-    parts = pose(robot.linear)
-    x, run = rigid_robot_start(parts[0], replace(loop, robot=robot.linear), logs[0])
-    settled = settled if robot.linear.joints == robot.joints else NEAR
-    if len(parts) == 1:
-        fit = fixed_point(parts[0], x, run, iterations, progress, settled)
-    else:
+    def search(under: RobotLoop) -> FixedPoint:
+        parts = pose(robot.linear, under, ())
+        x, run = rigid_robot_start(parts[0], replace(under, robot=robot.linear), logs[0])
+        if len(parts) == 1:
+            return fixed_point(parts[0], x, run, iterations, progress, settled)
         problem = add_problems(parts)
         runs = problem.run(x)
         if runs.outcome is not RobotOutcome.FINISHED:
@@ -103,8 +117,26 @@ def identify_rigid_robot(
                 "The robot cannot be simulated along all logs from the start that the first gives: "
                 f"{runs.outcome.value}. Name a livelier record first."
             )
-        fit = fixed_point(problem, x, runs, iterations, progress, settled)
-    return search_laws(robot, fit, lambda of: add_problems(pose(of)), known, evaluations, progress)
+        return fixed_point(problem, x, runs, iterations, progress, settled)
+
+    ends, failures = list[tuple[FixedPoint, RobotLoop]](), list[MethodError]()
+    for under in _list_delayed(loop, late):
+        try:
+            ends.append((search(under), under))
+        except MethodError as error:  # no robot is stable with such a delay
+            failures.append(error)
+    if not ends:
+        raise failures[0]
+    end, near = min(ends, key=lambda one: one[0].left) if len(ends) > 1 else ends[0]
+    freed = partial(pose, under=near, freed=late)
+    laws = partial(search_laws, known=known, evaluations=evaluations, progress=progress, delays=bool(late))
+    return laws(robot, end.fit(), lambda of: add_problems(freed(of)))
+
+
+def _list_delayed(loop: RobotLoop, late: Sequence[int]) -> list[RobotLoop]:
+    """Return a loop with each of several delays of the joints where they are free and none is declared."""
+    undeclared = [j for j in late if not numbers_of(loop.controllers[j]).get(DELAY)]
+    return [with_delays(loop, dict.fromkeys(undeclared, delay)) for delay in DELAYS] if undeclared else [loop]
 
 
 _REWEIGHTINGS = 2

@@ -352,7 +352,7 @@ def identify_flexible_drive_side(
     run = slow.run(x)
     seconds, looks = time.perf_counter() - began, _LOOKED[0] + _LOOKED[1] * sum(robot.flexible)
     tell_time(problem, seconds, looks, progress)
-    rigid = fixed_point(slow, x, run, _ITERATIONS, progress)
+    rigid = fixed_point(slow, x, run, _ITERATIONS, progress).fit()
 
     def search(problem: RobotProblem[Any], first: RobotDriveSideProblem) -> FlexibleRobotFit:
         look = SearchOfSprings(first.roughly(), progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds
 from jointid.common.text import join
 from jointid.estimation.outputs import CONSTANT
+from jointid.estimation.problems.base import DELAY
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run
 from jointid.models.robots.robot import Robot
@@ -79,6 +81,34 @@ class RobotFit:
         return float(self.values[at]), float(self.covariance.std[at])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedPoint:
+    """Where steps by the regressor of the simulated motion end.
+
+    Attributes:
+        problem: as the last step weighed it.
+        x: there. run: of that.
+        iterations: that were made. converged: whether they settled.
+    """
+
+    problem: RobotProblem[Any]
+    x: FloatArray
+    run: Any
+    iterations: int
+    converged: bool
+
+    @property
+    def left(self) -> float:
+        """Norm of the shares of the joints' filtered torques that are left."""
+        problem = self.problem
+        return float(np.linalg.norm(problem.norms(problem.error(self.run)) / problem.sizes))
+
+    def fit(self) -> RobotFit:
+        """Return the fit there."""
+        slopes, regressor = self.problem.slopes(self.run, self.x), self.problem.regressor(self.run)
+        return conclude(self.problem, self.x, self.run, slopes, regressor, self.iterations, self.converged)
+
+
 def fixed_point(
     problem: RobotProblem[Run],
     x: FloatArray,
@@ -86,7 +116,7 @@ def fixed_point(
     iterations: int,
     progress: Progress = lambda _: None,
     settled: float = SETTLED,
-) -> RobotFit:
+) -> FixedPoint:
     """Iterate with the regressor of the simulated motion from a valid start."""
     bounds, size, floor = Bounds.of(problem.free), problem.sizes, problem.floor
     arrived, made = False, 0
@@ -103,7 +133,7 @@ def fixed_point(
         x, run = _take_step(problem, x, after, run)
         if arrived:
             break
-    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived)
+    return FixedPoint(problem, x, run, made, arrived)
 
 
 def conclude(
@@ -124,6 +154,11 @@ def conclude(
     """
     apart = zip(problem.parameters.names, find_separable(J), strict=True)
     together = [name for name, separable in apart if not separable]
+    if late := [name for name in together if name.endswith(f".{DELAY}")]:
+        raise MethodError(
+            f"The records do not tell {join(late)} from the other parameters: move these joints faster, both ways, or "
+            "state the delay in [controller] and do not free it."
+        )
     if any(name.endswith("friction_per_torque") for name in together):
         raise MethodError(
             f"The records do not tell {join(together)} apart: where the torque never brakes, a share of it scales them "

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -40,7 +40,7 @@ from jointid.estimation.robots.descents import OFF, UNSEEN, Descents
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.fit import NEAR, RobotFit
 from jointid.estimation.robots.laws import search_laws
-from jointid.estimation.robots.numbers import apply_constraints, robot_parameters
+from jointid.estimation.robots.numbers import add_delays, apply_constraints, find_free_delays, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs, frequency_row
@@ -84,6 +84,7 @@ def identify_flexible_robot(
     offsets: bool = True,
     evaluations: int = 60,
     known: Mapping[str, Parameter] | None = None,
+    free: Sequence[str] = (),
     progress: Progress = lambda _: None,
 ) -> FlexibleRobotFit:
     """Identify a robot, of which some joints are flexible, from torques and references; positions are not read.
@@ -99,6 +100,7 @@ def identify_flexible_robot(
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each search; there are three to eleven.
         known: values and bounds to keep, by name; see `apply_constraints`.
+        free: of the delays of the torques, see `find_free_delays`; springs are searched under those declared.
         progress: receives the steps.
 
     Raises:
@@ -110,13 +112,15 @@ def identify_flexible_robot(
     require_springs(robot, frequencies)
     known = known or {}
 
-    def pose(of: Robot) -> RobotProblem[Any]:
+    late = find_free_delays(robot, free)
+
+    def pose(of: Robot, freed: Sequence[int] = late) -> RobotProblem[Any]:
         parameters = apply_constraints(robot_parameters(of, offsets=offsets, logarithmic=True), known)
-        own = replace(loop, robot=of)
+        parameters, own = add_delays(parameters, loop, freed), replace(loop, robot=of)
         return add_problems([robot_problem(own, log, parameters, filtering) for log in each_log(records)])
 
     linear = replace(loop, robot=robot.linear)
-    problem = pose(linear.robot)
+    problem = pose(linear.robot, ())
     if frequencies is None:
         frequency_row(problem.sample_time)
     require_frequencies(frequencies, problem.sample_time)
@@ -127,7 +131,7 @@ def identify_flexible_robot(
     found = search_springs(
         problem, linear.robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
     )
-    fit = search_laws(robot, found.fit, pose, known, evaluations, progress)
+    fit = search_laws(robot, found.fit, pose, known, evaluations, progress, delays=bool(late))
     if fit is found.fit:
         return found
     made = found.evaluations + fit.iterations

@@ -10,7 +10,7 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
+from jointid.common.text import join
+from jointid.estimation.problems.base import DELAY, surrounding
+from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.robots.base_parameters import (
     INERTIAL_ORDER,
     formula_of,
@@ -40,7 +43,7 @@ from jointid.simulation.robot_numbers import (
     with_values,
 )
 from jointid.simulation.robot_sensitivities import columns_of
-from jointid.simulation.robots import MassMotion
+from jointid.simulation.robots import MassMotion, RobotLoop
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
 _WHOLE = 1e-8  # of a weight that is 1
@@ -131,7 +134,7 @@ class RobotParameters:
 
         Those that are of the record, not of the robot, are as in `base`.
         """
-        numbers = replace(numbers, beside=self.base.beside, log=self.base.log)
+        numbers = replace(numbers, beside=self.base.beside, log=self.base.log, delays=self.base.delays)
         kept, dropped = (np.array([p.read(numbers) for p in places]) for places in (self.places, self.dropped))
         return np.asarray(kept + self.grouping @ dropped)
 
@@ -189,6 +192,55 @@ def robot_parameters(
             named[row] = replace(named[row], name=name, symbol=symbol)
     found = replace(found, parameters=tuple(named))
     return found.add(*_of_laws(robot, numbers)) if whole else found
+
+
+def find_free_delays(robot: Robot, free: Sequence[str]) -> tuple[int, ...]:
+    """Return the joints whose torques have a free delay, by the names in `DIDIM.free`.
+
+    Raises:
+        MethodError: a name is of something else.
+    """
+    names = [name_of(DELAY, joint.name) for joint in robot.joints]
+    for one in free:
+        if one not in (DELAY, *names):
+            raise MethodError(
+                f'DIDIM.free has "{one}"; of a robot the delays of the torques can be free: expected "{DELAY}", of all '
+                f"joints, or {join(names, 'or')}."
+            )
+    return tuple(j for j, name in enumerate(names) if DELAY in free or name in free)
+
+
+def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]) -> RobotParameters:
+    """Return parameters with the delays of some joints' torques, which begin at those of their controllers."""
+    if not free:
+        return parameters
+    more = [
+        (
+            replace(
+                surrounding(DELAY, loop.controllers[j]), name=name_of(DELAY, loop.robot.joints[j].name),
+                symbol=symbol_of(DELAY, j),
+            ),
+            NumberPlace(NumberOf.DELAY, j, 0),
+        )
+        for j in free
+    ]  # fmt: skip
+    return begin_delays(parameters.add(*more), loop)
+
+
+def begin_delays(parameters: RobotParameters, loop: RobotLoop) -> RobotParameters:
+    """Return parameters whose delays, if any is among them, are those that the controllers state."""
+    if not any(place.of is NumberOf.DELAY for place in parameters.places):
+        return parameters
+    stated = np.array([[numbers_of(one).get(DELAY, 0.0)] for one in loop.controllers])
+    return replace(parameters, base=replace(parameters.base, delays=stated))
+
+
+def with_delays(loop: RobotLoop, delays: Mapping[int, float]) -> RobotLoop:
+    """Return a loop whose torques act by other delays, s, by joint."""
+    laws = enumerate(loop.controllers)
+    return replace(
+        loop, controllers=tuple(with_numbers(one, {DELAY: delays[j]}) if j in delays else one for j, one in laws)
+    )
 
 
 def name_in_robot(joint: str, name: str) -> str:

@@ -164,8 +164,8 @@ class RobotProblem(ABC, Generic[Run]):
 
     def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
         """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated."""
-        run = self.run_of(numbers)
-        return None if run is None else self.error(run)
+        run = self.simulate(numbers, keep=False)
+        return self.error(run) if run.outcome is RobotOutcome.FINISHED else None
 
     def decimate_each(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
@@ -377,7 +377,7 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
 
     def regressor(self, run: RobotRun) -> FloatArray:
         """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
-        started, rotors = self.experiment.clock.torque_index, run.numbers.rotors
+        started, rotors = run.experiment.clock.torque_index, run.numbers.rotors
         left, parts = list(range(rotors.size)), dict[int, tuple[IntArray, FloatArray]]()
         while left:  # torques that begin to act together
             together = [j for j in left if np.array_equal(started[j], started[left[0]])]

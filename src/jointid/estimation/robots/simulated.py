@@ -28,7 +28,14 @@ from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.flexible import identify_flexible_robot
-from jointid.estimation.robots.numbers import RobotParameters, joint_of, robot_parameters, standard_index
+from jointid.estimation.robots.numbers import (
+    RobotParameters,
+    begin_delays,
+    joint_of,
+    robot_parameters,
+    standard_index,
+    with_delays,
+)
 from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, SolvedRobot, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.models.robots.base_parameters import inverse_columns
@@ -127,7 +134,8 @@ class SimulatedRobot(IdentifiedRobot):
             )
         parameters, numbers = self.parameters, RobotNumbers.of(prior)
         size = len(parameters.places)
-        numbers = replace(numbers, beside=parameters.base.beside, log=parameters.base.log)
+        base = parameters.base
+        numbers = replace(numbers, beside=base.beside, log=base.log, delays=base.delays)
         fixed = np.array([place.read(parameters.base) for place in parameters.kept])
         numbers = with_values(numbers, parameters.kept, fixed)
         places = (*parameters.places, *parameters.dropped)
@@ -191,7 +199,7 @@ def identify_simulated_robot(
         if any(model.robot.flexible):
             found = identify_flexible_robot(
                 model, records, filtering, frequencies=didim.frequencies or None, offsets=didim.offsets,
-                evaluations=didim.evaluations, known=known, progress=progress,
+                evaluations=didim.evaluations, known=known, free=didim.free, progress=progress,
             )  # fmt: skip
             fit, springs = found.fit, found.springs
         else:
@@ -203,8 +211,11 @@ def identify_simulated_robot(
                 iterations=didim.iterations,
                 evaluations=didim.evaluations,
                 known=known,
+                free=didim.free,
                 progress=progress,
             )
+        fit = replace(fit, parameters=begin_delays(fit.parameters, model))
+        model = at_estimate(model, fit.parameters, fit.values)
         computed = any(record.computed for log in each_log(records) for record in log)
         method = "didim", f"DIDIM of a robot, from {'motor positions' if computed else 'torques'} and references alone"
     robot, parameters = model.robot, fit.parameters
@@ -255,6 +266,12 @@ def identify_simulated_robot(
     rotors, instants = parameters.numbers(fit.values).rotors, own.experiment.clock.log_index
     simulated = motion_at(run, instants).position[:, rotors]
     return replace(result, fit=replace(result.fit, position_rms=position_rms(robot.names, logs[0], simulated)))
+
+
+def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray) -> RobotLoop:
+    """Return a loop with the delays of the torques that were identified."""
+    found = zip(parameters.places, values[: len(parameters.places)], strict=True)
+    return with_delays(loop, {place.row: float(x) for place, x in found if place.of is NumberOf.DELAY})
 
 
 def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
@@ -319,12 +336,12 @@ def _joint_of(place: NumberPlace, rotors: IntArray) -> int | None:
 def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
     """Return the nominal robot with the friction that was found: one without friction is no opponent.
 
-    The log's delay is not the robot's, and is as it was found, too.
+    The delays of log and torques are not the robot's, and are as they were found, too.
     """
     numbers = RobotNumbers.of(robot)
     masses = numbers.masses.copy()
     masses[:, 1:] = found.masses[:, 1:]
-    return replace(numbers, masses=masses, log=found.log)
+    return replace(numbers, masses=masses, log=found.log, delays=found.delays)
 
 
 def solve_again(part: SimulatedRobot, records: Sequence[Record], filtering: Filtering | None) -> SolvedRobot:

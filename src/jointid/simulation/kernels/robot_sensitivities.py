@@ -64,7 +64,9 @@ from jointid.simulation.kernels.robot_loop import (
 
 OF_LINK, OF_MASS, OF_SPRING = range(3)
 """What a parameter is a number of: row of the inertials, the masses or the springs."""
-OF_PUSH = 5
+OF_DELAY = 5
+"""How much later than its law puts it out a joint's torque acts."""
+OF_PUSH = 6
 """No number, but a torque that is added to a controller's output: its joint, and its row of the pushes."""
 
 
@@ -295,6 +297,43 @@ def _turn(
 
 
 @compile_kernel
+def _shift_edges(
+    bodies: Bodies, parameters: IntArray, tape: RobotTape, piece: int, jumps: NDArray[np.bool_], M: FloatArray,
+    left: FloatArray, kicks: FloatArray, dv: FloatArray,
+) -> None:  # fmt: skip
+    """Add to the velocities what later edges of the torques, as a piece begins, take from them.
+
+    An edge of one motor's torque is all that changes in the equation of the mass that it drives, which may come loose.
+    """
+    rotors, masses, rests, n, d = bodies.rotors, bodies.masses, bodies.rests, len(M), 0
+    directions, after, before = tape.directions[piece], tape.initial_acceleration, tape.final_acceleration
+    for i in range(n):
+        held = rests[i] and directions[i] == 0.0
+        for j in range(n):
+            left[i, j] = M[i, j] if not held else 0.0
+        left[i, i] += 1.0 if held else (masses[i, INERTIA] if rotors[i] == i else 0.0)
+    for c in range(len(parameters)):
+        if parameters[c, 0] != OF_DELAY:
+            continue
+        j, r = parameters[c, 1], rotors[parameters[c, 1]]
+        for i in range(n):
+            kicks[i, d] = 0.0
+        if jumps[j] and r != j:
+            dv[r, c] -= after[piece, r] - before[piece - 1, r]
+        elif jumps[j] and not (rests[r] and directions[r] == 0.0):
+            for i in range(n):
+                kicks[j, d] -= left[j, i] * (after[piece, i] - before[piece - 1, i])
+        d += 1
+    _solve(left, kicks)
+    d = 0
+    for c in range(len(parameters)):
+        if parameters[c, 0] == OF_DELAY:
+            for i in range(n):
+                dv[i, c] += kicks[i, d]
+            d += 1
+
+
+@compile_kernel
 def _add_moved_links(
     rotors: IntArray, stiff: FloatArray, damped: FloatArray, M: FloatArray, Cv: FloatArray, K: FloatArray, h: float,
     whole: float,
@@ -373,9 +412,11 @@ def differentiate_run(
         for i in range(min(smooth, n)):
             stretch_since[i, c] = dq[rotors[i], c] - dq[i, c]
     period, time = np.sum(clock.lengths), 0.0
-    linked = False
+    linked, delays = False, 0
     for c in range(count):
         linked = linked or parameters[c, 0] == OF_LINK
+        delays += parameters[c, 0] == OF_DELAY
+    kicks, jumps = np.zeros((n, delays)), np.zeros(n, dtype=np.bool_)
     for k in range(steps):
         for j in range(n):
             own = k // every[j]
@@ -403,9 +444,10 @@ def differentiate_run(
             end = first[at + 1] if at + 1 < first.size else pieces
             for j in range(n):
                 source = k - lags[j, part]
+                jumps[j] = source != (k - lags[j, part - 1] if part > 0 else k - 1 - lags[j, parts - 1])
                 for c in range(count if controlled else 0):
                     dtau[j, c] = command[j, source, c] if source >= 0 else before[j, c]
-            whole = np.sum(lasting[first[at] : end])
+            whole, edge = np.sum(lasting[first[at] : end]), delays > 0 and first[at] > 0
             for piece in range(first[at], end):
                 if piece + 1 >= pieces:
                     return
@@ -420,6 +462,9 @@ def differentiate_run(
                         v[i] = 0.5 * (v0 + v1) + 0.125 * h * (started[piece, i] - ended[piece, i])
                         a[i] = 0.5 * (started[piece, i] + ended[piece, i])
                     linearised_equations(tree, bodies.inertials, place, speed, turn, room, M, K, Cv)
+                    if edge:
+                        _shift_edges(bodies, parameters, tape, piece, jumps, M, left, kicks, dv)
+                        edge = False
                     # G, and what the motors do.
                     if linked and coupled:
                         regressor(
