@@ -32,15 +32,16 @@ def logged(seed: int) -> tuple[RobotLoop, tuple[Record, ...]]:
 
 def systems() -> dict[str, Any]:
     loop, _ = logged(0)
-    return {"idim": loop.robot, "didim": loop}
+    return {"idim": loop.robot, "didim": loop, "delays": loop}
 
 
 @cache
 def found(method: str) -> ji.Estimate:
-    return ji.identify(logged(0)[1], systems()[method], checks=False)
+    free = ji.DIDIM(free=("delay",)) if method == "delays" else None
+    return ji.identify(logged(0)[1], systems()[method], free, checks=False)
 
 
-@pytest.mark.parametrize("method", ["idim", "didim"])
+@pytest.mark.parametrize("method", ["idim", "didim", "delays"])
 def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> None:
     estimate, system = found(method), systems()[method]
     path = estimate.save(tmp_path / "out.json")

@@ -9,7 +9,8 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD, PID, Cascade
-from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers, all_places, with_values
+from jointid.records.record import Channel, Tap, Timing
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
 from jointid.simulation.robot_sensitivities import differentiate_torque
 from jointid.simulation.robots import RobotInput, RobotLoop, prepare_robot, run_robot
 from tests.robots_plants import six, two
@@ -93,3 +94,33 @@ def test_derivative_by_parameters_that_are_not_the_run_s_own_kind() -> None:
     found = differentiate_torque(run_robot(experiment, numbers, keep=True), places)
     felt = np.max(np.abs(found), axis=(0, 1)) > 1e-9
     assert [place.column for place, one in zip(places, felt, strict=True) if one] == [9]
+
+
+@pytest.mark.parametrize(
+    ("loop", "averaged"),
+    [
+        (two().loop(), False),
+        (two().loop(), True),
+        (two((10.0, 14.0)).loop(), False),
+        (changed(two((None, 12.0)), *COUPLED).loop(), False),
+        (RobotLoop(two((None, 12.0)).robot, APART), False),
+    ],
+    ids=["rigid", "torques averaged", "flexible", "motors coupled", "clocks that differ"],
+)
+def test_variation_by_delays_is_the_derivative_of_the_run(loop: RobotLoop, averaged: bool) -> None:
+    """Edges of the torques move, and with them those at which a joint comes loose."""
+    records = faster(two().records(4.8), 8.0)
+    if averaged:
+        shown = Channel(np.ones(len(records[0].reference or ())), "N m", 1e-3, Timing.AVERAGED)
+        records = tuple(replace(one, torque=shown, tap=Tap.MEASURED) for one in records)
+    experiment, places = prepare_robot(loop, records), tuple(NumberPlace(NumberOf.DELAY, j, 0) for j in range(2))
+    numbers = replace(RobotNumbers.of(loop.robot), delays=np.array([[1.3e-3], [2.9e-3]]))
+    run = run_robot(experiment, numbers, keep=True, steps=2)
+    assert run.events > 2
+    found = differentiate_torque(run, places)
+    for c, place in enumerate(places):
+        step, at = 2e-6, place.read(numbers)
+        ends = (with_values(numbers, (place,), np.array([at + by])) for by in (step, -step))
+        later, earlier = (run_robot(experiment, one, steps=4).torque for one in ends)
+        expected = (later - earlier) / (2 * step)
+        assert np.linalg.norm(found[:, :, c] - expected) < 5e-3 * np.linalg.norm(expected)

@@ -13,7 +13,7 @@ from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds
 from jointid.common.text import join
 from jointid.estimation.outputs import CONSTANT
-from jointid.estimation.problems.base import DELAY
+from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run
 from jointid.models.robots.robot import Robot
@@ -154,11 +154,6 @@ def conclude(
     """
     apart = zip(problem.parameters.names, find_separable(J), strict=True)
     together = [name for name, separable in apart if not separable]
-    if late := [name for name in together if name.endswith(f".{DELAY}")]:
-        raise MethodError(
-            f"The records do not tell {join(late)} from the other parameters: move these joints faster, both ways, or "
-            "state the delay in [controller] and do not free it."
-        )
     if any(name.endswith("friction_per_torque") for name in together):
         raise MethodError(
             f"The records do not tell {join(together)} apart: where the torque never brakes, a share of it scales them "
@@ -171,6 +166,12 @@ def conclude(
     covariance = robust(*weighted, equations=problem.sigma.size)
     if problem.motion_measured:
         covariance = with_measured_motion(covariance, *weighted, problem.sigma.size)
+    names, std = problem.parameters.names, covariance.std
+    if untold := [n for n, s in zip(names, std, strict=True) if n.endswith(f".{DELAY}") and not 2.0 * s < DELAYS[-1]]:
+        raise MethodError(
+            f"The records do not tell {join(untold)}: two standard deviations are more than {1e3 * DELAYS[-1]:g} ms. "
+            "Move faster, record longer, or state the delay in [controller] and do not free it."
+        )
     of_values = np.where(problem.parameters.logarithmic, problem.parameters.values(x), 1.0)
     return RobotFit(
         problem.parameters,

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.messages import no_choice
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.text import join
 from jointid.estimation.problems.base import DELAY, surrounding
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.robots.base_parameters import (
@@ -203,10 +203,7 @@ def find_free_delays(robot: Robot, free: Sequence[str]) -> tuple[int, ...]:
     names = [name_of(DELAY, joint.name) for joint in robot.joints]
     for one in free:
         if one not in (DELAY, *names):
-            raise MethodError(
-                f'DIDIM.free has "{one}"; of a robot the delays of the torques can be free: expected "{DELAY}", of all '
-                f"joints, or {join(names, 'or')}."
-            )
+            raise MethodError(f"A name in DIDIM.free of a robot{no_choice(one, (DELAY, *names))}")
     return tuple(j for j, name in enumerate(names) if DELAY in free or name in free)
 
 
