@@ -188,8 +188,8 @@ def _compute_sums(
         raise RecordError("it was identified under controllers, and this robot has none; add the [controller] tables")
     found = _parameters(robot, rows, answer["robot"], finite(answer["record"]["sample_time"]))
     if isinstance(system, RobotLoop):
-        names = {row.name for row in rows}
-        found = add_delays(found, system, [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in names])
+        stated = {row.name for row in rows}
+        found = add_delays(found, system, [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in stated])
     fixed = {p.name: p.symbol for p in found.fixed}
     return found, dict(zip(found.names, found.formulas(robot), strict=True)) | fixed
 

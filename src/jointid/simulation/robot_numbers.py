@@ -122,7 +122,7 @@ class RobotNumbers:
         return (
             finite
             and min(least, np.min(faded, initial=0.0), np.min(standing), np.min(self.delays, initial=0.0)) >= 0.0
-            and np.max(self.delays, initial=0.0) <= duration
+            and bool(np.max(self.delays, initial=0.0) <= duration)
             and all(bool(np.all(each > 0.0)) for each in positive)
             and bool(np.all(ascending))
         )
