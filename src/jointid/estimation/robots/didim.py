@@ -119,8 +119,10 @@ def identify_rigid_robot(
             )
         return fixed_point(problem, x, runs, iterations, progress, settled)
 
+    undeclared = [j for j in late if not numbers_of(loop.controllers[j]).get(DELAY)]
+    tried = [with_delays(loop, dict.fromkeys(undeclared, delay)) for delay in DELAYS] if undeclared else [loop]
     ends, failures = list[tuple[FixedPoint, RobotLoop]](), list[MethodError]()
-    for under in _list_delayed(loop, late):
+    for under in tried:
         try:
             ends.append((search(under), under))
         except MethodError as error:  # no robot is stable with such a delay
@@ -131,12 +133,6 @@ def identify_rigid_robot(
     freed = partial(pose, under=near, freed=late)
     laws = partial(search_laws, known=known, evaluations=evaluations, progress=progress, delays=bool(late))
     return laws(robot, end.fit(), lambda of: add_problems(freed(of)))
-
-
-def _list_delayed(loop: RobotLoop, late: Sequence[int]) -> list[RobotLoop]:
-    """Return a loop with each of several delays of the joints where they are free and none is declared."""
-    undeclared = [j for j in late if not numbers_of(loop.controllers[j]).get(DELAY)]
-    return [with_delays(loop, dict.fromkeys(undeclared, delay)) for delay in DELAYS] if undeclared else [loop]
 
 
 _REWEIGHTINGS = 2
