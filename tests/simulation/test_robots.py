@@ -259,7 +259,7 @@ def test_masses_that_stand_still_are_decided_together() -> None:
             np.ones(n, dtype=np.bool_),
         )
         room = robot_loop.Room(
-            np.zeros(n), np.empty((n, ROOM)), M, np.empty((n, n)), np.empty(n), force, np.empty(n, np.int64),
+            np.zeros(n), np.empty((n, ROOM)), M, np.empty((n, n)), np.empty(n), force, np.empty((2, n), np.int64),
             np.empty((2, n)),
         )  # fmt: skip
         at = robot_loop.State(np.zeros(n), np.zeros(n), a, np.empty(n), coulomb, np.zeros(n), np.zeros(n), np.zeros(n))
