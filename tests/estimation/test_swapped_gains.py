@@ -12,6 +12,9 @@ import pytest
 
 from jointid.common.errors import JointidError
 from jointid.config import load, loads
+from jointid.diagnostics.identify import identify
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.record_warnings import ask_about_gains
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -95,6 +98,11 @@ def test_the_question_comes_before_the_identification_and_is_kept_as_a_warning()
     right = Cascade(position_gain=22.0, velocity_gain=0.8)
     values = {"inertia": 0.01, "viscous": 0.02, "coulomb": 0.05, "offset": 0.0}
     record = simulated_record(ClosedLoop(RigidJoint("revolute"), right), moves().values, values, sample_time=T)
+    for windows in (None, Windowing(4.0)):
+        asked = list[str]()
+        loop = ClosedLoop(RigidJoint("revolute"), Cascade(position_gain=0.8, velocity_gain=22.0))
+        found = identify(record, loop, IDIM(), windows=windows, progress=asked.append)
+        assert "are the two swapped?" in asked[0] and asked[0] in found.checks.warnings
     record = record.without("motor_position")
     swapped, said = loads(FILE + "position_gain = 0.8\nvelocity_gain = 22.0\n"), list[str]()
     with suppress(JointidError):

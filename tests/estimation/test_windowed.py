@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -155,6 +156,7 @@ def test_several_records_go_in_windows_by_themselves(monkeypatch: pytest.MonkeyP
     assert found.checks.agreement is not None and not found.checks.agreement.differs
     assert any("40000 samples of the records would take up to" in one for one in said)
     assert "2 records agree" in str(found) and "windows" in str(found)
+    assert found.settings.weighting == "each record's rows by the level of its residual"
     assert len(ji.to_dict(found)["records"]) == 2
     with pytest.raises(MethodError, match="are the same record"):
         ji.identify([records[0], records[0]], LOOP)
@@ -177,9 +179,14 @@ def test_idim_of_a_robot_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPat
     limit(monkeypatch, log, arm)
     found = ji.identify(log, arm, checks=False, progress=said.append)
     assert_same(found, whole)
+    assert "is stated" not in str(found) and not found.fit.simulations
     assert found.fit.axis_errors == pytest.approx(whole.fit.axis_errors, rel=0.05)
     assert any("20000 samples of the record would take up to" in one for one in said)
     assert "in windows" in str(found) and ji.to_dict(found)["model"] == "robot"
+    windows = found.data.windows
+    assert windows is not None and ji.to_dict(found)["log"]["windows"] == windows.count
+    parts = re.match(r"from leaving out each of (\d+) parts of (\d+) windows", found.params.basis)
+    assert parts is not None and int(parts[1]) > int(parts[2]) == windows.count
     for use in (ji.diagnose, ji.Report.of):
         with pytest.raises(MethodError, match="in windows, whose torque it does not keep; identify a part"):
             use(found, log)
@@ -210,6 +217,19 @@ def half_of(record: Record, part: int) -> Record:
         name: replace(c, values=c.values[part * len(c) // 2 : (part + 1) * len(c) // 2]) for name, c in record.items()
     }
     return record.with_channels(changes)
+
+
+@pytest.mark.parametrize("under_loop", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_nominal_robot_is_compared_in_all_of_a_record(under_loop: bool) -> None:
+    """Its links are heavier by a fifth, and the first window is another motion than the rest."""
+    plant = two()
+    loop = plant.loop()
+    log: Sequence[Record] = recorded(loop, plant.records(12.0, 1), 0.05, 1)[0]
+    heavy = replace(plant.robot, links=tuple(replace(one, inertial=1.2 * one.inertial) for one in plant.robot.links))
+    model = replace(loop, robot=heavy) if under_loop else heavy
+    whole, parts = (ji.identify(log, model, windows=w, checks=False) for w in (None, Windowing(1.5)))
+    assert parts.require_robot().nominal_errors == pytest.approx(whole.require_robot().nominal_errors, rel=0.03)
+    assert parts.require_robot().nominal == pytest.approx(whole.require_robot().nominal, abs=0.1)
 
 
 def test_known_friction_of_a_robot_holds_in_windows() -> None:

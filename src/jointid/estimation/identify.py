@@ -28,7 +28,7 @@ from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.regression import Records, each_log, in_logs
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.unknown_timing import fit_unstated_timing
-from jointid.estimation.windowed import InverseJoint, robot_in_windows
+from jointid.estimation.windowed import joint_in_windows, robot_in_windows
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import check_record
@@ -70,10 +70,9 @@ def _is_joint_by_simulation(record: object, model: object, method: Method | None
 def limit_of(record: object, model: object, method: Method | None) -> int:
     """Return the bytes that the identification of a record may take at once.
 
-    Without checks, of several records and of a joint by IDIM, every record takes what is said: a quarter.
+    A joint by simulation takes what is said only where its checks search for a cause. All others do: a quarter.
     """
-    checked = isinstance(model, _ROBOTS) or _is_joint_by_simulation(record, model, method)
-    return LARGEST if checked else LARGEST // 4
+    return LARGEST if _is_joint_by_simulation(record, model, method) else LARGEST // 4
 
 
 def _flat(record: object) -> list[Record]:
@@ -111,7 +110,7 @@ def plan_windows(record: object, model: object, method: Method | None) -> Planne
     samples = sum(max(len(channel) for one in log for _, channel in one.items()) for log in logs)
     step = InMemory(logs[0][0]).sample_time
     # The checks take several times as much as a fit.
-    longest, checked = (step * samples * limit / (share * needed) for share in (3, 8))
+    longest, checked = (step * samples * most / needed for most in (limit / 3, LARGEST / 8))
     windows = Windowing(min(Windowing().length, longest))
     length = min(checked, windows.length)
 
@@ -124,7 +123,7 @@ def plan_windows(record: object, model: object, method: Method | None) -> Planne
         return None
     part: Record | tuple[Record, ...] | None = None
     checks = ""
-    if len(logs) == 1 and limit == LARGEST:
+    if len(logs) == 1 and (robot or limit == LARGEST):
         enough = 0.5 * max(map(_travel, divide(logs[0], length)))
         first = next(one for one in divide(logs[0], length) if _travel(one) >= enough)
         checks = f", and checked in {length:.3g} s from {first[0].begin:.3g} s on"
@@ -214,36 +213,16 @@ def fit(
         return fit_outputs(record, layout.loops, outputs, fit_together, fit_alone)
     if several is not None:
         raise MethodError("SeveralRecords is about a list of records; received one record: give a list of them.")
-    if isinstance(record, Record) and windows is None:
+    if isinstance(record, Record):
         if isinstance(model, Sequence):
             raise MethodError("One record has one loop; received a list: give the loop, or a list of records.")
-        return _fit_single(record, model, method, filtering, parameters, progress)
-    by_idim = isinstance(method, IDIM) or (method is None and isinstance(model, Joint))
-    if by_idim and isinstance(record, Record) and isinstance(model, ClosedLoop | Joint):
-        method = method if isinstance(method, IDIM) else IDIM()
-        joint, loop = (model.joint, model) if isinstance(model, ClosedLoop) else (model, None)
-        inverse = InverseJoint(joint, loop, method, filtering or Filtering(), parameters or {})
-        check_record(record)
-
-        def fit_inverse(one: Sequence[Record]) -> FitResult:
-            return identify_log([[InMemory(one[0])]], [inverse], windows or Windowing(), progress)
-
-        return fit_unstated_timing([record], fit_inverse)
+        return _fit_single(record, model, method, filtering, parameters, windows, progress)
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
-
-    def fit_windows(source: LongRecord) -> FitResult:
-        windowed = LoopWindows.of(model, method, filtering, parameters)
-        return identify_log([[source]], [windowed], windows or Windowing(), progress)
-
-    def fit_whole(_: int, records: Sequence[Record]) -> FitResult:
-        return identify_record(records[0], model, method, filtering=filtering, parameters=parameters, progress=progress)
-
-    if isinstance(record, Record):
-        return fit_outputs(
-            [record], [model], outputs, lambda one: state_scale(fit_windows(InMemory(one[0])), one), fit_whole
-        )
-    return fit_log(record, model, outputs, fit_windows)
+    windowed = LoopWindows.of(model, method, filtering, parameters)
+    return fit_log(
+        record, model, outputs, lambda log: identify_log([[log]], [windowed], windows or Windowing(), progress)
+    )
 
 
 def _fit_single(
@@ -252,21 +231,30 @@ def _fit_single(
     method: Method | None,
     filtering: Filtering | None,
     parameters: Mapping[str, Parameter] | None,
+    windows: Windowing | None,
     progress: Progress,
 ) -> FitResult:
-    """Return the fit of one record."""
+    """Return the fit of one record, at once or in windows."""
     asked = ask_about_gains(model.controller, record.reference) if isinstance(model, ClosedLoop) else None
     if asked is not None:
         progress(asked)
 
-    def fit_single(records: Sequence[Record]) -> FitResult:
+    def fit_whole(_: int, records: Sequence[Record]) -> FitResult:
         return identify_record(records[0], model, method, filtering=filtering, parameters=parameters, progress=progress)
+
+    def fit_single(records: Sequence[Record]) -> FitResult:
+        if windows is None:
+            return fit_whole(0, records)
+        windowed = joint_in_windows(model, method, filtering, parameters)
+        check_record(records[0])
+        return identify_log([[InMemory(records[0])]], [windowed], windows, progress)
 
     def fit_timed(records: Sequence[Record]) -> FitResult:
         return state_scale(fit_unstated_timing(records, fit_single), records)
 
     if isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None):
-        found = state_position(fit_outputs([record], [model], () if method is None else method.outputs, fit_timed))
+        outputs = () if method is None else method.outputs
+        found = state_position(fit_outputs([record], [model], outputs, fit_timed, fit_whole))
     else:
         found = fit_timed([record])
     return found if asked is None else replace(found, before=(asked, *found.before))

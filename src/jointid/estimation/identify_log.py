@@ -273,6 +273,7 @@ class LoopWindows:
                 loop=loop,
                 filtering=window.filtering,
                 delay=loop.controller.law(sample_time).delay,
+                weighting="" if self.layout is None else "each record's rows by the level of its residual",
             ),
         )
 
@@ -608,7 +609,7 @@ def _answer(
     # A record's own parameter has the unit of the shared one.
     units = {p.name: of_rows[p.name.partition("@")[0]] for p in problem.free}
     spans = [[w for w in found.windows if w.record == number] for number in range(len(problem.members))]
-    changes = drift(found.windows, end.x, problem.free, units, spans if len(spans) > 1 else None)
+    changes = drift(found.windows, end.x, problem.free, units, spans if len(spans) > 1 else None, problem.parts)
     agreement = changes.agreement if len(spans) > 1 and len(found.sizes[0]) == 1 else None
     if agreement is not None:  # what records differ by is no noise of theirs
         more = {p.name: p.widening for p in agreement.parameters}
@@ -637,7 +638,7 @@ def _answer(
             filtered_error=error,
             at_limit=at_limit,
             passes=end.passes,
-            simulations=end.evaluations,
+            simulations=0 if isinstance(first.model, InverseWindow) else end.evaluations,
             stop=end.message,
             converged=end.converged,
             interrupted=not found.ended,
@@ -689,13 +690,14 @@ def _covariance(found: Pass, repeated: Repeatable) -> tuple[Covariance, str]:
     Raises:
         MethodError: one window says nothing of how windows differ.
     """
-    windows, places = [w.sums for w in found.windows], [p.sums for p in found.places.values()]
-    if len(windows) < 2:
+    parts, places = [w.sums for w in found.windows], [p.sums for p in found.places.values()]
+    if found.count < 2:
         raise MethodError(
             "A long record has two windows or more, in which the axis moves; this one has "
-            f"{len(windows)}: give a shorter window, or use identify."
+            f"{found.count}: give a shorter window, or use identify."
         )
-    covariance, said = left_out(windows), f"from leaving out each of {len(windows)} windows"
+    divided = "" if len(parts) == found.count else f"{len(parts)} parts of "
+    covariance, said = left_out(parts), f"from leaving out each of {divided}{found.count} windows"
     if (repeated.significant or repeated.p_value is None) and len(places) > 1:  # what cannot be excluded is covered
         covariance = larger(covariance, left_out(places))
         said += f", or each of {len(places)} places by direction and speed: the larger in every direction"

@@ -18,7 +18,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
-from jointid.estimation.identify_log import Solved, Windowed
+from jointid.estimation.identify_log import LoopWindows, Solved, Windowed
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -43,7 +43,12 @@ from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.estimation.robots.idim import InverseModelRobot, drives, identify_robot
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.estimation.robots.simulated import SimulatedRobot, identify_simulated_robot, problem_of
+from jointid.estimation.robots.simulated import (
+    SimulatedRobot,
+    identify_simulated_robot,
+    nominal_numbers,
+    problem_of,
+)
 from jointid.models.disturbances import Effect, effect_parameters
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -53,6 +58,8 @@ from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop, RobotOutcome
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.verdict import Subject, axes_verdict, bounds_verdict, friction_verdict, solver_verdict
+
+_COMPARED = 16  # windows at least in which the nominal robot is compared, where there are as many
 
 
 def _require_sums(method: IDIM, estimators: Sequence[str | None]) -> None:
@@ -189,9 +196,22 @@ class InverseRobot:
         fit, model = solved.starts[0].fit, solved.starts[0].model
         part = fit.robot
         assert isinstance(part, InverseModelRobot) and isinstance(model, InverseWindow)
-        values = model.kept.copy()
-        values[list(model.places)] = solved.x
-        part = replace(part, values=values, covariance=_spread(solved.covariance, model.places, values.size))
+        values, places = model.kept.copy(), np.array(model.places)
+        values[places] = solved.x
+        # The model's own masses, with the friction that fits best beside them.
+        step, sums = part.nominal[places] - solved.x, solved.found.sums
+        friction, masses = places >= len(part.base), places < len(part.base)
+        target = sums.b[friction] + sums.A[np.ix_(friction, masses)] @ step[masses]
+        step[friction] = -np.linalg.lstsq(sums.A[np.ix_(friction, friction)], target, rcond=None)[0]
+        nominal = values.copy()
+        nominal[places] += step
+        part = replace(
+            part,
+            values=values,
+            covariance=_spread(solved.covariance, model.places, values.size),
+            nominal=nominal,
+            nominal_errors=_errors_of(solved, solved.x + step),
+        )
         negative = [name for k, name in enumerate(part.model.names) if drives(part, k)]
         # What a bound held in a window may be off it in all of them.
         rows = tuple(replace(row, free=i in model.places) for i, row in enumerate(fit.params.rows))
@@ -312,14 +332,35 @@ class SimulatedRobots:
         parameters, size = part.parameters, solved.x.size
         values, covariance = parameters.values(solved.x), solved.covariance
         of_values = np.where(parameters.logarithmic, values, 1.0)
+        nominal = parameters.group(nominal_numbers(part.model, parameters.numbers(values)))
         covariance = replace(covariance, std=covariance.std * of_values)
         part = replace(
             part,
             setup=self.model,
             values=np.concatenate([values, part.values[size:]]),
             covariance=covariance.append_constants(part.values.size - size),
+            nominal_errors=_errors_of(solved, parameters.to_search_variables(nominal)),
         )
         return _with_robot(fit, solved, part)
+
+
+def joint_in_windows(
+    model: object, method: Method | None, filtering: Filtering | None, changes: Mapping[str, Parameter] | None
+) -> Windowed:
+    """Return the windows of a joint's record.
+
+    Raises:
+        MethodError: it is not identified in windows.
+    """
+    by_idim = isinstance(method, IDIM) or (method is None and isinstance(model, Joint))
+    if by_idim and isinstance(model, ClosedLoop | Joint):
+        joint, loop = (model.joint, model) if isinstance(model, ClosedLoop) else (model, None)
+        return InverseJoint(
+            joint, loop, method if isinstance(method, IDIM) else IDIM(), filtering or Filtering(), changes or {}
+        )
+    if not isinstance(model, ClosedLoop):
+        raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
+    return LoopWindows.of(model, method, filtering, changes)
 
 
 def robot_in_windows(
@@ -361,6 +402,15 @@ def _with_robot(fit: FitResult, solved: Solved, part: IdentifiedRobot, negative:
         checks=replace(made.checks, verdicts=(*verdicts, *others)),
         at_bounds={name: values[name] for name in solved.held},
     )
+
+
+def _errors_of(solved: Solved, x: FloatArray) -> FloatArray:
+    """Return the share of each joint's torque that other values leave in some windows, (n,)."""
+    try:
+        found = solved.problem.pass_over(x, max(solved.found.count // _COMPARED, 1))
+    except NotSimulatedError:
+        return np.full(solved.errors.size, np.inf)
+    return found.relative_errors() if found.count else np.full(solved.errors.size, np.inf)
 
 
 def _with_values(fit: FitResult, solved: Solved, values: FloatArray, covariance: Covariance) -> FitResult:

@@ -270,6 +270,7 @@ def drift(
     free: Sequence[Parameter],
     units: Mapping[str, str],
     records: Sequence[Sequence[Window]] | None = None,
+    parts_of_window: int = 1,
 ) -> DriftTest:
     """Return the estimates of a record's segments, and whether they agree.
 
@@ -279,6 +280,7 @@ def drift(
         free: the parameters.
         units: of the parameters, by name.
         records: the windows of several records, which are then the segments.
+        parts_of_window: into how many each is divided.
     """
     count = min(_MOST, len(windows) // (_WINDOWS * len(free)))
     if records is not None:
@@ -296,7 +298,8 @@ def drift(
         values = {names[i]: float(fit.values[i]) for i in own}
         std = dict(zip(values, map(float, covariance.std), strict=True))
         error = total([w.sums for w in part]).relative_error
-        segments.append(Segment(part[0].begin, part[-1].end, len(part), values, std, error))
+        whole = round(len(part) / parts_of_window)
+        segments.append(Segment(part[0].begin, part[-1].end, whole, values, std, error))
         alone.append(Alone(values, covariance))
     judged = compare_records(alone, {name: units[name] for name in names})
     trends = () if records else tuple(_trend(scatter.name, segments) for scatter in judged.parameters)

@@ -220,8 +220,9 @@ def _effort(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
         c = fit.conditioning
         said = f"{c.raw:.6g} raw, {c.normalised:.4g} normalised, {c.scaled:.4g} scaled by the parameters"
         yield "conditioning", said
-    if fit.simulations and estimate.data.windows is not None:
-        yield "effort", f"{fit.passes} times over the whole, {fit.simulations} windows simulated"
+    if estimate.data.windows is not None:
+        simulated = f", {fit.simulations} windows simulated" if fit.simulations else ""
+        yield "effort", f"{fit.passes} times over the whole{simulated}"
     elif fit.simulations:
         steps = f"{fit.iterations} iterations, " if fit.trace else ""
         yield "effort", f"{steps}{fit.simulations} simulations"

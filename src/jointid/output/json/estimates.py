@@ -222,6 +222,7 @@ _OF_A_ROBOT: Shape = document_shape(
         "name=data.record data.sample_time data.torque_unit torque_sha256=data.fingerprint logs_sha256=data.logs"
     ),
     correlation=_correlation,
+    log=_log,
     robot={
         **keys(
             "robot.model.name joints=robot.model.names nominal_left=robot.nominal_errors robot.springs robot.log_delay"
