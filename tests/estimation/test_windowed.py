@@ -177,6 +177,7 @@ def test_idim_of_a_robot_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPat
     (arm, log), said = arm_log(), list[str]()
     whole = ji.identify(log, arm, checks=False)
     limit(monkeypatch, log, arm)
+    assert ji.identify(log, arm, windows=False, checks=False).data.windows is None
     found = ji.identify(log, arm, checks=False, progress=said.append)
     assert_same(found, whole)
     assert "is stated" not in str(found) and not found.fit.simulations
@@ -187,6 +188,8 @@ def test_idim_of_a_robot_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPat
     assert windows is not None and ji.to_dict(found)["log"]["windows"] == windows.count
     parts = re.match(r"from leaving out each of (\d+) parts of (\d+) windows", found.params.basis)
     assert parts is not None and int(parts[1]) > int(parts[2]) == windows.count
+    assert all(axis.explained for axis in ji.diagnose(found, log).axes)  # at once, which the memory still allows
+    monkeypatch.setattr("jointid.diagnostics.diagnose.LARGEST", memory_of(log, arm) - 1)
     for use in (ji.diagnose, ji.Report.of):
         with pytest.raises(MethodError, match="in windows, whose torque it does not keep; identify a part"):
             use(found, log)

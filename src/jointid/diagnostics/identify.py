@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from typing import Literal
 
 import numpy as np
 
@@ -64,7 +65,7 @@ def identify(
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     several: SeveralRecords | None = None,
-    windows: Windowing | None = None,
+    windows: Windowing | Literal[False] | None = None,
     checks: bool = True,
     shown: Sequence[DriveNumber] = (),
     torque_constant: str = "",
@@ -91,7 +92,8 @@ def identify(
         several: what the records share, and what was added to the load; see `SeveralRecords`.
         windows: of a log; see `Windowing`. With it records in memory are identified in windows, too: of a joint by
             DIDIM or IDIM, several, or a robot's. Records that may take too much memory at once are identified in
-            windows without it, and checked in a part; whole where windows do not identify them.
+            windows without it, and checked in a part; whole where windows do not identify them. False identifies all
+            of them at once.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
             long as its identification.
@@ -140,6 +142,7 @@ def identify(
     """
     tells = method is None or method.tells_of_its_loop
     planned = plan_windows(record, model, method) if windows is None else None
+    windows = windows or None
     part, said = (record, "") if planned is None else (planned.part, planned.said)
     windows = windows if planned is None else planned.windows
 

@@ -96,13 +96,13 @@ class Planned:
     said: str
 
 
-def plan_windows(record: object, model: object, method: Method | None) -> Planned | None:
-    """Return for a record above `LARGEST` the part to check, the windows, and a sentence on what it takes.
+def plan_windows(record: object, model: object, method: Method | None, limit: int | None = None) -> Planned | None:
+    """Return for a record above the limit the part to check, the windows, and a sentence on what it takes.
 
     The part is the first with half the most travel or more. None of a record below, of one that moves in less than two
     windows, and of what is not identified in windows.
     """
-    needed, limit = memory_of(record, model, method), limit_of(record, model, method)
+    needed, limit = memory_of(record, model, method), limit or limit_of(record, model, method)
     if needed <= limit or not _in_windows(record, model, method):
         return None
     robot = isinstance(model, _ROBOTS)

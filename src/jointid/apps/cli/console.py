@@ -107,24 +107,25 @@ class Inputs:
             file: as `load` returns it.
             checks: whether to check the estimate.
             judged: as of `File.record`.
-            whole: whether to refuse a record that would be identified in windows.
+            whole: whether to identify at once, and refuse a record that is too long for it.
 
         Raises:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
         from jointid import Estimate, Record
-        from jointid.estimation.identify import plan_windows
+        from jointid.estimation.identify import LARGEST, plan_windows
         from jointid.estimation.result.parts import IN_WINDOWS
 
         record = file.record(self.record, judged=judged)
         if isinstance(record, Record):  # the engine of a robot is another
             ready(self.progress)
-        if whole and plan_windows(record, file.setup, file.method):
+        asked: dict[str, Any] = {"windows": False} if whole else {}
+        if whole and plan_windows(record, file.setup, file.method, LARGEST):
             raise MethodError(IN_WINDOWS)
         suspicions, known = Suspicions(self.progress), list[Estimate]()
         try:
             try:
-                return record, file.identify(record, suspicions, checks=checks, unchecked=known.append)
+                return record, file.identify(record, suspicions, checks=checks, unchecked=known.append, **asked)
             except JointidError as error:
                 suspicions.latest = suspicions.latest or str(error)
                 raise file.explain(error, record, suspicions) from error
