@@ -18,6 +18,7 @@ import pytest
 
 import jointid as ji
 from jointid.campaigns import addresses
+from jointid.campaigns.addresses import fetch
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started
 from jointid.campaigns.engines import LocalProcesses
@@ -198,6 +199,37 @@ def test_a_record_behind_a_url_is_fetched_by_the_worker(place: Path) -> None:
     gone = run_case(far)
     assert gone.outcome is Outcome.REFUSED
     assert "cannot be fetched (FileNotFoundError" in gone.sentence
+
+
+KILLED = """
+import sys
+from jointid.campaigns.addresses import fetch
+with fetch(sys.argv[1]) as path:
+    print(path, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks of folders")
+def test_a_killed_download_is_removed_by_the_next_and_one_at_work_is_not(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("fsspec")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    address = f"file://{place.as_posix()}/logs/a/2026-11-01.npy"
+    command = [sys.executable, "-c", KILLED, address]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as program:
+        assert program.stdout is not None
+        path = Path(program.stdout.readline().strip())
+        for _ in range(2):
+            os.utime(path.parent, (0, 0))
+            with fetch(address) as own:
+                assert own.read_bytes() and path.exists() is (program.poll() is None)
+            program.kill()
+            program.wait()
+    assert not any(tmp_path.glob("jointid-*"))
 
 
 @pytest.fixture

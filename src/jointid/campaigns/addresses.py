@@ -8,19 +8,21 @@ import os
 import posixpath
 import re
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from typing import Any
 from urllib.parse import urlsplit
 
 from jointid.common.errors import ExtraError, RecordError, extra
-from jointid.common.files import open_file
+from jointid.common.files import lock, open_file
 from jointid.common.messages import either
 
 _REMOTE = ("s3", "s3a", "gs", "gcs", "az", "abfs", "adl", "http", "https", "sftp", "smb", "hdfs", "webhdfs", "file")
 _CHANGED = ("ETag", "etag", "LastModified", "Last-Modified", "updated", "mtime")  # what an object store says of it
 _BLOCK = 2**20
+_PREFIX, _YOUNG = "jointid-record-", 1.0  # of a temporary folder; s from its making until it is locked
 
 
 def is_remote(address: str) -> bool:
@@ -43,16 +45,41 @@ def fetch(address: str) -> Iterator[Path]:
         return
     check_scheme(address)
     fsspec = extra("fsspec", "remote", "A record behind a URL")
-    with TemporaryDirectory(prefix="jointid-") as folder:
+    with _temporary_folder() as folder:
         # In an object store # and ? are letters of a name.
         whole = urlsplit(address).path if address.startswith("http") else address
-        path = Path(folder) / PurePosixPath(whole).name
+        path = folder / PurePosixPath(whole).name
         try:
             with fsspec.open(address, "rb") as source, path.open("wb") as target:
                 shutil.copyfileobj(source, target, _BLOCK)
         except Exception as error:  # of any of a dozen libraries
             raise _refusal(address, error) from error
         yield path
+
+
+@contextlib.contextmanager
+def _temporary_folder() -> Iterator[Path]:
+    """Yield a locked temporary folder, and remove those of programs that were killed."""
+    for left in Path(gettempdir()).glob(f"{_PREFIX}*"):
+        with contextlib.suppress(OSError):
+            if time.time() - left.stat().st_mtime > _YOUNG:
+                with _locked(left) as is_mine:
+                    if is_mine:
+                        shutil.rmtree(left)
+    with TemporaryDirectory(prefix=_PREFIX) as made, contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):  # Windows opens no folder
+            stack.enter_context(_locked(Path(made)))
+        yield Path(made)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[bool]:
+    """Hold a folder locked, and yield whether it is."""
+    held = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
+    try:
+        yield lock(held) is True
+    finally:
+        os.close(held)
 
 
 def list_addresses(pattern: str, folder: Path) -> dict[str, str]:

@@ -19,7 +19,7 @@ from typing import Any
 from jointid.campaigns.cases import Row, canonical, read_time
 from jointid.campaigns.store import DATABASE, SHARD_FILES
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.files import open_file
+from jointid.common.files import lock, open_file
 
 _NAME = "shard-{}-of-{}.jsonl"
 
@@ -139,7 +139,8 @@ def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
     try:
         with _explain(path):
-            _lock(descriptor, path)
+            if lock(descriptor) is False:
+                raise RecordError(f"Another process is at work on {path}; wait for its end.")
             contents, ends = _read(path)
             if not ends:
                 os.write(descriptor, b"\n")  # of a torn line, which is made again
@@ -147,20 +148,6 @@ def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
         yield ShardFile(path, descriptor, contents, finished)
     finally:
         os.close(descriptor)
-
-
-def _lock(descriptor: int, path: Path) -> None:
-    """Lock a shard for this process, where the system has locks."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        return
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        raise RecordError(f"Another process is at work on {path}; wait for its end.") from None
-    except OSError:  # a disk in a network without locks
-        return
 
 
 def has_shards(folder: Path) -> bool:

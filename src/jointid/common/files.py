@@ -125,6 +125,22 @@ def open_file(path: str | os.PathLike[str]) -> IO[bytes]:
     raise OSError(errno.EINVAL, "it is a pipe or a device, no file", os.fspath(path))
 
 
+def lock(descriptor: int) -> bool | None:
+    """Lock an open file or folder; False if another process has it.
+
+    None where the system has no locks, as Windows and some disks in a network.
+    """
+    try:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except (ImportError, OSError):
+        return None
+    return True
+
+
 def remove_rooms() -> None:
     """Remove temporary folders that an interrupt left, at the end of the program."""
     for room in _rooms:
