@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import jointid as ji
+from jointid.common.bounds import LATE, TOO_LARGE
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -77,3 +80,46 @@ def test_the_package_names_nothing_that_only_posix_has_without_a_guard() -> None
         text = path.read_text(encoding="utf-8")
         assert not calls.search(text), path
         assert not top.search(text), path
+
+
+SYSTEMS = {
+    "without resource": "sys.modules['resource'] = None",
+    "macOS": "sys.platform = 'darwin'",
+    "Windows": """
+sys.modules['resource'] = None
+sys.platform = 'win32'
+
+def fill(process, counters, size):
+    assert process.value == 2**64 - 1 and size == 72
+    with open('/proc/self/statm') as file:
+        counters[7] = 4096 * int(file.read().split()[0])
+
+ctypes.windll = types.SimpleNamespace(kernel32=types.SimpleNamespace(K32GetProcessMemoryInfo=fill))
+""",
+}
+BOUNDED = """
+from jointid.common.bounds import limit_resource, measure_memory
+
+limit_resource("RLIMIT_AS", measure_memory() + 2**28 // {unit})
+limit_resource("RLIMIT_CPU", 1)
+kept = []
+"""
+WORK = {
+    "memory": ("while len(kept) < 64: kept.append(b'x' * 2**24)\ntime.sleep(1.0)", TOO_LARGE),
+    "time": ("while time.process_time() < 3.0: pass", LATE),
+    "little": ("kept.append(b'x' * 2**24)\ntime.sleep(0.2)", 0),
+}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the memory of the system that it plays")
+@pytest.mark.parametrize("work", WORK)
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_process_watches_itself_where_the_system_has_no_bounds(system: str, work: str) -> None:
+    """The bounds are 256 MiB more than at the beginning, and a second of the processor."""
+    does, code = WORK[work]
+    if system == "macOS" and work == "time":  # which it bounds itself
+        code = -signal.SIGXCPU
+    bounded = BOUNDED.format(unit=1024 if system == "macOS" else 1)  # of the largest resident size: KiB on Linux
+    program = f"import ctypes, sys, time, types\n{SYSTEMS[system]}{bounded}{does}"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
+    assert ran.returncode == code, ran.stderr
