@@ -128,6 +128,8 @@ def _become(action: Callable[[], None], writer: int, folder: Path | None, most: 
         if most is not None:
             import resource
 
+            # Python cuts the bytecode of a module there without a word, and fails to load it ever after.
+            sys.dont_write_bytecode, os.environ["PYTHONDONTWRITEBYTECODE"] = True, "1"
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
         action()
         code = 0
