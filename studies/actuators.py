@@ -3,7 +3,8 @@
 Three families at the joint's side: quasi-direct drives without a spring, strain-wave drives with one, hobby servos with
 play. Each drive computes ``tau = kp (q_des - q) + kd (dq_des - dq) + tau_ff`` at 1 to 20 kHz, and its torque acts up to
 10 ms later, which nobody declares: the delay is identified. The log has 100 Hz to 1 kHz, a torque of 12 bits with
-noise, and a position of 16 bits. `judge` identifies the joint as flexible.
+noise, and a position of 16 bits. `judge` identifies the joint as flexible, from the logged torque, and from the motor
+position beside it where the torque is a command.
 """
 
 from __future__ import annotations
@@ -315,7 +316,9 @@ class Said:
 def judge(seed: int, kind: str, fault: str = "none") -> Said:
     """Identify an actuator as flexible with its delay free, with the play that it has, or as rigid if refused."""
     made = log(seed, kind, fault)
-    one, loop, method = made.actuator, made.loop, DIDIM(free=("delay",))
+    one, loop = made.actuator, made.loop
+    # A measured torque is later than the law's for the position by the delay, which nobody declares.
+    method = DIDIM(free=("delay",), outputs=("torque",) if one.measured else ("torque", "motor_position"))
     truth = one.truth
     about = {"period": one.period, "log": one.log, "noise": one.noise, "measured": float(one.measured), **truth}
     loose = replace(loop, joint=replace(ji.FlexibleJoint("revolute"), spring=find_spring("backlash")))
