@@ -18,9 +18,8 @@ from jointid.common.errors import JointidError
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.faults.fault import Hypothesis
-from jointid.estimation.methods.didim import DELAY, DELAYS
 from jointid.estimation.methods.stiffness_search import rigid_cutoff
-from jointid.estimation.problems.base import DRIVE_AND_LOG
+from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.prescribed import DriveSideProblem
 from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
