@@ -56,12 +56,13 @@ def find_imports(path: Path, modules: Collection[str]) -> set[str]:
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             nodes += node.orelse
             continue
-        nodes += ast.iter_child_nodes(node)
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             below = {f"{node.module}.{alias.name}" for alias in node.names} & {*modules}
             found |= below or {node.module}
+        elif not isinstance(node, ast.expr):  # which imports nothing
+            nodes += ast.iter_child_nodes(node)
     return (found & {*modules}) - {"jointid"}
 
 

@@ -68,6 +68,7 @@ def test_the_problem_is_that_of_the_stick(bench_dir: Path) -> None:
     assert (law.now, law.before, theirs["sample_time"]) == (1 - gains["alpha"], 0.0, 1e-3)
 
 
+@pytest.mark.slow
 def test_the_reference_meets_standstills_and_reversals() -> None:
     for law in LAWS:
         assert reference(law).events >= 15
@@ -86,6 +87,7 @@ def test_an_error_is_a_share_of_the_peak() -> None:
 CASES = [(key, law, setting) for key in PEERS for law in LAWS for setting in peer(key).settings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "law", "setting"), CASES, ids=[f"{k}-{law.key}-{s.label}" for k, law, s in CASES])
 def test_a_peer_errs_no_more_than_it_says(key: str, law: Law, setting: Setting) -> None:
     """And not by chance: an error that is asked for ten times smaller is not met, but by the exact ones."""
@@ -271,6 +273,7 @@ def test_results_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert load(tmp_path / "results.json") == results
 
 
+@pytest.mark.slow
 def test_every_figure_of_the_page_is_drawn(tmp_path: Path) -> None:
     files = figures.drawn(some_results(), tmp_path)
     assert [path.name for path in files] == list(figures.IMAGES)

@@ -96,6 +96,7 @@ print(kernel(1.0))
 """
 
 
+@pytest.mark.slow
 def test_former_code_never_runs_under_a_new_stamp(tmp_path: Path) -> None:
     """A disk that fills after the index is written leaves the data of the former code beside it."""
     environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}

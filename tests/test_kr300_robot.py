@@ -100,6 +100,7 @@ def test_its_springs_are_refused_on_the_drive_side(file: RobotFile, data_dir: Pa
         identified(RobotDriveSide(replace(file.robot, joints=joints)), records)
 
 
+@pytest.mark.slow
 def test_no_law_of_reference_and_position_makes_its_torque(file: RobotFile, data_dir: Path) -> None:
     """The loops of record A: any linear law leaves a fifth of the torques, so that something else is added to them."""
     records = file.records(data_dir / "kr300" / "rec_A.mat")

@@ -231,7 +231,7 @@ print(*threads, read())
 """
 
 
-@pytest.mark.parametrize(("given", "during"), [(None, "1"), ("2", "2")])
+@pytest.mark.parametrize(("given", "during"), [(None, "1"), pytest.param("2", "2", marks=pytest.mark.slow)])
 def test_identification_limits_linear_algebra_to_one_thread_and_gives_it_back(given: str | None, during: str) -> None:
     """A number in the environment stays."""
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}

@@ -52,6 +52,7 @@ velocity_gain = 2000.0
 """
 
 
+@pytest.mark.slow
 def test_an_identification_runs_without_what_windows_lacks(tmp_path: Path) -> None:
     (tmp_path / "joint.toml").write_text(JOINT.replace("[record]", "[record]\nsample_time = 0.001"), encoding="utf-8")
     loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))

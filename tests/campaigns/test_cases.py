@@ -105,6 +105,7 @@ def test_a_bootstrap_scatters_as_the_noise_does(place: Path) -> None:
     assert rows[0].text() == run_case(found[0]).text(), "the same case gives the same bytes"
 
 
+@pytest.mark.slow
 def test_searches_from_many_starts_end_alike(place: Path) -> None:
     noisy(place / "run.npy", seed=3)
     starts = "".join(f"{name} = {{ start = {value} }}\n" for name, value in TRUTH.items())

@@ -59,6 +59,7 @@ def test_another_model_is_another_case(place: Path) -> None:
     assert len({*before, *after}) == 4
 
 
+@pytest.mark.slow
 def test_simulated_runs_of_a_robot_differ_by_their_seed(place: Path) -> None:
     text = '[monte_carlo]\njoint = "robot.toml"\nrecord = "references.csv"\nruns = 2\nnoise_log = 0.5\nseed = 7\n'
     rows = [run_case(case) for case in load_campaign(campaign(place, text)).cases()]

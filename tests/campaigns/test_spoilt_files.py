@@ -47,7 +47,9 @@ def run(place: Path, joint: str, day: str, kind: str, seed: int, file: str = JOI
     return run_case(Case(joint, file, str(path), "", day))
 
 
-@pytest.mark.parametrize(("kind", "outcome"), [("unit", Outcome.DOUBTFUL), ("frozen", Outcome.DOUBTFUL)])
+@pytest.mark.parametrize(
+    ("kind", "outcome"), [pytest.param("unit", Outcome.DOUBTFUL, marks=pytest.mark.slow), ("frozen", Outcome.DOUBTFUL)]
+)
 def test_a_run_that_found_nothing_is_not_identified(kind: str, outcome: Outcome, tmp_path: Path) -> None:
     row = run(tmp_path, "axis 01", "2026-11-01", kind, 1)
     assert row.outcome is outcome and "Do not rely on it yet" in row.sentence

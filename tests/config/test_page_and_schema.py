@@ -89,7 +89,7 @@ def test_the_files_on_the_page_are_right() -> None:
 
 
 def test_the_schema_has_no_null_and_a_description_of_every_key() -> None:
-    text = json.dumps(json_schema())
-    assert "null" not in text
-    for name in json_schema()["$defs"]:
+    schema = json_schema()
+    assert "null" not in json.dumps(schema)
+    for name in schema["$defs"]:
         assert all("description" in key for key in table(name).values())

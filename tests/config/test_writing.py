@@ -251,7 +251,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
     )
 
 
-@settings(max_examples=50)  # one takes 40 ms
+@settings(max_examples=25)  # one takes 40 ms
 @given(joint_files())
 def test_what_is_written_is_read_back(file: JointFile) -> None:
     assert loads(dumps(file)) == file

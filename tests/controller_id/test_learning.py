@@ -250,6 +250,7 @@ def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.Mon
     assert learned["velocity_gain"].value == pytest.approx(500.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_an_interrupt_before_any_fit_says_that_there_is_no_law_yet(monkeypatch: pytest.MonkeyPatch) -> None:
     record, said = made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True), list[str]()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import jointid as ji
 from jointid.diagnostics.faults.record import find_torque_scale
@@ -59,6 +60,7 @@ def test_a_delay_of_eight_periods_is_found_and_nothing_else_explains_the_record(
     assert found.answer.reliable
 
 
+@pytest.mark.slow
 def test_a_filter_that_was_taken_for_a_delay_is_named_and_its_shift_is_in_the_intervals() -> None:
     found = free_delay(logged(velocity_filter=FirstOrder(6e-3)))
     code, values = loop_reason(found)

@@ -16,7 +16,8 @@ from tests.estimates import identify
 from tests.tested import faults_of
 
 
-@pytest.mark.parametrize("seed", [100, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (102, 103))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [100, 102, 103])
 def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     made = spoiled(seed, "cogging", 8.0)
     assert made is not None
@@ -35,6 +36,7 @@ def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     assert "[ripple] period = " in check.sentences[0]
 
 
+@pytest.mark.slow
 def test_none_is_found_where_there_is_none() -> None:
     made = spoiled(103, "none", 8.0)
     assert made is not None

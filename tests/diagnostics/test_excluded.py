@@ -54,6 +54,7 @@ def found_in(record: Record, loop: ClosedLoop) -> tuple[set[str], Diagnosis]:
     return {name for one in said.axes[0].faults.findings for name in one.test.label.split(" or ")}, said
 
 
+@pytest.mark.slow
 def test_a_law_that_the_motor_position_proves_is_not_blamed_for_the_mechanics() -> None:
     record = logged(RigidJoint("prismatic", PreslidingFriction()), WOUND, seconds=8.0)
     loop = ClosedLoop(RigidJoint("prismatic", StribeckFriction()), LAW)  # a wrong law of friction
@@ -106,6 +107,7 @@ def test_a_delay_within_a_sample_that_nobody_stated_is_identified() -> None:
     assert loop.status is Status.PASSED
 
 
+@pytest.mark.slow
 def test_the_first_estimate_stands_where_that_with_the_delay_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     joint = RigidJoint("prismatic", SymmetricFriction())
     record = logged(joint, PLAIN, replace(LAW, delay=4e-4))
@@ -137,6 +139,7 @@ def test_a_law_of_setpoints_that_are_filled_in_is_excluded_on_them(declared: boo
     assert Proof(record, loop).excludes_law(law) is declared
 
 
+@pytest.mark.slow
 def test_a_delay_is_unstated_only_where_none_is_declared_nor_denied() -> None:
     joint = RigidJoint("prismatic", SymmetricFriction())
     record = logged(joint, PLAIN, replace(LAW, delay=4e-4))

@@ -168,7 +168,7 @@ def _filled_in(way: str, law: Cascade | PD = CASCADE) -> tuple[Record, ClosedLoo
     return shown, ClosedLoop(joint, replace(controller, interpolation=None))
 
 
-@pytest.mark.parametrize(("law", "way"), [(CASCADE, "hold"), (SERVO, "cubic")])
+@pytest.mark.parametrize(("law", "way"), [(CASCADE, "hold"), pytest.param(SERVO, "cubic", marks=pytest.mark.slow)])
 def test_a_reference_that_is_filled_in_otherwise_is_named(law: Cascade | PD, way: str) -> None:
     """Without the check the inertia is many deviations off, and relied on."""
     record, loop = _filled_in(way, law)
@@ -227,7 +227,7 @@ def _averaged(mean: float, coarse: int = 1) -> tuple[Record, ClosedLoop, Cascade
     return shown, replace(loop, controller=replace(law, reference_average=0.0)), law
 
 
-@pytest.mark.parametrize("mean", [8e-3, 20e-3])
+@pytest.mark.parametrize("mean", [8e-3, pytest.param(20e-3, marks=pytest.mark.slow)])
 def test_a_reference_that_the_drive_averages_is_named_with_its_time(mean: float) -> None:
     record, loop, law = _averaged(mean)
     said = _said(ji.identify(record, loop))
@@ -248,7 +248,7 @@ def test_a_coarse_setpoint_that_is_held_is_not_blamed() -> None:
     assert faults_of(identify(record, loop), record).as_declared
 
 
-@pytest.mark.parametrize(("way", "late"), [("linear", 1), ("cubic", 2)])
+@pytest.mark.parametrize(("way", "late"), [("linear", 1), pytest.param("cubic", 2, marks=pytest.mark.slow)])
 def test_a_coarse_setpoint_that_the_drive_fills_in_is_named(way: Any, late: int) -> None:
     """What the answer says to declare is the drive's law, and its values the true ones."""
     coarse, law = 4, replace(CASCADE, period=LOG, delay=LOG)
@@ -273,6 +273,7 @@ def test_a_coarse_setpoint_that_the_drive_fills_in_is_named(way: Any, late: int)
     assert abs(declared["inertia"].value - RIGID["inertia"]) < 3 * declared["inertia"].stderr
 
 
+@pytest.mark.slow
 def test_what_moves_a_value_by_less_than_a_thousandth_is_in_its_interval() -> None:
     """The log of a simulator has hardly any noise: it shows how the reference is filled in, which is worth 0.02 %."""
     record, loop = drive(CASCADE, 10, noise=1e-4)

@@ -61,7 +61,10 @@ FIRST_WORDS = {
 }
 
 
-@pytest.mark.parametrize("name", FIRST_WORDS)
+@pytest.mark.parametrize(
+    "name",
+    [name if "swapped" in name else pytest.param(name, marks=pytest.mark.slow) for name in FIRST_WORDS],
+)
 def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: str) -> None:
     """No estimate is needed, and the cause stands before the error that was raised."""
     mistake = BY_NAME[name]
@@ -220,6 +223,7 @@ def test_none_in_the_place_of_declared_taps_is_a_cause() -> None:
     assert not searching._is_small(none, taps, 1e-3)
 
 
+@pytest.mark.slow
 def test_swapped_gains_of_a_pd_law_are_no_scale() -> None:
     """A scale of the loop leaves three times as much, and is not named."""
     made = axis("direct")
@@ -389,6 +393,7 @@ def test_a_search_begins_where_parameters_end_at_a_bound(monkeypatch: pytest.Mon
         searching.explain_misfit(amended(estimate, params={"rows": rows}), record, (fault,))
 
 
+@pytest.mark.slow
 def test_a_refused_spring_at_its_bounds_is_no_reason_to_look_for_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     """A healthy drive that moves one way only, whose stiffness is refused, was told that as what is wrong."""
     plant = drive(323, 12.0)

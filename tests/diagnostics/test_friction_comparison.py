@@ -78,6 +78,7 @@ def test_symmetric_friction_is_told_as_that() -> None:
     assert "set joint" not in found.sentence
 
 
+@pytest.mark.slow
 def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
     rising: tuple[Record, ClosedLoop, dict[str, float]],
 ) -> None:

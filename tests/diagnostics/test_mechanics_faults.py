@@ -98,8 +98,8 @@ def identified(fault: str, seed: int, longest: float = 8.0) -> tuple[Spoiled, Es
 @pytest.mark.parametrize(
     ("fault", "seed", "named"),
     [
-        ("cubic spring", 3005, CUBIC_SPRING),
-        ("load-dependent friction", 3003, LOAD_DEPENDENT_FRICTION),
+        pytest.param("cubic spring", 3005, CUBIC_SPRING, marks=pytest.mark.slow),
+        pytest.param("load-dependent friction", 3003, LOAD_DEPENDENT_FRICTION, marks=pytest.mark.slow),
         ("second mode", 135, SECOND_MODE),
         pytest.param("presliding", 109, WINDING_FRICTION, marks=pytest.mark.slow),
         pytest.param("changing friction", 3003, CHANGING_FRICTION, marks=pytest.mark.slow),
@@ -179,9 +179,8 @@ def test_two_faults_at_once_are_both_named_in_the_answer() -> None:
     assert "the spring is not linear" in said and "comes back with the motor's position" in said
 
 
-@pytest.mark.parametrize(
-    ("fault", "seed"), [pytest.param("second mode", 135, marks=pytest.mark.slow), ("cubic spring", 164)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("fault", "seed"), [("second mode", 135), ("cubic spring", 164)])
 def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, seed: int) -> None:
     made, plain = identified(fault, seed)
     found = ji.identify(made.record, made.axis.loop)
@@ -236,7 +235,8 @@ def solve_geared(record: ji.Record) -> tuple[ClosedLoopProblem, FloatArray]:
     return posed, descend(posed, posed.vector(GEARED | {"initial_position": 0.0, "initial_torque": 0.0}), 1e-8).x
 
 
-@pytest.mark.parametrize("seed", [pytest.param(4, marks=pytest.mark.slow), 8])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 8])
 def test_noise_on_the_log_does_not_hide_a_friction_that_grows_with_the_load(seed: int) -> None:
     """A little of the noise passes for a force in the loop; scaled to all of it, none of the faults was significant."""
     wrong = replace(GEARED_LOOP, joint=ji.FlexibleJoint("revolute", friction=ji.friction.LoadDependentFriction()))
@@ -248,7 +248,8 @@ def test_noise_on_the_log_does_not_hide_a_friction_that_grows_with_the_load(seed
     assert [one.test.fault.kin for one in check.findings] == ["load friction"]
 
 
-@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.slow), 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3])
 def test_a_load_friction_on_either_side_is_in_the_interval(seed: int) -> None:
     """With the load's friction alone the stiffness changed by 0.2 and 1.2 %; it is 6 and 11 % too large."""
     posed, x = solve_geared(geared(seed, 0.002, gear=0.1))
@@ -282,6 +283,7 @@ def test_a_stiffness_beside_a_friction_that_grows_with_the_load_is_not_relied_on
     assert 'declare the joint with friction = "load-dependent"' in str(faults_of(found, made.record).sentences)
 
 
+@pytest.mark.slow
 def test_a_rigid_joint_has_no_spring() -> None:
     axis = ji.twin(noise="white")
     rigid = ji.ClosedLoop(ji.RigidJoint(kind=axis.loop.joint.kind), axis.loop.controller)
@@ -381,6 +383,7 @@ def test_friction_that_is_taken_for_the_spring_is_named_and_leaves_no_wrong_inte
     assert interval is not None and interval[0] < made.truth["stiffness"] < interval[1]
 
 
+@pytest.mark.slow
 def test_the_answer_says_how_much_stiffer_a_spring_is_if_the_load_is_not_rigid() -> None:
     axis = drive(502, 3.0)
     found = ji.identify(axis.record, axis.loop)

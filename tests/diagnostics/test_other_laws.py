@@ -72,6 +72,7 @@ def test_only_a_law_with_an_integral_has_another_one() -> None:
     assert other.remedy == "position_gain 5.0 % larger"
 
 
+@pytest.mark.slow
 def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> None:
     """Of a sensor, or an observer: it is half a period earlier, which a drive of twice the rate is, too."""
     made = _quiet()
@@ -145,6 +146,7 @@ def _checked(*, present: bool) -> tuple[Estimate, Record, AxisFaults]:
     return estimate, record, faults_of(estimate, record)
 
 
+@pytest.mark.slow
 def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
     """Both gains move together, and the inertia is the true one with it."""
     estimate, record, check = _checked(present=True)
@@ -193,6 +195,7 @@ def test_what_the_record_does_not_exclude_speaks_against_the_value_where_it_woul
             assert answer.trust.code is not Trust.NOT_YET
 
 
+@pytest.mark.slow
 def test_the_check_of_one_fault_leaves_the_law_out() -> None:
     estimate, record, _ = _checked(present=True)
     check = faults_of(estimate, record, LoopTests(faults=("delay",)))

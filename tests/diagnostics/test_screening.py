@@ -15,6 +15,7 @@ from tests.diagnostics.test_undeclared import JOINT, LAW, logged
 LOOP = ji.ClosedLoop(JOINT, LAW)
 
 
+@pytest.mark.slow
 def test_gross_cause_is_told_first_and_the_tests_of_small_ones_left_out():
     said = []
     wrong = replace(LOOP, controller=replace(LAW, velocity_gain=1.5))

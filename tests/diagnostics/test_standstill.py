@@ -36,6 +36,7 @@ def test_an_axis_that_its_friction_holds_is_told_so_from_its_torque(name: AxisNa
     assert "with the motor at rest the controller would make all of this torque but" in str(message)
 
 
+@pytest.mark.slow
 def test_that_is_what_an_identification_says_then() -> None:
     _, record, loop = smaller("flexible", 2e-5, noise=0.03)
     words = tell(without_positions(record), loop)[1]

@@ -94,6 +94,7 @@ def test_a_robot_responds_to_another_law_as_its_simulation_does(other, tap):
         assert np.all(np.linalg.norm(found - changed, axis=0) < 0.1 * np.linalg.norm(changed, axis=0))
 
 
+@pytest.mark.slow
 def test_intervals_of_a_robot_allow_for_a_hidden_filter():
     twin, draw, logs = two(), np.random.default_rng(0), {}
     first, second = twin.loop().controllers

@@ -42,7 +42,9 @@ def noise(random: np.random.Generator, kind: str) -> np.ndarray:
     return white[4:] * (1.0 + 6.0 * (np.abs(BEND[:, 0]) > 0.1 * np.abs(BEND).max()) if kind == "loud" else 1.0)
 
 
-@pytest.mark.parametrize("kind", ["white", "coloured", "loud"])
+@pytest.mark.parametrize(
+    "kind", ["coloured", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("white", "loud"))]
+)
 def test_chance_is_found_significant_as_often_as_the_level_says(kind: str) -> None:
     random = np.random.default_rng(1)
     tests = [quick(left(noise(random, kind)), [BEND]) for _ in range(400)]

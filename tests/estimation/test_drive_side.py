@@ -36,6 +36,7 @@ def problem_of(record: Record, **settings: float | None) -> DriveSideProblem:
     return motion_problem(record, ji.DriveSide(JOINT), FILTERING, JOINT.parameters, around)
 
 
+@pytest.mark.slow
 def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
     made = twin("L19", noise="none")
     estimate = ji.identify(made.record.without("reference", "injected"), ji.DriveSide(JOINT), filtering=FILTERING)
@@ -111,7 +112,7 @@ def test_the_slopes_of_the_residual_are_those_of_differences(tap: Tap) -> None:
         assert np.linalg.norm(slope - J[:, i]) <= 2e-4 * np.linalg.norm(slope), p.name
 
 
-@pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.MEASURED])
+@pytest.mark.parametrize("tap", [Tap.COMMAND, pytest.param(Tap.MEASURED, marks=pytest.mark.slow)])
 def test_a_lag_of_the_current_is_told_from_a_delay(tap: Tap) -> None:
     from scipy.signal import lfilter
 

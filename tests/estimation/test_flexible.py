@@ -89,7 +89,7 @@ def torque_only(axis: Twin) -> Record:
     return axis.record.without("motor_position", "load_position")
 
 
-@pytest.mark.parametrize("loop", ["L19", "L30"])
+@pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
 def test_didim_finds_stiffness_inertias_and_the_sums_of_friction_from_torque_alone(
     loop: str, noise: str, identified: Callable[..., Estimate]
@@ -113,7 +113,7 @@ def test_didim_finds_stiffness_inertias_and_the_sums_of_friction_from_torque_alo
     assert estimate.fit.converged
 
 
-@pytest.mark.parametrize("loop", ["L19", "L30"])
+@pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("settings", [DIDIM(), DIDIM(frequency=30.0)], ids=["grid", "30 Hz"])
 def test_didim_recovers_the_noise_free_twin(loop: str, settings: DIDIM, identified: Callable[..., Estimate]) -> None:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
@@ -123,7 +123,8 @@ def test_didim_recovers_the_noise_free_twin(loop: str, settings: DIDIM, identifi
     assert estimate.fit.simulations <= 700
 
 
-@pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("loop", ["L19", "L30"])
 def test_any_known_frequency_leads_to_the_same_answer(loop: str, identified: Callable[..., Estimate]) -> None:
     """On L30 the halved inertia of (13) is an unstable loop: other load shares must be tried."""
     axis = twin(loop, noise="white")  # type: ignore[arg-type]
@@ -231,6 +232,7 @@ def test_two_starts_in_the_same_wrong_valley_of_friction_are_led_out_of_it(seed:
     assert estimate.values["motor_coulomb"] == pytest.approx(drive.truth["motor_coulomb"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_record_that_tells_no_rigid_joint_is_begun_with_the_joint_that_would_follow_its_reference(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -293,7 +295,7 @@ def test_nelder_mead_reaches_the_minimum_after_one_restart(monkeypatch: pytest.M
     assert "inverse model" in simplex.params.basis
 
 
-@pytest.mark.parametrize("method", [IDIM(), DIDIM()], ids=["idim", "ls"])
+@pytest.mark.parametrize("method", [IDIM(), pytest.param(DIDIM(), marks=pytest.mark.slow)], ids=["idim", "ls"])
 def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | DIDIM) -> None:
     before, after = twin(seed=1), twin(seed=2, added_mass=True)
     first, second = (identify(axis.record, axis.loop, method) for axis in (before, after))

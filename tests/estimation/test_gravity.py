@@ -138,6 +138,7 @@ def test_a_link_from_encoders() -> None:
     assert_found(identify(arm(), ARM, IDIM()), {"gravity_cos": 40.0, "gravity_sin": 15.0}, 0.01)
 
 
+@pytest.mark.slow
 def test_a_link_on_its_drive_side() -> None:
     flexible = identify(geared(slow=True).without("load_position"), GEARED, DriveSideFit())
     assert_found(flexible, GEARED_TRUTH, 0.01)

@@ -56,6 +56,7 @@ def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop() -> None:
     assert np.mean(inside) >= 0.85
 
 
+@pytest.mark.slow
 def test_instruments_on_a_rigid_axis() -> None:
     loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
@@ -137,6 +138,7 @@ def test_spikes_in_the_torque_do_not_move_the_robust_estimate() -> None:
     assert "of the rows do not fit and weigh nothing" in after.fit.stop
 
 
+@pytest.mark.slow
 def test_the_robust_estimate_is_95_percent_efficient_and_knows_its_deviation() -> None:
     """With normal errors it goes with least squares at a correlation of sqrt(0.95): so the constants are right."""
     random = np.random.default_rng(8)
@@ -153,7 +155,7 @@ def test_the_robust_estimate_is_95_percent_efficient_and_knows_its_deviation() -
         assert np.corrcoef(one, other)[0, 1] == pytest.approx(np.sqrt(0.95), abs=0.012)
 
 
-@pytest.mark.parametrize("loop", ["L19", "L30"])
+@pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])
 def test_weights_tell_the_damping_and_pull_nothing_to_zero(loop: str, monkeypatch: pytest.MonkeyPatch) -> None:
     axis = twin(loop, noise="white")  # type: ignore[arg-type]
     plain, balanced = (identify(axis.record, axis.loop, IDIM(e)) for e in ("ols", "weighted"))  # type: ignore[arg-type]

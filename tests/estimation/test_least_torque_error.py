@@ -21,7 +21,8 @@ def identified(case: Servo, start: Literal["inversion", "regular", "given"]) -> 
 
 
 # From the one start the fixed point begins to move, from the other not.
-@pytest.mark.parametrize("seed", [8, pytest.param(14, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [8, 14])
 def test_an_axis_that_stands_begins_at_rest_from_every_start(seed: int) -> None:
     case = servo(seed)
     found = [identified(case, start) for start in STARTS]

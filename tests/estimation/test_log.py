@@ -249,6 +249,7 @@ def test_an_interrupt_keeps_what_it_had() -> None:
         identify(Stopped(InMemory(record), 3), LOOP, windows=Windowing(length=5.0))
 
 
+@pytest.mark.slow
 def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
     steady = identify(rigid(400.0), LOOP, windows=Windowing(length=4.0))
     assert len(steady.checks.drift.segments) == 8
@@ -284,6 +285,7 @@ def test_windows_without_motion_are_left_out() -> None:
         assert abs(estimate[name].value - truth) <= 4 * std
 
 
+@pytest.mark.slow
 def test_how_long_a_window_remembers_is_measured() -> None:
     stiff = identify(rigid(40.0), LOOP, windows=Windowing(length=5.0))
     slow = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=5.0, velocity_gain=500.0))

@@ -37,6 +37,7 @@ def fit(bench: Bench, current: str, cutoff: float, **settings: float | None) -> 
     )
 
 
+@pytest.mark.slow
 def test_without_the_load_encoder_the_frequencies_are_there(hidden: ji.Estimate) -> None:
     found = ji.FlexibleJoint.frequencies(hidden.values)
     assert found["motor_locked"] == pytest.approx(54.0, abs=0.3)

@@ -27,7 +27,11 @@ def moved(rate: float, step: float, noise: float, duration: float = 10.0) -> tup
 
 
 @pytest.mark.parametrize(("rate", "step", "noise"), [(5000.0, 1e-4, 0.3), (1000.0, 2e-5, 1.0), (10000.0, 1e-4, 0.3)])
-@pytest.mark.parametrize("method", [ji.IDIM(), ji.DriveSideFit(log_delay=0.0)], ids=["idim", "drive_side"])
+@pytest.mark.parametrize(
+    "method",
+    [ji.IDIM(), pytest.param(ji.DriveSideFit(log_delay=0.0), marks=pytest.mark.slow)],
+    ids=["idim", "drive_side"],
+)
 def test_default_is_as_good_as_the_best_by_hand(rate, step, noise, method):
     record, _ = moved(rate, step, noise)
     joint = ji.RigidJoint("revolute")

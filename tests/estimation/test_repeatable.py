@@ -116,6 +116,7 @@ def of_many(draw: str, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray, li
     return robust / runs, widened / runs, found
 
 
+@pytest.mark.slow
 def test_the_widening_does_not_spoil_the_coverage_of_noise() -> None:
     robust, widened, found = of_many("coloured", 240, 5)
     assert np.all((widened >= 0.92) & (widened <= 0.985))

@@ -44,6 +44,7 @@ def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none",
 # Noise-free: the truth
 
 
+@pytest.mark.slow
 def test_two_records_under_different_gains() -> None:
     """Each record has its own loop, so its own gains are no more than that."""
     axis = twins("none")
@@ -135,6 +136,7 @@ def test_a_torque_constant_from_a_known_mass() -> None:
     assert found["inertia"].unit == "kg"
 
 
+@pytest.mark.slow
 def test_what_is_fixed_and_bounded_is_so_without_the_added_mass() -> None:
     axis = twins("none")
     known = {p.name: p for p in axis.loop.joint.parameters}
@@ -174,6 +176,7 @@ def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:
     assert not noisy.checks.agreement.differs
 
 
+@pytest.mark.slow
 def test_a_record_that_is_much_noisier_does_no_harm() -> None:
     """It counts for what it is worth: nearly nothing."""
     axis = twins("white")

@@ -55,6 +55,7 @@ def test_steps_that_lead_to_no_joint_give_way_to_least_squares() -> None:
         ji.identify(cut(axis.record, 3000, 4000), rigid, ji.DIDIM("paper"), checks=False)
 
 
+@pytest.mark.slow
 def test_a_loop_of_a_third_of_a_hertz_is_identified() -> None:
     pace = 2 * math.pi * 0.3
     law = ji.controller.Cascade(position_gain=0.25 * pace, velocity_gain=0.5 * pace, period=1e-3)

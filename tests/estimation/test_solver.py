@@ -19,7 +19,7 @@ from tests.estimates import identify
 from tests.plants import rotary
 
 
-@pytest.mark.parametrize("family", ["prismatic", "rotary"])
+@pytest.mark.parametrize("family", ["prismatic", pytest.param("rotary", marks=pytest.mark.slow)])
 def test_a_plant_is_identified_from_nothing(family: Literal["prismatic", "rotary"]) -> None:
     found = judge(2, family)
     assert not found.error
@@ -27,7 +27,7 @@ def test_a_plant_is_identified_from_nothing(family: Literal["prismatic", "rotary
     assert found.simulations <= 250
 
 
-@pytest.mark.parametrize("family", ["prismatic", "rotary"])
+@pytest.mark.parametrize("family", [pytest.param("prismatic", marks=pytest.mark.slow), "rotary"])
 def test_a_plant_is_identified_from_starts_within_a_factor_of_ten(family: Literal["prismatic", "rotary"]) -> None:
     assert judge(2, family, spread=10.0).at_noise
 
@@ -41,7 +41,7 @@ def test_a_poor_rigid_start_is_not_the_end_of_it(seed: int) -> None:
     assert found.at_noise
 
 
-@pytest.mark.parametrize("loop", ["L19", "L30"])
+@pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("frequency", [15.0, 60.0])  # 30 Hz and no frequency are in test_flexible
 def test_any_start_from_15_to_60_hz_ends_at_the_truth(
     loop: str, frequency: float, identified: Callable[..., Estimate]
@@ -53,6 +53,7 @@ def test_any_start_from_15_to_60_hz_ends_at_the_truth(
     assert estimate.fit.simulations <= 700
 
 
+@pytest.mark.slow
 def test_units_of_mass_length_and_time_do_not_matter() -> None:
     """The same drive in units of 1/1024 kg and 1/64 s: the same answer, after the same simulations."""
     case = rotary(5)

@@ -75,6 +75,7 @@ def test_a_start_has_its_friction_where_that_leaves_less() -> None:
         assert [kept[name] for name in pair] == [case.truth[name] for name in pair]
 
 
+@pytest.mark.slow
 def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
     found, truth = gapped
     for name in ("stiffness", "gap", "load_inertia", "motor_inertia"):

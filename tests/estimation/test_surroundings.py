@@ -108,6 +108,7 @@ def test_the_log_s_own_gain_and_delay_are_found() -> None:
     assert found["log_delay"] == pytest.approx(1e-3, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_torque_alone_finds_the_delay_of_the_real_axis(emps: Record, emps_pulses: Record) -> None:
     """Its motor answers 0.2 to 0.3 ms after the log; from torque alone that takes the pulses, and the gains free."""
     loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)

@@ -52,7 +52,14 @@ SIZES = {
 }
 
 
-@pytest.mark.parametrize("fault", [f for f in FAULTS if f not in ("stribeck", "log_delay")])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "position_gain",
+        "log_gain",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("velocity_gain", "delay", "offset", "limit")),
+    ],
+)
 def test_one_fault_is_named_and_measured(fault: str) -> None:
     where = setting("L19", brief=fault != "limit")  # which a long record measures to a thousandth
     made = problem(where, FAULTS[fault], "disturbance", 1)
@@ -370,6 +377,7 @@ def test_no_absurd_size_is_said(check: AxisFaults, sentence: str) -> None:
     assert check.reasons[0].brief.startswith(sentence)
 
 
+@pytest.mark.slow
 def test_a_number_whose_part_of_the_law_vanishes_ends_no_check(monkeypatch: pytest.MonkeyPatch) -> None:
     where = setting("L19", brief=True)
     made = problem(where, FAULTS["position_gain"], "disturbance", 1)

@@ -191,7 +191,7 @@ def swinging(sign: int) -> tuple[Record, dict[str, float], Estimate]:
     return record, values, identify(record, loop)
 
 
-@pytest.mark.parametrize("side", ["load", "motor"])
+@pytest.mark.parametrize("side", [pytest.param("load", marks=pytest.mark.slow), "motor"])
 @pytest.mark.parametrize("sign", [pytest.param(1, marks=pytest.mark.slow), -1])
 def test_a_link_in_gravity_is_the_same_on_either_side_of_its_gear(side: Side, sign: int) -> None:
     """An arm of 40 and 15 N m, a counterbalance of 10 N m on it, behind a gear of 100:1: its motor swings 200 rad."""

@@ -149,7 +149,7 @@ def test_whatever_the_start(seed: int, which: str, request: pytest.FixtureReques
     require_refused(identify(record.without("motor_position"), LOOP, parameters=starts))
 
 
-@pytest.mark.parametrize("loop", ["L19", "L30"])
+@pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
 def test_the_twin_shows_its_spring(loop: str, noise: str, identified: Callable[..., Estimate]) -> None:
     estimate = identified(loop, noise=noise, seed=3)

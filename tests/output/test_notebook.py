@@ -92,7 +92,7 @@ def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
     assert f"<p>{words}" in html or f"<p><strong>{words}" in html  # a title that is the answer is not said again
 
 
-@pytest.mark.parametrize("make", [learned, tuned, comparison])
+@pytest.mark.parametrize("make", [pytest.param(learned, marks=pytest.mark.slow), tuned, comparison])
 def test_a_notebook_shows_what_takes_longer_to_make(make: Callable[[], Any]) -> None:
     made = make()
     html = made._repr_html_()

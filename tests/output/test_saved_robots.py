@@ -41,7 +41,7 @@ def found(method: str) -> ji.Estimate:
     return ji.identify(logged(0)[1], systems()[method], free, checks=False)
 
 
-@pytest.mark.parametrize("method", ["idim", "didim", "delays"])
+@pytest.mark.parametrize("method", ["idim", pytest.param("didim", marks=pytest.mark.slow), "delays"])
 def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> None:
     estimate, system = found(method), systems()[method]
     path = estimate.save(tmp_path / "out.json")

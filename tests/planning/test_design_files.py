@@ -112,6 +112,7 @@ def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(
     assert "s begins at" in page and "deg and stays between" in page
 
 
+@pytest.mark.slow
 def test_a_goal_and_limits_of_a_robot_are_kept(folder: Path, tmp_path: Path) -> None:
     answers = []
     for k, goal in enumerate(("all", "s.coulomb")):

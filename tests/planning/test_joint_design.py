@@ -123,6 +123,7 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     assert len(designed.chart().panels) == 3
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     found = search
 
@@ -414,6 +415,7 @@ def planned(tmp_path: Path, text: str, *words: str) -> int:
     return int(str(ended.value.code))
 
 
+@pytest.mark.slow
 def test_the_command_plans_from_rough_values_without_a_record(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -510,6 +512,7 @@ def test_a_past_record_is_predicted_as_the_joint_file_reads_it(
     assert "spoiled.csv" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     """An axis that begins at 1.2 rad, holds a weight, logs its reference at a quarter of the rate, injects early."""
     count_trials(monkeypatch)
@@ -576,6 +579,7 @@ def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) 
     assert "torque" not in (tmp_path / "test.csv").read_text().splitlines()[0]  # there is none yet
 
 
+@pytest.mark.slow
 def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
     limits = AxisLimits(stroke=0.05)

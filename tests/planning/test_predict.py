@@ -42,6 +42,7 @@ def test_a_test_that_does_not_tell_a_parameter_is_refused() -> None:
         predict_test(LOOP, TRUTH, one_way, Noise(log=0.01))
 
 
+@pytest.mark.slow
 def test_a_rigid_joint_scatters_as_predicted() -> None:
     noise = 0.02
     told = predict_test(LOOP, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=noise))

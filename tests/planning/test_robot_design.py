@@ -91,6 +91,7 @@ def test_a_motion_keeps_every_limit_and_begins_at_rest() -> None:
     assert np.abs(tight.axes[0].torque).max() < 20.0 < np.abs(found.axes[0].torque).max()
 
 
+@pytest.mark.slow
 def test_a_motion_that_was_looked_for_tells_more_than_any_of_twenty_random_ones() -> None:
     robot = two().robot
     best = design(robot, limits=LIMITS, duration=8.0, sample_time=T, search_time=3.0, noise=(0.1, 0.1))
@@ -106,6 +107,7 @@ def test_a_motion_that_was_looked_for_tells_more_than_any_of_twenty_random_ones(
     assert mine < float(np.median(others)) - 0.2
 
 
+@pytest.mark.slow
 def test_the_intervals_are_those_that_come() -> None:
     noise = np.array([0.4, 0.2])
     found = design(two().robot, limits=LIMITS, duration=8.0, sample_time=T, search_time=0.4, noise=noise)

@@ -210,14 +210,9 @@ def test_a_loop_without_coulomb_friction_is_its_matrix_exponentials(name: str, j
     assert (limited > 0.02) == (law.limit < math.inf)
 
 
-@pytest.mark.parametrize(
-    "joint",
-    [
-        pytest.param(RigidJoint("prismatic"), id="rigid", marks=pytest.mark.slow),
-        pytest.param(FlexibleJoint("prismatic"), id="flexible"),
-    ],
-)
-@pytest.mark.parametrize("name", [pytest.param("P-PI, limits, hold", marks=pytest.mark.slow), "P-PI, after, track"])
+@pytest.mark.slow
+@pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")], ids=["rigid", "flexible"])
+@pytest.mark.parametrize("name", ["P-PI, limits, hold", "P-PI, after, track"])
 def test_a_loop_that_sticks_is_the_event_driven_one(name: str, joint: Joint) -> None:
     check(LAWS[name], joint, RIGID if joint.model == "rigid" else FLEXIBLE, Driven(2e-3, 130), None, 1e-9)
 

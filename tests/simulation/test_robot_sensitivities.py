@@ -47,11 +47,11 @@ def differences(
     [
         (two().loop(), 1, 2e-3),
         (two((10.0, 14.0)).loop(), 4, 5e-3),
-        (RobotLoop(two((10.0, 14.0)).robot, LATE), 4, 5e-3),
+        pytest.param(RobotLoop(two((10.0, 14.0)).robot, LATE), 4, 5e-3, marks=pytest.mark.slow),
         (RobotLoop(two().robot, LIMITED), 4, 5e-3),
         (six().loop(), 1, 2e-3),
         (changed(two((None, 12.0)), *COUPLED).loop(), 4, 5e-3),
-        (RobotLoop(two((None, 12.0)).robot, APART), 4, 5e-3),
+        pytest.param(RobotLoop(two((None, 12.0)).robot, APART), 4, 5e-3, marks=pytest.mark.slow),
         (replace(two((None, 12.0)).loop(), in_motion=True), 4, 5e-3),
     ],
     ids=[

@@ -60,7 +60,9 @@ def faster(records: tuple[Record, ...], times: float) -> tuple[Record, ...]:
     return tuple(made)
 
 
-@pytest.mark.parametrize("name", TWINS)
+@pytest.mark.parametrize(
+    "name", [name if "six" in name else pytest.param(name, marks=pytest.mark.slow) for name in TWINS]
+)
 def test_error_and_order_against_an_adaptive_reference_with_the_same_events(name: str) -> None:
     """At 1 ms below 1e-4 of the torque's peak, as promised, and falling with the fourth power of the step.
 
@@ -208,9 +210,8 @@ def test_a_torque_begins_to_act_a_delay_after_its_controller_s_instant() -> None
         np.testing.assert_allclose(acts[:-3], expected[:-3], rtol=0, atol=1e-9)  # what is in the record
 
 
-@pytest.mark.parametrize(
-    "twin", [pytest.param(two(), marks=pytest.mark.slow), TWINS["coupled and flexible"][0]], ids=["rigid", "flexible"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("twin", [two(), TWINS["coupled and flexible"][0]], ids=["rigid", "flexible"])
 def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
     """It moves on as its references do: another start is another motion for as long as the loop remembers."""
     whole = twin.records(6.0)

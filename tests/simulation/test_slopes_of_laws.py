@@ -78,7 +78,11 @@ def check(law: Any, joint: Joint, names: tuple[str, ...], tap: Tap) -> tuple[flo
     return found.response.at_limit, found.torque
 
 
-@pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")], ids=["rigid", "flexible"])
+@pytest.mark.parametrize(
+    "joint",
+    [RigidJoint("prismatic"), pytest.param(FlexibleJoint("prismatic"), marks=pytest.mark.slow)],
+    ids=["rigid", "flexible"],
+)
 def test_every_number_of_a_cascade_at_two_rates(joint: Joint) -> None:
     check(BASE, joint, NUMBERS, Tap.FILTERED)
     # An integral that begins with a given torque makes good what is constant.

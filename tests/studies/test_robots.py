@@ -23,6 +23,7 @@ def test_a_rigid_robot_ends_at_the_noise() -> None:
     assert np.mean(np.abs(found.z) < 2) > 0.85
 
 
+@pytest.mark.slow
 def test_a_flexible_robot_whose_rotors_the_rigid_one_hardly_tells_ends_at_the_noise() -> None:
     found = judge(11, flexible=True)
     assert found is not None

@@ -7,7 +7,7 @@ import pytest
 from studies.stiffness_bounds import PLAIN, identify_plant, random_plant
 
 
-@pytest.mark.parametrize("seed", [5, 13, 57, 64])
+@pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (13, 57, 64))])
 def test_a_bound_is_below_the_truth_with_friction_on_the_load(seed: int) -> None:
     """With that friction held at 0 and the damping at 2 %, these bounds were 5 to 37 times the stiffness."""
     run = identify_plant(seed, loop_checks=False)
@@ -44,7 +44,7 @@ def test_the_best_of_all_modes_is_never_excluded_itself() -> None:
     assert run.value is None or run.value == pytest.approx(run.stiffness, rel=0.02)
 
 
-@pytest.mark.parametrize("seed", [89, 109])
+@pytest.mark.parametrize("seed", [pytest.param(89, marks=pytest.mark.slow), 109])
 def test_no_value_is_given_where_another_spring_is_as_good(seed: int) -> None:
     """Both were given, without a warning: +51 %, 41 deviations; and -88 % with a mode damped four times over."""
     run = identify_plant(seed, loop_checks=False)

@@ -169,6 +169,7 @@ integral_time = "400 ms"
     assert "one of the controller units is 5.0000 N" in unwrapped(plain)
 
 
+@pytest.mark.slow
 def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
     drive = random_drive(0)
     truth = dict(drive.truth) | {"damping": 0.1 * drive.truth["damping"]}
@@ -234,6 +235,7 @@ def test_feed_forward_leaves_nothing_to_the_feedback(ratio: float) -> None:
     assert errors[1] < 0.1 * errors[0]
 
 
+@pytest.mark.slow
 def test_feed_forward_is_told_in_the_drives_units() -> None:
     gear = Transmission(load="prismatic", lead=0.010)
     controller = Cascade(

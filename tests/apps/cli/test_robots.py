@@ -85,6 +85,7 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
             run(*words)
 
 
+@pytest.mark.slow
 def test_validate(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     figure, residuals, found = tmp_path / "a.svg", tmp_path / "b.svg", tmp_path / "found.json"
     places = ("--figure", figure, "--residuals", residuals, "--json", found)

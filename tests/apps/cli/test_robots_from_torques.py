@@ -144,6 +144,7 @@ def test_instruments_and_a_parameter_that_is_known(tmp_path: Path, capsys: pytes
     assert abs(row["value"] - 4.0) < 4 * row["std"] < 0.4
 
 
+@pytest.mark.slow
 def test_two_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     twin = two((9.0, 16.0))
     write_files(tmp_path, twin, 6.0, multisine=0.01)
@@ -276,6 +277,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
         run("simulate", joint, "--set", "method.name=didim", "--out", tmp_path / "one.csv")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["inverse-model", "gravity"])
 def test_controllers_are_judged_beside_the_feed_forward_that_the_file_computes(tmp_path: Path, kind: str) -> None:
     write_files(tmp_path, two(), 2.0)

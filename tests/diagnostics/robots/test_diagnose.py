@@ -383,6 +383,7 @@ def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
     assert own["joint2.coulomb"].known is Told.TOLD
 
 
+@pytest.mark.slow
 def test_little_that_is_left_is_not_called_noise_where_it_is_coloured() -> None:
     """A friction that rises a little towards standstill, undeclared: small, and said all the same."""
     records = records_of(arm(4), 2, noise=0.002)

@@ -47,7 +47,10 @@ def scaled(record: Record, position: float, torque: float) -> Record:
     )
 
 
-@pytest.mark.parametrize("cause", ["base", "order", "gear_ratio"])
+@pytest.mark.parametrize(
+    "cause",
+    [pytest.param("base", marks=pytest.mark.slow), "order", pytest.param("gear_ratio", marks=pytest.mark.slow)],
+)
 def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str) -> None:
     robot = arm(3)
     records = list(records_of(replace(robot, gravity=-robot.gravity) if cause == "base" else robot, 2, noise=0.02))
@@ -65,7 +68,7 @@ def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str) -> N
         assert "upside down" in found.answer
 
 
-@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("joint", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_spring_is_named_at_its_joint_in_spite_of_noise(joint: int) -> None:
     robot, stiffness = arm(3), 20000.0
     q, v, a = motion(2, 3)
@@ -109,7 +112,7 @@ def test_a_position_that_is_its_reference_is_named() -> None:
     assert waiting.findings == (way,) and waiting.undecided is None
 
 
-@pytest.mark.parametrize("tilt", [0.15, np.pi])
+@pytest.mark.parametrize("tilt", [0.15, pytest.param(np.pi, marks=pytest.mark.slow)])
 def test_a_base_is_named_by_its_angle_from_the_declared_one(tilt: float) -> None:
     down = 9.81 * np.array([np.sin(tilt), 0.0, np.cos(tilt)])
     cause = cause_of(replace(arm(3), gravity=np.array([0.0, 0.0, 9.81])), replace(arm(3), gravity=down))
@@ -151,12 +154,13 @@ def test_a_tool_that_the_model_lacks_is_said() -> None:
     assert found.tool in found.sentences and not diagnosed(arm(3), list(records_of(arm(3), 2, noise=0.02))).tool
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hertz", "named"),
     [
         ((9.0, None), ("joint1",)),
-        pytest.param((None, 12.0), ("joint2",), marks=pytest.mark.slow),
-        pytest.param((None, None), None, marks=pytest.mark.slow),
+        ((None, 12.0), ("joint2",)),
+        ((None, None), None),
     ],
 )
 def test_springs_that_are_not_declared_are_named_by_didim_and_wrong_gains_are_none(

@@ -24,8 +24,9 @@ def load(text: str, path: Path) -> Robot:
     return ji.robots.load_robot(str(path))
 
 
-@pytest.mark.parametrize("noise", [3e-4, pytest.param(0.02, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", ["ur5", *(pytest.param(one, marks=pytest.mark.slow) for one in ARMS if one != "ur5")])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [3e-4, 0.02])
+@pytest.mark.parametrize("name", ARMS)
 def test_exported_bodies_of_an_arm_without_rotors_predict_as_its_estimate(
     name: str, noise: float, tmp_path: Path
 ) -> None:

@@ -171,6 +171,7 @@ def test_a_prior_without_masses_is_refused() -> None:
         consistent_robot(estimate, bare)
 
 
+@pytest.mark.slow
 def test_a_payload_within_a_percent() -> None:
     body = MassProperties(3.0, np.array([0.02, -0.03, 0.08]), np.diag([0.02, 0.015, 0.01]))
     carrying = with_payload(ARM, body.inertial)

@@ -48,6 +48,7 @@ def identified(
     return found, noise
 
 
+@pytest.mark.slow
 def test_a_record_without_noise_settles() -> None:
     """As everyone's first trial has none: the search is over where the simulation itself errs, soon."""
     twin = two((8.0, 25.0))
@@ -114,6 +115,7 @@ def test_springs_of_motors_that_are_coupled() -> None:
     assert np.mean(np.abs(deviations(found.fit, twin)) < 2) > 0.85
 
 
+@pytest.mark.slow
 def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
     """A joint that is as good as rigid: no stiffness, but how stiff it is at least."""
     twin = two((12.0, 110.0))

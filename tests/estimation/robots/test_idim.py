@@ -143,6 +143,7 @@ def test_intervals_hold_where_there_is_little_noise() -> None:
         assert np.mean(inside[:, -first::3]) > 0.85
 
 
+@pytest.mark.slow
 def test_outliers_do_not_reach_the_robust_estimate() -> None:
     records = list(records_of(ARM, 3, noise=0.2))
     torque = records[4].torque
@@ -181,7 +182,9 @@ def test_an_estimate_is_held_beside_the_nominal_model() -> None:
     assert "predict better than these: 5.00 %" in said
 
 
-@pytest.mark.parametrize("estimator", ["ols", "weighted", pytest.param("robust", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "estimator", ["ols", *(pytest.param(one, marks=pytest.mark.slow) for one in ("weighted", "robust"))]
+)
 def test_a_parameter_that_is_known_is_kept_and_helps_the_others(
     estimator: Literal["ols", "weighted", "robust"],
 ) -> None:
@@ -261,20 +264,21 @@ def test_the_printed_estimate() -> None:
 
 
 def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
-    records = records_of(ARM, 1)
-    found = ji.identify(records, ARM)
+    robot = arm(3)
+    records = records_of(robot, 1)
+    found = ji.identify(records, robot)
     assert found.success and found.settings.method == "idim"
     assert {v.subject for v in found.checks.verdicts if v.good} >= {Subject.SOLVER, Subject.FIT, Subject.REPEATABLE}
     with pytest.raises(MethodError, match="DIDIM is not for a Robot; use IDIM"):
-        ji.identify(records, ARM, ji.DIDIM())
+        ji.identify(records, robot, ji.DIDIM())
     with pytest.raises(MethodError, match="from the record of each of its joints; received one"):
-        ji.identify(records[0], ARM)
+        ji.identify(records[0], robot)
     with pytest.raises(MethodError, match=r"IDIM\.fixed is for a robot, and this is a rigid joint"):
         ji.identify(records[0], ji.RigidJoint("prismatic"), IDIM(fixed={"Fv": 1.0}))
     with pytest.raises(MethodError, match=r"IDIM\.encoders is for a flexible joint, and this is a robot"):
-        ji.identify(records, ARM, IDIM(encoders="same_zero"))
+        ji.identify(records, robot, IDIM(encoders="same_zero"))
     with pytest.raises(MethodError, match=r"IDIM\.effects are of a joint, and this is a robot"):
-        ji.identify(records, ARM, IDIM(effects=(PositionHarmonics(0.1),)))
+        ji.identify(records, robot, IDIM(effects=(PositionHarmonics(0.1),)))
 
 
 def test_what_is_refused() -> None:

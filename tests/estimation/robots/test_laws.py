@@ -59,7 +59,7 @@ def identified(loop: RobotLoop, records: tuple[Record, ...]) -> RobotFit:
 
 def slow(joint: Joint) -> object:
     name = f"{joint.model} {joint.friction.name} {joint.spring_name}"
-    quick = ("rigid presliding None", "flexible symmetric backlash")
+    quick = ("rigid presliding None",)
     return pytest.param(joint, id=name, marks=() if name in quick else pytest.mark.slow)
 
 
@@ -96,6 +96,7 @@ def with_laws(twin: Twin, laws: Mapping[str, tuple[str, str | None, dict[str, fl
     return replace(twin.robot, joints=tuple(joints))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "laws",
     [
@@ -103,15 +104,10 @@ def with_laws(twin: Twin, laws: Mapping[str, tuple[str, str | None, dict[str, fl
             "joint1": ("stribeck", None, {"stribeck_force": 3.0, "stribeck_speed": 0.15}),
             "joint2": ("presliding", None, {"presliding_distance": 5e-3}),
         },
-        pytest.param(
-            {
-                "joint1": (
-                    "presliding", "linear", {"motor_presliding_distance": 3e-3, "load_presliding_distance": 5e-3}
-                ),
-                "joint2": ("symmetric", "backlash", {"gap": 4e-3}),
-            },
-            marks=pytest.mark.slow,
-        ),
+        {
+            "joint1": ("presliding", "linear", {"motor_presliding_distance": 3e-3, "load_presliding_distance": 5e-3}),
+            "joint2": ("symmetric", "backlash", {"gap": 4e-3}),
+        },
     ],
     ids=["rigid", "flexible"],
 )  # fmt: skip

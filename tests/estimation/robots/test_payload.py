@@ -105,6 +105,7 @@ def by_torques(seed: int, noise: float = 0.02, warmer: float = 1.0) -> Payload:
     return identify_payload(twin.loop(), one, other)
 
 
+@pytest.mark.slow
 def test_a_payload_is_weighed_from_torques_and_references_alone() -> None:
     found = by_torques(1)
     for way in ("value", "by_difference"):
@@ -124,6 +125,7 @@ def test_two_deviations_hold_the_payload_from_torques() -> None:
     assert np.mean([np.abs(values - TRUTH) < 2 * std for values, std in ways]) > 0.88
 
 
+@pytest.mark.slow
 def test_friction_that_changed_is_said_from_torques_too() -> None:
     found = by_torques(3, noise=0.01, warmer=0.7)
     assert found.rows["mass"]["by_difference"] == pytest.approx(3.0, rel=0.01)
@@ -175,6 +177,7 @@ def test_what_is_not_told_of_a_payload_is_said() -> None:
         payload_of_torques(estimate, replace(estimate, fit=replace(estimate.fit, converged=False)), same_friction=True)
 
 
+@pytest.mark.slow
 def test_friction_that_changed_beside_the_payload_is_said() -> None:
     """By both records at once one friction is both robots', by the difference each has its own."""
     joints = tuple(replace(joint, coulomb=0.7 * joint.coulomb) for joint in ARM.joints)
@@ -185,6 +188,7 @@ def test_friction_that_changed_beside_the_payload_is_said() -> None:
     assert "something beside the payload changed between the records" in " ".join(found.summary().split())
 
 
+@pytest.mark.slow
 def test_a_known_payload_tells_the_drives_gains() -> None:
     """Of a known mass, or of a known centre of mass, too."""
     z = []

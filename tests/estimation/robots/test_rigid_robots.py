@@ -92,7 +92,14 @@ def test_parameters_come_back_exactly_without_noise(twin: Twin, slower: float) -
 
 
 @pytest.mark.parametrize(
-    "what", ["motors coupled", "friction another backwards", "rising friction", "clocks that differ", "in motion"]
+    "what",
+    [
+        "motors coupled",
+        "friction another backwards",
+        pytest.param("rising friction", marks=pytest.mark.slow),
+        "clocks that differ",
+        "in motion",
+    ],
 )
 def test_they_come_back_of_what_robots_may_have(what: str) -> None:
     changes = {"motors coupled": COUPLED, "friction another backwards": ONE_WAY, "rising friction": RISING}

@@ -81,6 +81,7 @@ def assert_springs(found: FlexibleRobotFit, twin: Twin, within: float) -> None:
         assert spring.stiffness == pytest.approx(stiffness, rel=within)
 
 
+@pytest.mark.slow
 def test_springs_come_back_with_their_intervals() -> None:
     twin, said = two((12.0, 18.0)), list[str]()
     found = identified(twin, logged(twin), progress=said.append)
@@ -145,6 +146,7 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
         assert inside(found, twin) > 0.8
 
 
+@pytest.mark.slow
 def test_friction_that_rises_towards_standstill() -> None:
     twin = changed(two((12.0, 18.0)), *RISING)
     found = identify_flexible_drive_side(changed(replace(twin, robot=blank(twin.robot)), *SPEEDS).robot, logged(twin))

@@ -53,6 +53,7 @@ def test_a_rigid_robot_is_identified_from_torques_by_mujoco() -> None:
     assert np.mean(np.abs(deviations(fit, twin)) < 2) > 0.85
 
 
+@pytest.mark.slow
 def test_springs_are_identified_from_torques_by_mujoco() -> None:
     twin = two((12.0, 18.0))
     records = twin.records(6.0, multisine=0.004)

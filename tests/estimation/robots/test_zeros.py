@@ -30,20 +30,17 @@ def shifted(records: list[Record], zeros: dict[int, float]) -> list[Record]:
 
 
 @pytest.mark.parametrize(
-    "zeros",
-    [
-        pytest.param({1: -1.6}, marks=pytest.mark.slow),
-        {2: 0.1},
-        pytest.param({1: 2.5, 3: -0.7}, marks=pytest.mark.slow),
-    ],
+    ("joints", "zeros"),
+    [(4, {1: -1.6}), *(pytest.param(6, zeros, marks=pytest.mark.slow) for zeros in ({2: 0.1}, {1: 2.5, 3: -0.7}))],
     ids=str,
 )
-def test_zeros_are_found_with_their_errors(zeros: dict[int, float]) -> None:
-    records = shifted(list(records_of(ARM, 2, noise=0.1)), zeros)
-    found = {one.joint: one for one in find_zeros(ARM, [records], Filtering())}
-    assert set(found) == {ARM.names[k] for k in zeros}
+def test_zeros_are_found_with_their_errors(joints: int, zeros: dict[int, float]) -> None:
+    robot = arm(joints)
+    records = shifted(list(records_of(robot, 2, noise=0.1)), zeros)
+    found = {one.joint: one for one in find_zeros(robot, [records], Filtering())}
+    assert set(found) == {robot.names[k] for k in zeros}
     for k, zero in zeros.items():
-        one = found[ARM.names[k]]
+        one = found[robot.names[k]]
         assert abs(one.zero - zero) < 3.0 * one.stderr and one.stderr < 0.02
         assert one.residual < 0.8 * one.residual_without
 
@@ -59,7 +56,8 @@ def test_a_zero_is_suspected_by_the_estimate_and_can_be_declared() -> None:
 
 
 def test_right_zeros_are_left_alone() -> None:
-    assert find_zeros(ARM, [records_of(ARM, 2, noise=0.1)], Filtering()) == ()
+    robot = arm(4)
+    assert find_zeros(robot, [records_of(robot, 2, noise=0.1)], Filtering()) == ()
 
 
 def test_a_turned_robot_moves_as_the_robot_at_shifted_positions() -> None:

@@ -78,7 +78,9 @@ def test_a_weight_pulls_down_and_its_counterbalance_up() -> None:
     assert plant.values["motor_velocity"] == pytest.approx(1e-6 * gains / 0.04, rel=1e-5)
 
 
-@pytest.mark.parametrize(("made", "values"), [(ji.RigidJoint, RIGID), (ji.FlexibleJoint, FLEXIBLE)])
+@pytest.mark.parametrize(
+    ("made", "values"), [(ji.RigidJoint, RIGID), pytest.param(ji.FlexibleJoint, FLEXIBLE, marks=pytest.mark.slow)]
+)
 def test_the_other_side_of_a_screw_that_turns_round_gives_the_same_torque(
     made: type[ji.RigidJoint | ji.FlexibleJoint], values: Mapping[str, float]
 ) -> None:
@@ -91,6 +93,7 @@ def test_the_other_side_of_a_screw_that_turns_round_gives_the_same_torque(
     assert apart(there, ours) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_ripple_seen_from_the_other_side_of_a_turned_screw_gives_the_same_torque() -> None:
     transmission = ji.Transmission(load="prismatic", lead=0.010, sign=-1, side="motor")
     joint = ji.RigidJoint("revolute", transmission=transmission, ripple=PositionHarmonics(3.0, 2))
@@ -117,9 +120,8 @@ def test_what_was_identified_stands_in_it_and_a_hostile_name_does_not_break_it()
     )
 
 
-@pytest.mark.parametrize(
-    "spring", [pytest.param(Backlash(), marks=pytest.mark.slow), ThreePieceSpring()], ids=["backlash", "three-piece"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("spring", [Backlash(), ThreePieceSpring()], ids=["backlash", "three-piece"])
 def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
     joint, law = ji.FlexibleJoint("prismatic", spring=spring), CONTROLLERS["L19"]
     reference = REFERENCE[:400]
@@ -133,12 +135,9 @@ def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
 @pytest.mark.parametrize(
     "law",
     [
-        "cubic",
+        *(pytest.param(law, marks=pytest.mark.slow) for law in ("cubic", "presliding", "load-dependent", "drifting")),
         "hysteretic",
-        "presliding",
-        "load-dependent",
         "presliding-load-dependent",
-        "drifting",
         "elastic-load",
         "ripple",
     ],

@@ -63,6 +63,7 @@ def mjcf_torque(
     return servo(law, reference, 1e-3, lambda torque: gear * plant(torque))
 
 
+@pytest.mark.slow
 def test_the_twin_s_torque_is_ours_with_both_frictions_and_the_spring() -> None:
     joint, law = ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"]
     ours = simulated(joint, law, REFERENCE, TABLE_2)

@@ -67,6 +67,7 @@ def test_every_section_is_there(made: object) -> None:
     assert not re.search(r"\b(nan|None)\b", text)
 
 
+@pytest.mark.slow
 def test_a_refused_stiffness_of_a_short_record_is_told_too(stiff_axis: tuple[ji.Record, ji.Estimate]) -> None:
     record, estimate = stiff_axis
     told = ji.Report.of(estimate, record, profiles=[])
@@ -429,6 +430,7 @@ def test_thinning_keeps_gaps_and_the_peaks_beside_them() -> None:
     assert np.nanmax(kept) == 3.0
 
 
+@pytest.mark.slow
 def test_a_long_record_says_what_is_left_out() -> None:
     told = reports.rigid()
     many = 40_000

@@ -68,6 +68,7 @@ def test_the_data_sheet_says_in_which_sum_an_armature_is() -> None:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_next_test_of_a_robot_has_its_place() -> None:
     robot, records = arm(), records_of(arm(), 2, noise=0.2)
     told = Report.of(identified(robot, records), records)
