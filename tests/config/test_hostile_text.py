@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jointid.common.errors import JointFileError
@@ -58,6 +58,7 @@ anything = st.recursive(
 )
 
 
+@settings(max_examples=50)
 @given(st.data())
 def test_any_value_at_any_key_is_read_or_refused(data: st.DataObject) -> None:
     tables = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))

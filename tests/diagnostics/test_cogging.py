@@ -44,6 +44,7 @@ def test_none_is_found_where_there_is_none() -> None:
     assert next(one.p_value for one in tests if one.fault is COGGING) > 0.05
 
 
+@pytest.mark.slow
 def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
     made = spoiled(103, "cogging", 8.0)
     assert made is not None

@@ -64,6 +64,7 @@ def advice(disturbed: tuple[Twin, Estimate]) -> Advice:
     return advise(disturbed[1], disturbed[0].record)
 
 
+@pytest.mark.slow
 def test_a_motor_encoder_adds_nothing_to_an_exact_command(advice: Advice) -> None:
     assert advice.noise == "loop"
     for name in advice.std:
@@ -89,6 +90,7 @@ def test_the_law_makes_of_the_torque_what_the_encoder_would_tell(disturbed: tupl
             assert np.linalg.norm(alone[:, j]) <= 0.05 * np.linalg.norm(load[:, j]), p.name
 
 
+@pytest.mark.slow
 def test_friction_that_differs_by_direction(disturbed: tuple[Twin, Estimate]) -> None:
     axis, _ = disturbed
     loop = ClosedLoop(FlexibleJoint("prismatic", friction=AsymmetricFriction()), axis.loop.controller)

@@ -90,6 +90,7 @@ def test_the_check_of_one_fault_leaves_the_period_out() -> None:
     assert both.findings[0].test.fault is PERIOD
 
 
+@pytest.mark.slow
 def test_no_other_cause_is_looked_for_where_the_period_is_all_that_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> Any:
         raise AssertionError
@@ -198,6 +199,7 @@ def test_the_search_for_a_cause_tries_a_held_reference() -> None:
     assert first.words == 'the reference is held between its samples: declare interpolation = "hold"'
 
 
+@pytest.mark.slow
 def test_a_held_reference_is_left_open_where_no_period_is_declared() -> None:
     """Lines through it at another rate explain as much, with another inertia."""
     record, loop = _filled_in("hold")

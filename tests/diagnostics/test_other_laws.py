@@ -170,6 +170,7 @@ def test_a_law_that_is_as_declared_is_not_blamed() -> None:
     assert check.undecided is None
 
 
+@pytest.mark.slow
 def test_what_the_record_does_not_exclude_speaks_against_the_value_where_it_would_move_it() -> None:
     """The sentence says the other value, and where to look; within the interval nothing is said."""
     estimate, _, check = _checked(present=True)

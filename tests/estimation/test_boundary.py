@@ -96,6 +96,7 @@ def test_a_direction_is_projected_on_as_by_nnls() -> None:
             assert found.gained == pytest.approx(1 - norm**2 / (residual @ residual), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_best_of_several_shares_counts_in_the_draws_too() -> None:
     random = np.random.default_rng(6)
     shares = [BEND, BEND + 0.5 * SLOPE, BEND - 0.5 * SLOPE, -SLOPE]

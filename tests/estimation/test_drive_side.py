@@ -49,6 +49,7 @@ def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
     assert estimate.fit.simulations < 150
 
 
+@pytest.mark.slow
 def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
     record = twin("L30", noise="none").record  # a command that acts one period later
     assert ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)[
@@ -204,6 +205,7 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
     assert max(probabilities) > 0.2
 
 
+@pytest.mark.slow
 def test_a_disturbance_in_the_loop_is_noticed() -> None:
     record = twin("L30", seed=1).record
     problem = problem_of(record, log_delay=-1e-3)
@@ -350,6 +352,7 @@ def test_what_is_missing_is_named() -> None:
         ji.DriveSideFit(frequency=0.0)
 
 
+@pytest.mark.slow
 def test_a_wrong_contrast_is_seen() -> None:
     """The statistic is that of the estimates it is given, not of the probability that was hoped for."""
     record = twin("L19", noise="white").record

@@ -99,6 +99,7 @@ def test_intervals_hold_what_a_force_moves_where_a_gain_is_free_too() -> None:
     assert any("force in the loop" in note for note in found.checks.notes)
 
 
+@pytest.mark.slow
 def test_intervals_of_several_records_hold_what_their_forces_move() -> None:
     period, truth = 1e-3, {"inertia": 0.1, "viscous": 0.2, "coulomb": 2.0, "offset": 0.3}
     law = Cascade(position_gain=30.0, velocity_gain=20.0, integral_gain=100.0, delay=0.5e-3, period=period)

@@ -23,6 +23,7 @@ def estimate():  # type: ignore[no-untyped-def]
     return identify(RECORD, AXIS.loop)
 
 
+@pytest.mark.slow
 def test_profiles_agree_with_the_table_where_the_criterion_is_a_parabola(estimate) -> None:  # type: ignore[no-untyped-def]
     found = intervals(estimate, RECORD, ["stiffness", "compliance", "motor_viscous + load_viscous"])
     stiffness, compliance, total = found.profiles

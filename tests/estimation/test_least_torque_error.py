@@ -33,6 +33,7 @@ def test_an_axis_that_stands_begins_at_rest_from_every_start(seed: int) -> None:
     assert max(estimate.fit.simulations for estimate in found) < 120
 
 
+@pytest.mark.slow
 def test_an_axis_that_moves_is_seen_to_move() -> None:
     case = servo(3, moving=True)
     for start in STARTS:

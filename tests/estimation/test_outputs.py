@@ -134,7 +134,9 @@ def test_outputs_that_contradict_each_other_are_not_averaged() -> None:
         identify(larger, LAW, "torque", "motor_position")
 
 
-@pytest.mark.parametrize("outputs", [("motor_position",), ("torque", "motor_position")])
+@pytest.mark.parametrize(
+    "outputs", [pytest.param(("motor_position",), marks=pytest.mark.slow), ("torque", "motor_position")]
+)
 def test_outputs_are_of_several_records_and_of_windows(outputs: tuple[str, ...]) -> None:
     law = replace(LAW, period=1e-3)
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
@@ -212,6 +214,7 @@ def test_an_integral_leaves_no_constant_torque(begin: float) -> None:
     assert any("offset includes what the integral held" in said for said in found.checks.warnings)
 
 
+@pytest.mark.slow
 def test_a_drive_that_is_faster_than_its_log_biases_nothing() -> None:
     law = replace(LAW, period=1e-4)
     assert max(map(abs, deviations(identify(logged(law).without("torque"), law, checks=False)))) < 3.5

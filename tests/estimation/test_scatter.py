@@ -37,6 +37,7 @@ def test_records_that_agree_are_called_otherwise_as_often_as_said(records: int) 
     assert np.mean([one.differs for one in found]) <= 0.1
 
 
+@pytest.mark.slow
 def test_the_variance_between_runs_is_found() -> None:
     random = np.random.default_rng(5)
     found = [drawn(random, 8, between=1.0) for _ in range(300)]

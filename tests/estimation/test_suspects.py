@@ -56,8 +56,10 @@ SIZES = {
     "fault",
     [
         "position_gain",
-        "log_gain",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("velocity_gain", "delay", "offset", "limit")),
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("log_gain", "velocity_gain", "delay", "offset", "limit")
+        ),
     ],
 )
 def test_one_fault_is_named_and_measured(fault: str) -> None:
@@ -164,6 +166,7 @@ def test_the_whitener_leaves_no_correlation() -> None:
         assert abs(float(white[lag:] @ white[:-lag]) / float(white @ white)) < 0.08
 
 
+@pytest.mark.slow
 def test_a_slow_motion_leaves_no_fault_too_sure() -> None:
     """Nine parameters and a fault share nine frequencies: of what they leave there, a fault came out 40 % too sure."""
     rng = np.random.default_rng(0)
@@ -537,6 +540,7 @@ def test_a_loop_that_needs_more_delay_than_it_can_bear_is_not_explained_away() -
     assert np.linalg.norm(made.residual(x)) > 0.9 * np.linalg.norm(made.filter(made.measured))
 
 
+@pytest.mark.slow
 def test_a_wave_of_any_phase_is_tested_as_two_numbers() -> None:
     """Of white residuals the best phase of a wave is significant at 5 % as often as that, not three times."""
     rng, rows, found = np.random.default_rng(3), 200, []

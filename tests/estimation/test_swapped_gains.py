@@ -93,6 +93,7 @@ def test_the_public_record_is_not_asked_about(emps_path: Path) -> None:
     assert ask_about_gains(file.controller, file.record(emps_path).reference) is None
 
 
+@pytest.mark.slow
 def test_the_question_comes_before_the_identification_and_is_kept_as_a_warning() -> None:
     """It is the first thing that is told; where an answer comes all the same, the question stands in it."""
     right = Cascade(position_gain=22.0, velocity_gain=0.8)

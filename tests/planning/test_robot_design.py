@@ -159,6 +159,7 @@ def relative(found: Design) -> dict[str, float]:
     return {name: std / told.values[name] for name, std in told.std.items() if name.endswith(".stiffness")}
 
 
+@pytest.mark.slow
 def test_springs_are_told_by_what_is_added_about_their_modes() -> None:
     twin = two((9.0, 16.0))
     limits = tuple(replace(one, acceleration=None, torque=None) for one in LIMITS)

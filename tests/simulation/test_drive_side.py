@@ -50,6 +50,7 @@ def test_making_up_for_the_hold_pays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.linalg.norm(torque_of(motion, dict(TABLE_2), PARTS) - exact) > 10 * better
 
 
+@pytest.mark.slow
 def test_a_frictionless_load_is_that_of_an_adaptive_integrator() -> None:
     from scipy.integrate import solve_ivp
 

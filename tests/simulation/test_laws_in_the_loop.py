@@ -199,7 +199,11 @@ def check(
     return found.at_limit
 
 
-@pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")], ids=["rigid", "flexible"])
+@pytest.mark.parametrize(
+    "joint",
+    [pytest.param(RigidJoint("prismatic"), marks=pytest.mark.slow), FlexibleJoint("prismatic")],
+    ids=["rigid", "flexible"],
+)
 @pytest.mark.parametrize("name", LAWS)
 def test_a_loop_without_coulomb_friction_is_its_matrix_exponentials(name: str, joint: Joint) -> None:
     law, values = LAWS[name], RIGID if joint.model == "rigid" else FLEXIBLE

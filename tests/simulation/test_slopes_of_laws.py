@@ -89,10 +89,18 @@ def test_every_number_of_a_cascade_at_two_rates(joint: Joint) -> None:
     check(replace(BASE, integral_gain=0.0), joint, ("position_gain", "constant_feedforward"), Tap.FILTERED)
 
 
-@pytest.mark.parametrize("at", ["before_limit", "after_limit"])
 @pytest.mark.parametrize(
-    ("windup", "tap"),
-    [("hold", Tap.COMMAND), *((windup, Tap.FILTERED) for windup in ("hold", "track", "none"))],
+    ("windup", "tap", "at"),
+    [
+        ("hold", Tap.COMMAND, "after_limit"),
+        ("hold", Tap.FILTERED, "before_limit"),
+        ("track", Tap.FILTERED, "after_limit"),
+        ("none", Tap.FILTERED, "before_limit"),
+        pytest.param("hold", Tap.COMMAND, "before_limit", marks=pytest.mark.slow),
+        pytest.param("hold", Tap.FILTERED, "after_limit", marks=pytest.mark.slow),
+        pytest.param("track", Tap.FILTERED, "before_limit", marks=pytest.mark.slow),
+        pytest.param("none", Tap.FILTERED, "after_limit", marks=pytest.mark.slow),
+    ],
 )
 def test_limits_that_act(windup: Any, at: Any, tap: Tap) -> None:
     law = replace(BASE, limit=70.0, velocity_limit=0.07, anti_windup=windup, filters_at=at)

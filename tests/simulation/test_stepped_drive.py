@@ -28,7 +28,8 @@ from tests.simulation.smooth_oracle import Smooth, windup
 from tests.simulation.smooth_oracle import simulate as reference
 
 EVENTFUL = 9
-SEEDS = (2, EVENTFUL, 12)  # two masses: without a delay, with one of 0.9 and of 2.5 periods
+# Two masses: without a delay, with one of 0.9 and of 2.5 periods.
+SEEDS = (2, EVENTFUL, pytest.param(12, marks=pytest.mark.slow))
 _PERIODS = 60
 
 

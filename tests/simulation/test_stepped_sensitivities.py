@@ -22,7 +22,7 @@ _STEP = 3e-6
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("make", [prismatic, rotary])
+@pytest.mark.parametrize("make", [prismatic, pytest.param(rotary, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_differences_of_runs(make: Callable[[int], Case], law: str) -> None:
     case = make(1)
     loop, values = with_law(case, law)

@@ -33,6 +33,7 @@ def shares_with_sizes() -> Iterator[tuple[Study, Share, int, int]]:
         yield from ((study, share, drawn, count - drawn) for share in study.shares if share.tested)
 
 
+@pytest.mark.slow
 def test_a_right_program_passes() -> None:
     """Every share is as bad as the documentation allows; stored and drawn outcomes are of that share."""
     rng, failed = np.random.default_rng(1), np.zeros(SIMULATED, dtype=bool)

@@ -376,6 +376,7 @@ def without_stiffness(estimate: Estimate) -> Estimate:
     )
 
 
+@pytest.mark.slow
 def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(estimate: Estimate) -> None:
     found = tune(without_stiffness(estimate), Tuning(notch=False))
     assert "30.0 Hz at 0.3; 95 % each" in found.interval

@@ -90,6 +90,7 @@ def flexible_twin() -> tuple[ji.Record, ji.Estimate]:
     return record, ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
 
 
+@pytest.mark.slow
 def test_tuning_and_predictions_are_drawn_to_their_end(flexible_twin: tuple[ji.Record, ji.Estimate]) -> None:
     record, estimate = flexible_twin
     for run in (

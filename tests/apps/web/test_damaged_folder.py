@@ -114,6 +114,7 @@ def test_a_record_from_elsewhere_is_none(run: Path, asker: Asker, folder: Path) 
         assert "Your record is" not in asker.get("/")
 
 
+@pytest.mark.slow
 def test_a_key_of_thousands_of_points_takes_no_time_on_the_page(asker: Asker, limits: Limits) -> None:
     said = asker.send("axis.toml", b"a" + b".a" * (limits.joint_file // 2 - 10) + b" = 1", "/jointfile")
     assert said[0] == 422

@@ -69,6 +69,7 @@ def test_a_record_that_cannot_be_kept_leaves_the_one_before(folder: Path) -> Non
     assert (folder / "old.csv").exists() and not (folder / "new.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_at_the_last_step_leaves_all_of_the_record_before(
     asker: Asker, log: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,6 +102,7 @@ def send(asker: Asker, files: dict[str, bytes], to: str = "/record") -> str:
     return str(answer.url.path.rsplit("/", 1)[1]) if answer.status_code == 200 else answer.text
 
 
+@pytest.mark.slow
 def test_files_that_do_not_belong_together_are_refused_and_not_kept(asker: Asker, log: bytes) -> None:
     assert "send the robot file" in send(asker, {"arm.xml": b"<robot/>", "a.csv": log})
     assert "Expected one joint file" in send(asker, {"a.toml": b"", "b.toml": b"", "a.csv": log})

@@ -247,6 +247,7 @@ def test_a_joint_file_with_values_of_no_sense_is_refused_beside_its_fields(asker
     assert "has to be mended" in text or 'class="fault"' in text
 
 
+@pytest.mark.slow
 def test_an_emptied_choice_is_a_sentence(asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
     for path, name in (

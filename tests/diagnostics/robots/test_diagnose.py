@@ -213,6 +213,7 @@ def test_a_model_that_holds_leaves_noise() -> None:
     assert any("not significant" in one for one in found.sentences)
 
 
+@pytest.mark.slow
 def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     records = records_of(arm(4), 2, noise=0.02)
     v = motion(2, 4)[1][:, 3]

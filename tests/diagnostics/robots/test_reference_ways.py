@@ -27,6 +27,7 @@ def identified(ways, noise=0.01, duration=3.0):
     return found, loop
 
 
+@pytest.mark.slow
 def test_cubics_are_named_at_their_joint():
     found, loop = identified([CUBIC, {}])
     assert loop.status is Status.FAILED

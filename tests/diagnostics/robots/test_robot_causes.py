@@ -120,6 +120,7 @@ def test_a_base_is_named_by_its_angle_from_the_declared_one(tilt: float) -> None
     assert "upside down" not in cause.words
 
 
+@pytest.mark.slow
 def test_a_declared_coupling_leaves_the_causes_and_an_undeclared_one_is_named() -> None:
     robot = arm(3)
     coupled = replace(robot, joints=(*robot.joints[:2], replace(robot.joints[2], coupling={"joint2": 1.0})))
@@ -135,6 +136,7 @@ def test_a_length_that_no_robot_has_is_no_cause() -> None:
     assert cause is None or cause.name != "geometry"
 
 
+@pytest.mark.slow
 def test_zeros_of_two_encoders_are_no_geometry() -> None:
     truth = arm(3).turn(np.array([0.0, -0.4, 0.5]))
     cause = cause_of(arm(3), truth)

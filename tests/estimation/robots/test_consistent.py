@@ -81,6 +81,7 @@ def test_bodies_that_do_not_fit_are_not_exported() -> None:
         export(spoilt, "urdf")
 
 
+@pytest.mark.slow
 def test_a_friction_that_is_declared_another_backwards_is_the_one_found_in_both_directions() -> None:
     first = replace(ARM.joints[0], viscous_backwards=20.0, coulomb_backwards=30.0)
     declared = replace(ARM, joints=(first, *ARM.joints[1:]))

@@ -54,6 +54,7 @@ def test_without_noise_all_parameters_come_back() -> None:
     assert estimate.fit.relative_error < 0.05  # with the samples at rest and about reversals
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_and_weights_help_the_wrist() -> None:
     records = records_of(ARM, 2, noise=1.0)
     found = by_idim(ARM, records)

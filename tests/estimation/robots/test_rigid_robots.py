@@ -126,6 +126,7 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
     assert again.torque == pytest.approx(fit.run.torque, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_noise_floor_and_intervals() -> None:
     """The error left is the noise, joint by joint, and two deviations hold the truth."""
     twin = two()

@@ -147,6 +147,7 @@ def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
     assert any("viscous" in one for one in ji.export(model(joint, uneven), "mjcf").lost)
 
 
+@pytest.mark.slow
 def test_a_vertical_axis_with_uneven_friction_on_both_sides_loses_nothing_but_sticking() -> None:
     law = CONTROLLERS["L19"]
     weighing = ji.FlexibleJoint("prismatic", gravity=ji.Gravity("constant", ji.spring.Counterbalance(rate=40.0)))

@@ -163,6 +163,7 @@ def test_the_appendix_names_suspects_in_words() -> None:
     assert "size of the logged torque" in section
 
 
+@pytest.mark.slow
 def test_a_profile_that_would_say_what_the_table_says_is_left_out() -> None:
     record, loop = reports.rigid_record()
     told = ji.Report.of(ji.identify(record, loop), record)

@@ -82,8 +82,8 @@ def test_the_next_test_of_a_robot_has_its_place() -> None:
 
 
 def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
-    records = records_of(arm(), 2, noise=0.2)
-    chart = Report.of(identified(arm(), records), records).charts["torque"]
+    records = records_of(arm(3), 2, noise=0.2)
+    chart = Report.of(identified(arm(3), records), records).charts["torque"]
     assert "Lines break where a motor rests or turns round" in chart.caption
     for panel in chart.panels:
         for line in panel.items:
