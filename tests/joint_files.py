@@ -41,21 +41,24 @@ BOTH_ENCODERS = CHANNELS + 'load_position = { column = "p" }\n'
 LINK = SMALLEST.replace("prismatic", "revolute") + '[gravity]\nload = "link"\n'
 
 
+schema = cache(json_schema)
+
+
 def table(name: str) -> dict[str, Any]:
     """Return the keys of a table in the schema; one with a shorthand is an alternative."""
-    described = json_schema()["$defs"][name]
+    described = schema()["$defs"][name]
     return dict(described.get("anyOf", [described])[-1]["properties"])
 
 
 @cache
 def schema_keys() -> dict[str, set[str]]:
     """Return every key below the tables of the file, as the page writes it, with its defaults."""
-    schema = json_schema()
+    whole = schema()
     found: dict[str, set[str]] = {}
 
     def walk(described: dict[str, Any], path: str) -> None:
         if "$ref" in described:
-            walk(schema["$defs"][described["$ref"].rsplit("/", 1)[1]], path)
+            walk(whole["$defs"][described["$ref"].rsplit("/", 1)[1]], path)
         for one in (*described.get("anyOf", ()), *described.get("oneOf", ())):
             walk(one, path)
         if "$ref" in described.get("items", {}):
@@ -70,7 +73,7 @@ def schema_keys() -> dict[str, set[str]]:
                 found.setdefault(at, set()).add("required" if key in described.get("required", ()) else default)
             walk(below, at)
 
-    walk(schema, "")
+    walk(whole, "")
     channels = [key.rsplit(".", 1)[1] for key in found if re.fullmatch(r"record\.channels\.\w+", key)]
     shared = {key.rsplit(".", 1)[1] for key in found if key.startswith("record.channels.reference.")}
     for channel in channels:

@@ -8,10 +8,7 @@ import re
 
 from jointid.common.transmission import Transmission
 from jointid.common.units import units_of
-from jointid.config import (
-    json_schema,
-    loads,
-)
+from jointid.config import loads
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import (
     Cascade,
@@ -24,6 +21,7 @@ from jointid.records.drives import Drive
 from jointid.records.signals.filtering import Filtering
 from tests.joint_files import (
     PAGE,
+    schema,
     schema_keys,
     table,
 )
@@ -89,7 +87,6 @@ def test_the_files_on_the_page_are_right() -> None:
 
 
 def test_the_schema_has_no_null_and_a_description_of_every_key() -> None:
-    schema = json_schema()
-    assert "null" not in json.dumps(schema)
-    for name in schema["$defs"]:
+    assert "null" not in json.dumps(schema())
+    for name in schema()["$defs"]:
         assert all("description" in key for key in table(name).values())
