@@ -205,7 +205,6 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
     assert max(probabilities) > 0.2
 
 
-@pytest.mark.slow
 def test_a_disturbance_in_the_loop_is_noticed() -> None:
     record = twin("L30", seed=1).record
     problem = problem_of(record, log_delay=-1e-3)
