@@ -73,6 +73,7 @@ def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> Non
     assert "what the model lacks may move it" in consequence(doubted, follows)
 
 
+@pytest.mark.slow
 def test_it_is_said_where_loop_and_log_pass_their_check(monkeypatch: pytest.MonkeyPatch) -> None:
     case, record = gapped_axis(16_000)
     loop = with_spring(case.loop, LinearSpring())
