@@ -42,6 +42,7 @@ def found(rising: tuple[Record, ClosedLoop, dict[str, float]]) -> FrictionCompar
     return compare_frictions(record, replace(loop, joint=loop.joint.linear))
 
 
+@pytest.mark.slow
 def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(
     found: FrictionComparison, rising: tuple[Record, ClosedLoop, dict[str, float]]
 ) -> None:

@@ -161,6 +161,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(plain: tuple[Case, Spr
         compare_springs(some_of(case.clean, 600), case.loop, didim=ji.DIDIM(frequency=case.mode))
 
 
+@pytest.mark.slow
 def test_the_answer_is_written(gapped: tuple[Case, SpringComparison]) -> None:
     _, found = gapped
     answer = ji.to_dict(found)
