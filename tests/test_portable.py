@@ -85,7 +85,16 @@ def test_the_package_names_nothing_that_only_posix_has_without_a_guard() -> None
 
 SYSTEMS = {
     "without resource": "sys.modules['resource'] = None",
-    "macOS": "sys.platform = 'darwin'",
+    "macOS": """
+import resource
+sys.platform = 'darwin'
+
+def usage(who):  # in bytes there; on Linux the most that the parent had counts, too
+    with open('/proc/self/statm') as file:
+        return types.SimpleNamespace(ru_maxrss=4096 * int(file.read().split()[1]))
+
+resource.getrusage = usage
+""",
     "Windows": """
 sys.modules['resource'] = None
 sys.platform = 'win32'
@@ -101,7 +110,7 @@ ctypes.windll = types.SimpleNamespace(kernel32=types.SimpleNamespace(K32GetProce
 BOUNDED = """
 from jointid.common.bounds import limit_resource, measure_memory
 
-limit_resource("RLIMIT_AS", measure_memory() + 2**28 // {unit})
+limit_resource("RLIMIT_AS", measure_memory() + 2**28)
 limit_resource("RLIMIT_CPU", 1)
 kept = []
 """
@@ -120,7 +129,6 @@ def test_a_process_watches_itself_where_the_system_has_no_bounds(system: str, wo
     does, code = WORK[work]
     if system == "macOS" and work == "time":  # which it bounds itself
         code = -signal.SIGXCPU
-    bounded = BOUNDED.format(unit=1024 if system == "macOS" else 1)  # of the largest resident size: KiB on Linux
-    program = f"import ctypes, sys, time, types\n{SYSTEMS[system]}{bounded}{does}"
+    program = f"import ctypes, sys, time, types\n{SYSTEMS[system]}{BOUNDED}{does}"
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
     assert ran.returncode == code, ran.stderr

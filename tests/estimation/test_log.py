@@ -8,13 +8,14 @@ import tracemalloc
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.identify import memory_of, plan_windows
+from jointid.estimation.identify import _fit_single, memory_of, plan_windows
 from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -319,8 +320,10 @@ def test_a_record_that_nothing_can_be_started_from_is_refused() -> None:
     record = rigid(20.0)
     assert record.reference is not None
     resting = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
-    with pytest.raises(MethodError, match="In no window of this record does the axis move"):
+    with pytest.raises(RecordError, match="the joint was not asked to move"):
         identify(resting, LOOP, windows=Windowing(length=4.0))
+    with pytest.raises(MethodError, match="In no window of this record does the axis move"):
+        identify(InMemory(resting), LOOP, windows=Windowing(length=4.0))
     with pytest.raises(RecordError, match="needs torque"):
         identify(Record(reference=record.reference), LOOP, windows=Windowing(length=4.0))
 
@@ -438,8 +441,7 @@ def test_a_part_that_cannot_be_checked_ends_no_identification(monkeypatch: pytes
     for fails, said in ((True, "not checked: The torque"), (False, "not checked: no window has enough motion")):
         with monkeypatch.context() as broken:
             if fails:
-                error = RecordError("The torque is 0 N in every sample.")
-                broken.setattr("jointid.estimation.identify._fit_single", lambda *_, error=error: raise_(error))
+                broken.setattr("jointid.estimation.identify._fit_single", fit_in_windows_alone)
             else:
                 short = lambda one: None if len(one.reference) == 40_000 else "too short"  # noqa: E731
                 broken.setattr("jointid.diagnostics.identify.find_too_short", short)
@@ -452,6 +454,13 @@ def test_a_part_that_cannot_be_checked_ends_no_identification(monkeypatch: pytes
 
 def raise_(error: Exception) -> None:
     raise error
+
+
+def fit_in_windows_alone(*asked: Any, fit: Any = _fit_single) -> Any:
+    """Fit a record in windows; a part, which has none, is refused."""
+    if asked[5] is None:
+        raise RecordError("The torque is 0 N in every sample.")
+    return fit(*asked)
 
 
 def test_what_windows_do_not_identify_is_identified_whole(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from jointid.common.messages import either
 _REMOTE = ("s3", "s3a", "gs", "gcs", "az", "abfs", "adl", "http", "https", "sftp", "smb", "hdfs", "webhdfs", "file")
 _CHANGED = ("ETag", "etag", "LastModified", "Last-Modified", "updated", "mtime")  # what an object store says of it
 _BLOCK = 2**20
-_PREFIX, _YOUNG = "jointid-record-", 1.0  # of a temporary folder; s from its making until it is locked
+_PREFIX, _YOUNG = "jointid-record-", 60.0  # of a temporary folder; s from its making until it is locked
 
 
 def is_remote(address: str) -> bool:

@@ -142,6 +142,11 @@ def identify(
     """
     tells = method is None or method.tells_of_its_loop
     planned = plan_windows(record, model, method) if windows is None else None
+    if windows is False and not isinstance(record, Record | Sequence):
+        raise MethodError(
+            "A log that is read in chunks is identified in windows; received windows=False: read the record whole, or "
+            "leave windows out."
+        )
     windows = windows or None
     part, said = (record, "") if planned is None else (planned.part, planned.said)
     windows = windows if planned is None else planned.windows

@@ -70,7 +70,8 @@ def _is_joint_by_simulation(record: object, model: object, method: Method | None
 def limit_of(record: object, model: object, method: Method | None) -> int:
     """Return the bytes that the identification of a record may take at once.
 
-    A joint by simulation takes what is said only where its checks search for a cause. All others do: a quarter.
+    It is `LARGEST` for a joint by simulation, which takes what is stated only if its checks search for a cause. All
+    others take it always: a quarter.
     """
     return LARGEST if _is_joint_by_simulation(record, model, method) else LARGEST // 4
 

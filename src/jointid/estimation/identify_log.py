@@ -694,7 +694,7 @@ def _covariance(found: Pass, repeated: Repeatable) -> tuple[Covariance, str]:
     if found.count < 2:
         raise MethodError(
             "A long record has two windows or more, in which the axis moves; this one has "
-            f"{found.count}: give a shorter window, or use identify."
+            f"{found.count}: give a shorter window, or leave windows out."
         )
     divided = "" if len(parts) == found.count else f"{len(parts)} parts of "
     covariance, said = left_out(parts), f"from leaving out each of {divided}{found.count} windows"

@@ -333,6 +333,7 @@ class SimulatedRobots:
         values, covariance = parameters.values(solved.x), solved.covariance
         of_values = np.where(parameters.logarithmic, values, 1.0)
         nominal = parameters.group(nominal_numbers(part.model, parameters.numbers(values)))
+        nominal = np.where(parameters.of_robot, nominal, values)  # what is of the record is as it was found
         covariance = replace(covariance, std=covariance.std * of_values)
         part = replace(
             part,
@@ -359,7 +360,9 @@ def joint_in_windows(
             joint, loop, method if isinstance(method, IDIM) else IDIM(), filtering or Filtering(), changes or {}
         )
     if not isinstance(model, ClosedLoop):
-        raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
+        raise MethodError(
+            f"Windows identify a joint by DIDIM or IDIM; received {type(model).__name__}: leave windows out."
+        )
     return LoopWindows.of(model, method, filtering, changes)
 
 
@@ -382,7 +385,7 @@ def robot_in_windows(
         raise MethodError(f"{method.title} is not for a robot that is simulated; give DIDIM or DriveSideFit.")
     if isinstance(method, DIDIM) and method.free:
         raise MethodError(
-            "DIDIM.free of a robot is not identified in windows: choose a part of the record by start and stop, or "
+            "DIDIM.free of a robot is not identified in windows; choose a part of the record by start and stop, or "
             "leave it out."
         )
     return SimulatedRobots(model, method, filtering, known)
@@ -407,10 +410,12 @@ def _with_robot(fit: FitResult, solved: Solved, part: IdentifiedRobot, negative:
 def _errors_of(solved: Solved, x: FloatArray) -> FloatArray:
     """Return the share of each joint's torque that other values leave in some windows, (n,)."""
     try:
-        found = solved.problem.pass_over(x, max(solved.found.count // _COMPARED, 1))
+        for every in (max(solved.found.count // _COMPARED, 1), 1):  # where all that are taken rest, all
+            if (found := solved.problem.pass_over(x, every)).count:
+                return found.relative_errors()
     except NotSimulatedError:
-        return np.full(solved.errors.size, np.inf)
-    return found.relative_errors() if found.count else np.full(solved.errors.size, np.inf)
+        pass
+    return np.full(solved.errors.size, np.inf)
 
 
 def _with_values(fit: FitResult, solved: Solved, values: FloatArray, covariance: Covariance) -> FitResult:

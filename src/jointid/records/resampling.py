@@ -366,10 +366,11 @@ def position_at_period(position: Channel, period: float, periods: int) -> FloatA
     """Resample a measured position to the controller's instants, (periods,).
 
     Between the samples of a slower log it follows the cubic spline through all of them. A law differentiates it, and
-    the slope of a line is that of half a sample earlier. The last value stays.
+    the slope of a line is that of half a sample earlier. The last value stays. Values that are not finite stay as they
+    are, with lines between the others.
     """
     _, repeat = period_ratio(period, position.sample_time, "motor_position")
-    if repeat == 1 or position.values.size < _FEWEST_OF_SPLINE:
+    if repeat == 1 or position.values.size < _FEWEST_OF_SPLINE or not np.all(np.isfinite(position.values)):
         return at_period(position, period, periods, "motor_position")
     from scipy.interpolate import CubicSpline
 

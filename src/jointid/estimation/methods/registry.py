@@ -56,7 +56,7 @@ CALLED: Mapping[str, str] = {"rigid": "a rigid joint", "flexible": "a flexible j
 SURROUNDINGS = (
     "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
     'declared: a number of the law such as "position_gain", "delay" or "torque_filters.0.frequency", or "log_gain", '
-    '"log_delay"; of a robot "delay", of all joints, or of one as "elbow.delay"'
+    '"log_delay". For a robot only delays: "delay" for all joints, "elbow.delay" for one'
 )
 """What the methods that simulate the loop say of their setting ``free``."""
 

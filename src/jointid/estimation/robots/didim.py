@@ -97,7 +97,7 @@ def identify_rigid_robot(
         MethodError: the records do not determine the parameters, or nothing can be simulated at the start.
     """
     known, logs, robot = known or {}, each_log(records), loop.robot.rigid
-    late = find_free_delays(robot, free)
+    late = find_free_delays(loop, free)
     settled = settled if robot.linear.joints == robot.joints and not late else NEAR
 
     def pose(of: Robot, under: RobotLoop, freed: Sequence[int]) -> list[RobotLoopProblem]:

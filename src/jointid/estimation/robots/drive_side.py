@@ -141,11 +141,12 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         """Return the torque of a run as the log shows it, (samples, n)."""
         return self.show_in_log(run, run.torque)
 
-    def run_of(self, numbers: RobotNumbers) -> RobotDriveSideRun | None:
+    def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotDriveSideRun | None:
         """Simulate a robot with these numbers; None if it cannot be simulated.
 
         Where its links are at the first sample is of the record: it is fitted, of any robot alike.
         """
+        del keep
         places = tuple(place for place in self.parameters.places if place.of is NumberOf.BESIDE)
         numbers = replace(numbers, beside=self.parameters.base.beside)
         run = self.simulate(numbers)

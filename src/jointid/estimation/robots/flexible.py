@@ -112,7 +112,7 @@ def identify_flexible_robot(
     require_springs(robot, frequencies)
     known = known or {}
 
-    late = find_free_delays(robot, free)
+    late = find_free_delays(loop, free)
 
     def pose(of: Robot, freed: Sequence[int] = late) -> RobotProblem[Any]:
         parameters = apply_constraints(robot_parameters(of, offsets=offsets, logarithmic=True), known)
@@ -137,7 +137,13 @@ def identify_flexible_robot(
     made = found.evaluations + fit.iterations
     fit = replace(fit, iterations=made)
     springs = judge_springs(fit, robot)
-    return replace(found, fit=fit, springs=springs, evaluations=made, message="the laws were searched")
+    return replace(
+        found,
+        fit=fit,
+        springs=springs,
+        evaluations=made,
+        message="laws and delays were searched" if late else "the laws were searched",
+    )
 
 
 def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> None:

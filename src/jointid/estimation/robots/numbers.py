@@ -194,17 +194,24 @@ def robot_parameters(
     return found.add(*_of_laws(robot, numbers)) if whole else found
 
 
-def find_free_delays(robot: Robot, free: Sequence[str]) -> tuple[int, ...]:
+def find_free_delays(loop: RobotLoop, free: Sequence[str]) -> tuple[int, ...]:
     """Return the joints whose torques have a free delay, by the names in `DIDIM.free`.
 
     Raises:
-        MethodError: a name is of something else.
+        MethodError: a name is of something else, or a controller has no delay.
     """
-    names = [name_of(DELAY, joint.name) for joint in robot.joints]
+    names = [name_of(DELAY, joint.name) for joint in loop.robot.joints]
     for one in free:
         if one not in (DELAY, *names):
             raise MethodError(f"A name in DIDIM.free of a robot{no_choice(one, (DELAY, *names))}")
-    return tuple(j for j, name in enumerate(names) if DELAY in free or name in free)
+    found = tuple(j for j, name in enumerate(names) if DELAY in free or name in free)
+    for j in found:
+        if DELAY not in numbers_of(loop.controllers[j]):
+            raise MethodError(
+                f"The controller of {loop.robot.joints[j].name} has no delay that can be free; expected a field delay, "
+                "in s: use a controller of jointid, or name the other joints in DIDIM.free."
+            )
+    return found
 
 
 def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]) -> RobotParameters:

@@ -157,15 +157,15 @@ class RobotProblem(ABC, Generic[Run]):
         """Simulate a candidate."""
         return self.simulate(self.parameters.numbers(self.parameters.values(x)), keep=keep)
 
-    def run_of(self, numbers: RobotNumbers) -> Run | None:
+    def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> Run | None:
         """Simulate a robot with these numbers; None if it cannot be simulated."""
-        run = self.simulate(numbers)
+        run = self.simulate(numbers, keep=keep)
         return run if run.outcome is RobotOutcome.FINISHED else None
 
     def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
         """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated."""
-        run = self.simulate(numbers, keep=False)
-        return self.error(run) if run.outcome is RobotOutcome.FINISHED else None
+        run = self.run_of(numbers, keep=False)
+        return None if run is None else self.error(run)
 
     def decimate_each(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""

@@ -298,12 +298,13 @@ def _turn(
 
 @compile_kernel
 def _shift_edges(
-    bodies: Bodies, parameters: IntArray, tape: RobotTape, piece: int, jumps: NDArray[np.bool_], M: FloatArray,
-    left: FloatArray, kicks: FloatArray, dv: FloatArray,
+    bodies: Bodies, parameters: IntArray, tape: RobotTape, last: int, piece: int, jumps: NDArray[np.bool_],
+    M: FloatArray, left: FloatArray, kicks: FloatArray, dv: FloatArray,
 ) -> None:  # fmt: skip
     """Add to the velocities what later edges of the torques, as a piece begins, take from them.
 
     An edge of one motor's torque is all that changes in the equation of the mass that it drives, which may come loose.
+    It lies between the last piece before and the first piece that lasts.
     """
     rotors, masses, rests, n, d = bodies.rotors, bodies.masses, bodies.rests, len(M), 0
     directions, after, before = tape.directions[piece], tape.initial_acceleration, tape.final_acceleration
@@ -319,10 +320,10 @@ def _shift_edges(
         for i in range(n):
             kicks[i, d] = 0.0
         if jumps[j] and r != j:
-            dv[r, c] -= after[piece, r] - before[piece - 1, r]
+            dv[r, c] -= after[piece, r] - before[last, r]
         elif jumps[j] and not (rests[r] and directions[r] == 0.0):
             for i in range(n):
-                kicks[j, d] -= left[j, i] * (after[piece, i] - before[piece - 1, i])
+                kicks[j, d] -= left[j, i] * (after[piece, i] - before[last, i])
         d += 1
     _solve(left, kicks)
     d = 0
@@ -463,7 +464,7 @@ def differentiate_run(
                         a[i] = 0.5 * (started[piece, i] + ended[piece, i])
                     linearised_equations(tree, bodies.inertials, place, speed, turn, room, M, K, Cv)
                     if edge:
-                        _shift_edges(bodies, parameters, tape, piece, jumps, M, left, kicks, dv)
+                        _shift_edges(bodies, parameters, tape, first[at] - 1, piece, jumps, M, left, kicks, dv)
                         edge = False
                     # G, and what the motors do.
                     if linked and coupled:
