@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.common.arrays import FloatArray
 from jointid.paper.twin import TABLE_2, twin
 from studies.healthy import drive
 
@@ -116,3 +117,32 @@ def test_six_seconds_that_begin_anywhere_have_one_answer(
         line = estimate[name]
         assert line.value is not None and line.stderr is not None
         assert line.value == pytest.approx(value, abs=3.5 * line.stderr)
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_steps_on_scaled_gains_that_lead_to_no_joint_leave_the_start(seed: int) -> None:
+    """At 100 Hz Coulomb friction hides the inertia of a joint that an injected torque moves 4 ms late."""
+    rng, time = np.random.default_rng(seed), 1e-2 * np.arange(400)
+
+    def waves(lowest: float, highest: float, size: float) -> FloatArray:
+        frequencies = np.geomspace(lowest, highest, 24)
+        wave = np.sin(2 * np.pi * frequencies * time[:, None] + rng.uniform(0, 6.28, 24)).sum(axis=1)
+        return np.asarray(size * wave / np.abs(wave).max())
+
+    law = ji.controller.PD(position_gain=8.3, derivative_gain=0.38, period=1e-3)
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
+    late = replace(loop, controller=replace(law, delay=4e-3))
+    reference, injected = waves(0.2, 2.0, 0.4), waves(1.0, 40.0, 2.0)
+
+    def record(noise: FloatArray) -> ji.Record:
+        return ji.simulated_record(
+            late, reference, {"inertia": 0.012, "viscous": 0.1, "coulomb": 0.53, "offset": 0.0}, sample_time=1e-2,
+            injected=injected, at="before_limit", tap="measured", torque_noise=noise,
+        )  # fmt: skip
+
+    torque = record(np.zeros(400)).torque
+    assert torque is not None
+    found = ji.identify(record(0.04 * np.std(torque.values) * rng.standard_normal(400)), loop, checks=False)
+    deviation = found["inertia"].deviation
+    assert deviation is not None
+    assert found["inertia"].value == pytest.approx(0.012, abs=3 * deviation)

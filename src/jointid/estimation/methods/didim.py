@@ -414,7 +414,8 @@ class DIDIM(Method):
         x = np.where(inertias, x, Bounds.of(problem.free).clip(x))
         steps = self._steps(problem, history)
         if start.nominal_inertia and self.scaled_iterations:
-            x = steps.scale_gains(problem, start)[0].x
+            with contextlib.suppress(MethodError):  # steps on scaled gains may lead to no joint; the start is one
+                x = steps.scale_gains(problem, start)[0].x
         there, counted = problem.values(x), history.count_evaluations(problem)
         homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
         started = [problem.vector(there | {"initial_position": home}) for home in homes]
