@@ -88,6 +88,7 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _BETTER = 1e-6  # of the residual: by as much a later end has to be better than an earlier one
+_EXPLAINS = 0.5  # of the torque: what an end may leave whose start led to no joint
 _ASIDE = 0.25  # of the reference's largest speed: a motor may move while its reference rests
 _LEAST = "by least squares"
 _LEAST_ERROR = 'set method.form = "least-squares"'
@@ -370,8 +371,13 @@ class DIDIM(Method):
                 failures.append(error)
                 continue
             ends += [history.solve(resting, solver, x) for x in started[: 1 if count else None]]
-        if not ends:
-            raise failures[0]
+        if not ends:  # steps on scaled gains may lead to no joint where the start itself is one
+            for start in starts:
+                with contextlib.suppress(MethodError):
+                    first = self._first_positions(resting, start, history, scaled=False)[0]
+                    ends.append(history.solve(resting, solver, first))
+            if not any(end.norm < _EXPLAINS * problem.size for end in ends):
+                raise failures[0]
         best = ends[0]
         for end in ends[1:]:
             best = end if end.norm < (1.0 - _BETTER) * best.norm else best
@@ -401,7 +407,9 @@ class DIDIM(Method):
             return {"initial_velocity": 0.0}
         return {"initial_velocity": 0.0, "initial_position": float(problem.experiment.inputs[0, REFERENCE])}
 
-    def _first_positions(self, problem: ClosedLoopProblem, start: Start, history: History) -> list[FloatArray]:
+    def _first_positions(
+        self, problem: ClosedLoopProblem, start: Start, history: History, *, scaled: bool = True
+    ) -> list[FloatArray]:
         """Return a start with the motor where the start or the torque has it, the likelier first.
 
         Friction that begins too small lets a motor slip that stood: then nothing tells where it stood.
@@ -413,9 +421,8 @@ class DIDIM(Method):
         x, inertias = problem.vector(start.values), [p.quantity is Quantity.INERTIA for p in problem.free]
         x = np.where(inertias, x, Bounds.of(problem.free).clip(x))
         steps = self._steps(problem, history)
-        if start.nominal_inertia and self.scaled_iterations:
-            with contextlib.suppress(MethodError):  # steps on scaled gains may lead to no joint; the start is one
-                x = steps.scale_gains(problem, start)[0].x
+        if scaled and start.nominal_inertia and self.scaled_iterations:
+            x = steps.scale_gains(problem, start)[0].x
         there, counted = problem.values(x), history.count_evaluations(problem)
         homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
         started = [problem.vector(there | {"initial_position": home}) for home in homes]
