@@ -30,6 +30,7 @@ from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
+from jointid.records.resampling import WELL_SEEN
 from jointid.records.signals.filtering import lowpass
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
@@ -46,7 +47,7 @@ _LATEST = 8.0  # samples: the largest delay, either way, of the torque
 _PARTS = 4  # of a sample: the steps of the delay
 _BORDER = 20  # samples at each end that are not compared
 _BETTER = 0.8  # of the residual: a delay must reduce it to this
-_WELL_SEEN, _LONGEST = 0.1, 0.012  # of the log's rate; s, of a delay
+_LONGEST = 0.012  # s, of a delay
 _LAGS = 8  # samples of reference and position in a free law
 OF_LAW = 0.03
 """Share of a torque that a controller which holds leaves along the logged position, at most."""
@@ -315,7 +316,7 @@ def fit_law_changes(record: Record, loop: ClosedLoop, others: Sequence[Controlle
     each, torque = [one for one in followed if one is not None], record.torque
     if torque is None or len(each) < len(followed):
         return ()
-    see = partial(lowpass, cutoff=_WELL_SEEN / torque.sample_time, sample_time=torque.sample_time)
+    see = partial(lowpass, cutoff=WELL_SEEN / torque.sample_time, sample_time=torque.sample_time)
     count, last = min(len(made) for _, made, _ in each), math.ceil(_LONGEST / torque.sample_time)
     if count < 2 * (last + _BORDER):
         return ()

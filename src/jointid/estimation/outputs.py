@@ -22,6 +22,7 @@ from jointid.estimation.result.assemble import FitResult
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import CHANNELS, Record
+from jointid.records.resampling import WELL_SEEN
 from jointid.records.signals.filtering import lowpass
 from jointid.simulation.controller_torque import SOURCE, compute_controller_torque, seen_position
 from jointid.uncertainty.covariance import robust
@@ -40,7 +41,6 @@ _ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
 _SURE, _SAME = 4.0, 0.02  # deviations, and size or samples: what two torques must differ by to be two
 _MOST_TURNS = 1.0  # that a joint in rad makes, as a rule; from there to as many degrees, its positions may be degrees
 _BANDS = 64  # of the spectrum, in each of which the shares of both outputs are one
-_WELL_SEEN = 0.1  # of the log's rate
 _LOOK = 1000  # samples of a log that tell its channels
 _FEWEST = 8  # frequencies in one
 
@@ -191,7 +191,7 @@ def _average(record: Record, other: Record, errors: tuple[FloatArray, FloatArray
     sample_time = _sample_time(record)
     law, seen = other.computed_by.law(sample_time), np.column_stack([torque, np.gradient(torque), difference])
     if law.period < sample_time:  # the position between two samples is known far below the rate of the log
-        seen = lowpass(seen, _WELL_SEEN / sample_time, sample_time)
+        seen = lowpass(seen, WELL_SEEN / sample_time, sample_time)
     columns = np.column_stack([seen[:, :2], np.ones(torque.size)])
     weights = np.linalg.lstsq(columns, seen[:, 2], rcond=None)[0]
     std = robust(columns, columns, seen[:, 2] - columns @ weights).std

@@ -34,9 +34,12 @@ _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST_MEAN = 10_000  # values
 _LONGEST = 10_000  # refreshes within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
-_FEWEST_OF_SPLINE = 4  # samples
 _SHOWN = 25.0  # F of the jitter in a position, or of its absence, that decides: five standard deviations
+_FEWEST_OF_SPLINE = 4  # samples
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
+
+WELL_SEEN = 0.1
+"""Share of a log's rate below which a position between two samples is known."""
 
 
 @add_settings_to_docstring

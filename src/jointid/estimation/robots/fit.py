@@ -83,7 +83,7 @@ class RobotFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPoint:
-    """Where steps by the regressor of the simulated motion end.
+    """End of the steps by the regressor of the simulated motion.
 
     Attributes:
         problem: as the last step weighed it.

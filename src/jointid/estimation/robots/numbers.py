@@ -232,7 +232,7 @@ def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]
 
 
 def begin_delays(parameters: RobotParameters, loop: RobotLoop) -> RobotParameters:
-    """Return parameters whose delays, if any is among them, are those that the controllers state."""
+    """Start the free delays of parameters from those of the controllers."""
     if not any(place.of is NumberOf.DELAY for place in parameters.places):
         return parameters
     stated = np.array([[numbers_of(one).get(DELAY, 0.0)] for one in loop.controllers])
