@@ -21,6 +21,7 @@ from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.output.figures.charts import AxisSignals
 from jointid.paper.twin import twin
+from jointid.records.record import Timing
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.synthesis import simulate
 
@@ -498,3 +499,26 @@ def test_rows_within_the_borders_of_a_computed_torque_are_not_counted() -> None:
     record, given = logged().without("torque"), [ji.Filtering(borders=(some, some)) for some in (0, 1500)]
     whole, inside = (identify(record, checks=False, filtering=one).fit.rows for one in given)
     assert 0.4 * whole < inside < 0.6 * whole
+
+
+def test_two_outputs_are_one_torque_where_the_position_between_samples_is_known() -> None:
+    """At 60 of a log's 200 Hz a spline has a velocity that is too small, which makes no second torque."""
+    law = ji.controller.PD(
+        position_gain=40.0, derivative_gain=2.0, reference_velocity="channel", period=1e-4, interpolation="hold"
+    )
+    time, still = 5e-3 * np.arange(800), ji.Channel(np.zeros(800), "rad", 5e-3)
+    frequencies, phases = np.geomspace(0.3, 60.0, 24), np.random.default_rng(4).uniform(0, 2 * np.pi, 24)
+    q, before = (np.sin(2 * np.pi * frequencies * at[:, None] + phases).sum(axis=1) for at in (time, time - 1e-4))
+    record = ji.Record(
+        torque=ji.Channel(-40.0 * q - 2.0 * (q - before) / 1e-4, "N m", 5e-3, Timing.HELD),
+        reference=still,
+        reference_velocity=replace(still, unit="rad/s"),
+        motor_position=ji.Channel(q, "rad", 5e-3, Timing.SAMPLED),
+    )
+    other = ji.compute_controller_torque(record, ji.ClosedLoop(ji.RigidJoint("revolute"), law))
+    assert record.torque is not None
+    assert other.torque is not None
+    difference = other.torque.values - record.torque.values
+    columns = np.column_stack([record.torque.values, np.ones(800)])
+    assert abs(np.linalg.lstsq(columns, difference, rcond=None)[0][0]) > 0.02
+    assert _average(record, other, (np.zeros(800), difference)).torque is not None
