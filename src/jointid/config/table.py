@@ -35,6 +35,7 @@ from jointid.common.errors import Fault, JointidError
 from jointid.common.messages import Says
 from jointid.common.settings import Declared, settings_of
 from jointid.common.units import units_of
+from jointid.config.deleted import sentence_of
 from jointid.config.quantities import Stated, is_quantity, list_units, misfit, to_si
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ CONTRADICTION = "contradiction"
 
 def fault_at(place: Place, rest: str, code: str = CONTRADICTION) -> Fault:
     """Return a fault whose sentence begins with its place."""
+    if code == "unknown":
+        rest = sentence_of(place) or rest
     return Fault(f"{messages.dot_path(place)}{rest}", place, code)
 
 
@@ -106,7 +109,7 @@ class Table(BaseModel):
         found, faults = dict[str, Any](), list[Fault]()
         for key, value in raw.items():
             meant = key
-            if key not in cls.model_fields and key not in cls.ambiguous:
+            if key not in cls.model_fields and key not in cls.ambiguous and sentence_of((*path, key)) is None:
                 near = messages.nearest(key, cls.model_fields)
                 if near is not None and near not in raw and near not in found:
                     meant = near

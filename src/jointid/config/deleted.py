@@ -1,0 +1,32 @@
+"""Keys that joint, robot and campaign files no longer have, with what to do instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+
+DELETED: Mapping[str, str] = {
+    "record.channels.*.bits": "decode the frames by the motor's own library, and log numbers.",
+}
+"""What to do instead of each deleted key, by its path; * stands for any name.
+
+In a robot file the same path is looked for below its [[joints]], whose own keys are those of ``joint``.
+"""
+
+
+def sentence_of(place: Sequence[int | str]) -> str | None:
+    """Return the rest of the sentence on a deleted key; None for any other key.
+
+    Example:
+        >>> from jointid.config.deleted import sentence_of
+        >>> sentence_of(("method", "frequency")) is None
+        True
+    """
+    names = [part for part in place if isinstance(part, str)]
+    if names[:1] == ["joints"]:
+        own = names[1:]
+        names = ["record", *own] if own[:1] == ["channels"] else own if len(own) > 1 else ["joint", *own]
+    path = ".".join(names)
+    return next(
+        (f" is no longer a key: {said}" for pattern, said in DELETED.items() if fnmatchcase(path, pattern)), None
+    )
