@@ -1,4 +1,4 @@
-"""What a user gets: the wheel, installed alone; the commands of the README."""
+"""What a user gets: the wheel, installed alone; linear algebra that keeps to one thread."""
 
 from __future__ import annotations
 
@@ -8,17 +8,13 @@ import shutil
 import subprocess
 import sys
 import tarfile
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from tests.docs.blocks import blocks
-from tools.licences import PAGE, pinned
-from tools.metadata import published, urls
 
 ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -112,99 +108,6 @@ def test_the_wheel_is_the_same_whenever_it_is_built_and_installs_with_the_pinned
     assert build(tmp_path / "of the source", source).read_bytes() == wheel.read_bytes()
     python = install(wheel, tmp_path / "env", sys.executable, pinned=True)
     subprocess.run([python.with_name("jointid"), "--version"], check=True, env=CLEAN, capture_output=True)
-
-
-def test_what_is_pinned_is_what_is_tested_names_no_host_and_has_hashes() -> None:
-    text = (ROOT / "requirements.txt").read_text(encoding="utf-8")
-    assert "//" not in text
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    tested = dict(one.lower().replace(".", "-", one.split("==")[0].count(".")).split("==")
-                  for one in settings["tool"]["uv"]["constraint-dependencies"])  # fmt: skip
-    versions = pinned()
-    assert versions.keys() >= {"numpy", "h5py", "bokeh", "starlette", "control", "pandas"}
-    assert {name: version for name, version in versions.items() if name in tested} == {
-        name: version for name, version in tested.items() if name in versions
-    }
-    blocks = re.split(r"\n(?=[\w.-]+==)", text)[1:]
-    assert len(blocks) >= len(versions)
-    assert all("--hash=sha256:" in block for block in blocks)
-
-
-def test_the_table_of_licences_has_every_package_and_one_that_is_not_permissive() -> None:
-    rows = dict(re.findall(r"^\| ([\w-]+) \| [^|]+ \| ([^|]+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
-    assert rows.keys() - {"package"} == pinned().keys()
-    assert [name for name, licence in rows.items() if "GPL" in licence] == ["nptdms"]
-    core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
-    assert not any("tdms" in one.lower() for one in core)
-
-
-def test_the_readme_has_the_two_commands() -> None:
-    assert "python3 -m pip install uv && python3 -m uv run jointid demo" in README
-    assert "python3 -m pip install uv && python3 -m uv run pytest" in README
-
-
-def test_the_readme_on_an_index_has_no_relative_link_and_addresses_come_from_one_setting() -> None:
-    place = "https://code.example/jointid/{}/v1.2"
-    there = published(README, place)
-    assert "![A flexible servo axis" in there
-    assert "](https://code.example/jointid/raw/v1.2/docs/images/two-masses.svg)" in there
-    assert "[tutorial](https://code.example/jointid/blob/v1.2/docs/tutorial.md)" in there
-    nowhere = published(README, "")
-    assert "![" not in nowhere, "a picture that cannot be shown"
-    assert "Read on: tutorial, gallery, questions" in nowhere
-    for text in (there, nowhere):
-        assert not re.search(r"\]\((?!https:)", text)
-    assert urls("", "") == {}
-    assert urls("https://code.example/jointid", "")["Issues"] == "https://code.example/jointid/issues"
-
-
-def test_the_citation_is_of_this_version() -> None:
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\nversion: {version}\n" in citation
-    assert '"Joint stiffness identification from only motor' in README
-    assert "title: Joint stiffness identification from only motor force/torque data\n" in citation
-
-
-def test_ci_runs_the_command_of_the_readme() -> None:
-    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    assert "README.md" in script
-    assert "PIP_BREAK_SYSTEM_PACKAGES=1" in script
-    assert os.access(ROOT / ".ci" / "run", os.X_OK)
-
-
-def test_the_workflow_runs_every_layer_on_every_python() -> None:
-    yaml = pytest.importorskip("yaml")
-    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    (named,) = re.findall(r"^case \$\{1:-\} in ([\w |]+)\)", script, re.MULTILINE)
-    run = {*re.findall(r"^(?:layer|beside) (\w+) ", script, re.MULTILINE)} - {"browser"}  # which is only installed
-    assert {*named.split(" | ")} == run
-    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8"))["jobs"]
-    assert {"quick", *jobs["layers"]["strategy"]["matrix"]["layer"]} == {*named.split(" | ")}
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    stated = [line.rsplit(" ", 1)[1] for line in settings["classifiers"] if "Python :: 3." in line]
-    assert jobs["quick"]["strategy"]["matrix"]["python"] == stated
-
-
-def test_the_forms_for_issues_ask_with_labels_that_are_there_once() -> None:
-    yaml = pytest.importorskip("yaml")
-    for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"):
-        form = yaml.safe_load(path.read_text(encoding="utf-8"))
-        if path.stem == "config":
-            continue
-        assert {"name", "description", "body"} <= form.keys()
-        asked = [one for one in form["body"] if one["type"] != "markdown"]
-        assert len({one["id"] for one in asked}) == len({one["attributes"]["label"] for one in asked}) == len(asked) > 2
-    assert "jointid doctor joint.toml --json" in (ROOT / ".github/ISSUE_TEMPLATE/wrong-answer.yml").read_text("utf-8")
-
-
-def test_every_layer_that_is_left_out_by_itself_is_run_by_ci() -> None:
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
-    layers = [marker.split(":")[0] for marker in settings["markers"]]
-    assert f'-m "{" and ".join(f"not {layer}" for layer in layers)}"' in settings["addopts"]
-    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    assert f"pytest -m '{' or '.join(layers)}'" in script
-    assert "--durations=20" in script
 
 
 THREADS = """

@@ -1,4 +1,4 @@
-"""What is fenced in a page: its programs, commands, files and what they print.
+"""The fenced blocks of a page: its programs, commands, files and what they print.
 
 A block that does not run says so in the line before it, with the reason: ``<!-- not run: it takes four minutes -->``.
 """
@@ -13,14 +13,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 _FENCE = re.compile(
     r"(?:^<!-- not run: (?P<reason>[^\n]+?) -->\n+)?"
-    r"^(?P<indent> *)```(?P<language>[^\n`]*)\n(?P<text>.*?)^ *```$",
+    r"^(?P<indent> *)```(?P<language>[^\n` ]*)[^\n`]*\n(?P<text>.*?)^ *```$",
     re.MULTILINE | re.DOTALL,
 )
 _NAMED = re.compile(r"# ([\w-]+\.toml)\n")
-
-PROGRAMS = ("python", "{code-cell}", "sh")
-OTHERS = ("", "toml", "matlab", "math", "{toctree}", "{literalinclude}")
-"""Languages of what does not run by itself: what is printed, files, formulas, lists of pages, included files."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,7 @@ class Block:
     @property
     def runs(self) -> bool:
         """Whether it is a program or commands, and to be run."""
-        return self.language in PROGRAMS and self.reason is None
+        return self.language in ("python", "sh") and self.reason is None
 
     @property
     def file(self) -> str | None:
@@ -72,5 +68,4 @@ def blocks(page: Path) -> list[Block]:
 
 def _block(found: re.Match[str], before: str) -> Block:
     line, section = before.count("\n") + 1, before.count("\n## ")
-    language = found["language"].partition(" ")[0]  # without the argument of a directive
-    return Block(language, found["text"], line, found["reason"], section)
+    return Block(found["language"], found["text"], line, found["reason"], section)

@@ -1,0 +1,64 @@
+"""The joint files of the examples identify what their records are made with; the examples of docstrings hold."""
+
+from __future__ import annotations
+
+import doctest
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import jointid as ji
+from examples.axes import make_records as axes
+from jointid.output.report.data_sheet import data_sheets
+from tests.docs.blocks import ROOT
+
+QUICK = "leg"
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in axes.AXES if name != QUICK]
+SOURCE = ROOT / "src"
+WITH_EXAMPLES = sorted(
+    ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
+    for path in SOURCE.rglob("*.py")
+    if ">>> " in path.read_text(encoding="utf-8")
+)
+
+
+@pytest.mark.parametrize("name", [QUICK, *SLOW])
+def test_a_typical_axis_is_identified_from_its_record(name: str, tmp_path: Path) -> None:
+    axes.make(name, tmp_path / "run.csv", 12.0 if name != QUICK else 6.0)
+    file = ji.load(ROOT / "examples" / "axes" / f"{name}.toml")
+    estimate = file.identify(file.record(tmp_path / "run.csv"))
+    assert estimate.answer.reliable, estimate.answer
+    truth = axes.AXES[name].values
+    for row in (row for row in estimate.params.rows if row.of_joint):
+        assert row.value == pytest.approx(truth[row.name], abs=5.0 * row.stderr), row.name
+    asked = estimate.answer.found.values["parameter"]
+    assert estimate[asked].value == pytest.approx(truth[asked], rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "name", [QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in ("strain-wave", "servo"))]
+)
+def test_an_actuator_is_identified_from_the_torque_of_its_log(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="the logs are made by MuJoCo, which is not installed")
+    from examples.actuator import make as actuators
+
+    actuators.make(name, tmp_path / "log.csv")
+    file = ji.load(ROOT / "examples" / "actuator" / f"{name}.toml")
+    estimate = file.identify(file.record(tmp_path / "log.csv"))
+    assert estimate.answer.reliable, estimate.answer
+    truth = actuators.ACTUATORS[name].values
+    for row in (row for row in estimate.params.rows if row.of_joint):
+        assert row.interval is not None
+        assert row.interval[0] <= truth[row.name] <= row.interval[1], (row.name, row.interval)
+    (sheet,) = data_sheets(estimate)
+    said = {row[0]: row[1] for row in sheet.rows}
+    assert (float(said["kp"]), float(said["kd"])) == pytest.approx(actuators.ACTUATORS[name].gains, rel=1e-4)
+
+
+@pytest.mark.docs
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_the_examples_of_the_docstrings_hold(module: str) -> None:
+    found = doctest.testmod(import_module(module), optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
+    assert found.failed == 0
+    assert found.attempted > 0
