@@ -11,7 +11,15 @@ import jointid as ji
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, ParameterShift
 from jointid.diagnostics.faults.numbers import DELAY
-from jointid.diagnostics.faults.other_laws import MEASURED_VELOCITY, PERIOD, PRESENT_SAMPLE, list_other_laws
+from jointid.diagnostics.faults.other_laws import (
+    AVERAGED,
+    LATE,
+    MEASURED_VELOCITY,
+    PERIOD,
+    PRESENT_SAMPLE,
+    list_other_laws,
+)
+from jointid.diagnostics.law_tests import OtherLawTest, choose_law
 from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.result.answer import Trust, moved_by_loop
 from jointid.estimation.result.estimate import Estimate
@@ -219,3 +227,15 @@ def test_beside_a_fault_that_moves_nothing_the_other_law_still_speaks_against_th
     assert answer.trust.code is Trust.NOT_YET
     assert answer.trust.values["reasons"] == [Reason.LAW_UNDECIDED]
     assert moved_by_loop(amended(estimate, checks={"verdicts": (verdict,)})) == {}
+
+
+@pytest.mark.parametrize(("gains", "chosen"), [((-2.0, -1.0), None), ((-2.0, 1.0), 1), ((1.0, 1.001), 0)])
+def test_no_law_of_the_reference_is_chosen_that_leaves_more_than_the_declared_one(
+    gains: tuple[float, float], chosen: int | None
+) -> None:
+    laws = [
+        OtherLawTest(refit=None, test=FaultTest(fault, (), 0.0, 1.0, 0.1, 10.0, 1e-9), gain=gain)  # type: ignore[arg-type]
+        for fault, gain in zip((LATE, AVERAGED), gains, strict=True)
+    ]
+    found = choose_law(laws)
+    assert found is (None if chosen is None else laws[chosen])

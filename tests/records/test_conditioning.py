@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.records.checks import find_quantum, find_record_warnings
+from jointid.records.clock import Cut, cut_table
 from jointid.records.columns import Column, find_wrap, unwrap, wrap_faults
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
@@ -358,3 +359,19 @@ def test_a_cut_follows_the_clock_of_the_profile_or_is_refused(tmp_path: Path) ->
     assert len(record.motor_position) == 501
     with pytest.raises(RecordError, match="no time column was found; name it as time"):
         read(path, {"motor_position": Column("actual_q_0", sample_time=0.002)}, start=0.5)
+
+
+def test_a_second_clock_is_not_cut_by_the_first() -> None:
+    """A counter repeats one value beside a clock of its own: no whole row repeats, so none is left out."""
+    counter = np.array([0.0, 1.0, 1.0, 2.0])
+    values = np.arange(4.0)
+    columns = {"date": values, "counter": counter, "torque": values}
+    one = Table(columns, clocks={"counter": "date", "torque": "date"})
+    for time in ("counter", "date"):
+        cut, remarks = cut_table(one, time, None, None, Cut(), repaired=True)
+        assert not remarks and {name: column.size for name, column in cut.columns.items()} == dict.fromkeys(columns, 4)
+    two = Table(columns | {"late": 10 + values}, clocks={"torque": "late", "counter": "date"})
+    cut, _ = cut_table(two, "date", None, None, Cut(start=2.0), repaired=True)
+    assert {name: column.size for name, column in cut.columns.items()} == {
+        "date": 2, "counter": 2, "torque": 4, "late": 4,
+    }  # fmt: skip

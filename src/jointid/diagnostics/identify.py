@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from typing import Literal
@@ -151,10 +151,12 @@ def identify(
     part, said = (record, "") if planned is None else (planned.part, planned.said)
     windows = windows if planned is None else planned.windows
 
+    failures: list[Message] = []
+
     @cache
     def screen() -> Sequence[Fit]:
         if checks and tells and isinstance(part, Record) and isinstance(model, ClosedLoop):
-            with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the identification says what is wrong
+            with _contained("gross causes", failures):  # the identification says what is wrong
                 return screen_causes(part, model, shown, progress, getattr(method, "free", ()))
         return ()
 
@@ -191,12 +193,13 @@ def identify(
     if isinstance(checked, str):
         return assemble(fit, _left_out(f"not checked: {checked}"), torque_constant=torque_constant)
     found = run_checks(checked, progress, shown, screen)
-    if (freed := _free_unstated_delay(fit, method, found)) is not None:
-        progress("the torque acts within a sample after its log: the delay is identified, too")
-        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the first estimate stands
+    with _contained("an undeclared delay", failures):  # the first estimate stands
+        if (freed := _free_unstated_delay(fit, method, found)) is not None:
+            progress("the torque acts within a sample after its log: the delay is identified, too")
             wider = fit_one(record, model, freed)
             wider = replace(wider, after=(*wider.after, *filter(None, (said, _DELAY_SAID))))
             fit, found = wider, run_checks(wider, progress, shown, screen)
+    found = _with_failures(found, failures)
     return assemble(fit, found, torque_constant=torque_constant)
 
 
@@ -243,6 +246,8 @@ def run_checks(
 ) -> CheckResults:
     """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
+    An exception in a check loses neither the estimate nor the other checks: the verdict on the loop states it.
+
     A parameter that is not identifiable leaves the loop unchecked. If a cause explains a misfit (`find_causes`), it is
     the verdict, because sensitivities mislead then. If the residual of a flexible joint follows its motion with the
     faults corrected, the verdict on repeatable errors says so (`unmodelled_motion`).
@@ -253,52 +258,97 @@ def run_checks(
         shown: how the drive shows the numbers of its controller, see `diagnose`.
         screen: returns the fits by `screen_causes`, or none.
     """
-    if fit.robot is not None:
-        return _check_robot(fit, fit.robot, progress)
+    failures: list[Message] = []
+    found = CheckResults()
+    with _contained("controller and log", failures):
+        if fit.robot is not None:
+            found = _check_robot(fit, fit.robot, progress, failures)
+        else:
+            found = _check_joint(fit, progress, shown, screen, failures)
+    return _with_failures(found, failures)
+
+
+@contextlib.contextmanager
+def _contained(check: str, failures: list[Message]) -> Iterator[None]:
+    """Let no exception leave a check; one that is a fault of the package is added to the failures."""
+    try:
+        yield
+    except (JointidError, np.linalg.LinAlgError):  # the record does not allow this check
+        pass
+    except Exception as error:  # an estimate is worth more than any check of it
+        said = f"the check of {check} failed, which is a fault of jointid ({type(error).__name__}: {error})"
+        failures.append(Message(Reason.CHECK_FAILED, said))
+
+
+def _with_failures(found: CheckResults, failures: Sequence[Message]) -> CheckResults:
+    """Return results whose verdict on the loop states the failed checks; it is unknown unless it failed."""
+    if not failures:
+        return found
+    loop = next((one for one in found.verdicts if one.subject is Subject.LOOP), None)
+    failed = loop is not None and loop.status is Status.FAILED
+    known = () if loop is None else loop.reasons
+    reasons = (*known, *failures) if failed else (*failures, *known)
+    verdict = Verdict(Subject.LOOP, Status.FAILED if failed else Status.UNKNOWN, reasons)
+    others = tuple(one for one in found.verdicts if one.subject is not Subject.LOOP)
+    return replace(found, verdicts=(*others, verdict))
+
+
+def _check_joint(
+    fit: FitResult,
+    progress: Progress,
+    shown: Sequence[DriveNumber],
+    screen: Callable[[], Sequence[Fit]],
+    failures: list[Message],
+) -> CheckResults:
+    """Return the checks of a joint's fit; see `run_checks`."""
     record, problem, x = fit.record, fit.problem, fit.x
     if record is None or problem is None or x is None:
         return CheckResults()
     gross = None
-    with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # nor does a search for a cause end one
+    with _contained("gross causes", failures):
         gross = find_gross_cause(assemble(fit), record, progress, shown, screen)
     if gross is not None and gross.is_clear:
         return CheckResults((Verdict(Subject.LOOP, Status.FAILED, (gross.message,)),))
     progress("checking loop and log")
     found = check = state = rest = None
     whole = all(p.value is not None for p in fit.params.rows)
-    try:
-        if not whole:
-            verdict = check_without_joint(record, problem.loop_at(x))
-        else:
-            found, state = diagnose_joint(fit, record, (problem, x), shown=shown)
-            check = found.axes[0].faults
-            verdict = Verdict(Subject.LOOP, check.status, check.reasons)
-            if isinstance(state.problem.joint, FlexibleJoint):
-                with contextlib.suppress(np.linalg.LinAlgError):  # the tests stand
-                    rest = predict_residual(state.problem, state.x)
-    except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
-        verdict = skip_test(Subject.LOOP, f"not checked: {error}")
+    verdict = skip_test(Subject.LOOP, "not checked")
+    with _contained("faults of loop and log", failures):
+        try:
+            if not whole:
+                verdict = check_without_joint(record, problem.loop_at(x))
+            else:
+                found, state = diagnose_joint(fit, record, (problem, x), shown=shown)
+                check = found.axes[0].faults
+                verdict = Verdict(Subject.LOOP, check.status, check.reasons)
+        except (JointidError, np.linalg.LinAlgError) as error:
+            verdict = skip_test(Subject.LOOP, f"not checked: {error}")
+    if state is not None and isinstance(state.problem.joint, FlexibleJoint):
+        with _contained("a residual that follows the motion", failures):
+            rest = predict_residual(state.problem, state.x)
     findings = () if check is None else check.findings
     faults = None if check is None else tuple(finding.test for finding in findings)
     left = next((finding.left for finding in findings if finding.left is not None), None)
-    try:
+    causes = None
+    with _contained("causes of a misfit", failures):
         causes = explain_misfit(assemble(fit), record, faults, progress, shown, left, gross)
-    except (JointidError, np.linalg.LinAlgError):  # nor does the search for a cause
-        causes = None
     if causes is not None:
         return CheckResults((Verdict(Subject.LOOP, Status.FAILED, (causes.message,)),), diagnosis=found)
-    verdict = _judge_by_position(record, problem.loop, shown, verdict, faults or ())
+    with _contained("the law along the motor position", failures):
+        verdict = _judge_by_position(record, problem.loop, shown, verdict, faults or ())
     short = find_too_short(record) if whole else None  # what is refused is not relied on
     if short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     widenings = [] if check is None else widen_for_faults(check, problem.values(x))
     if found is not None:
-        widenings += _widen_for_undeclared(fit, found)
-    wider, verdict = _compare_with_delay(problem, x, record, verdict)
-    widenings += wider
+        with _contained("undeclared elements", failures):
+            widenings += _widen_for_undeclared(fit, found)
+    with _contained("alternatives to a delay", failures):
+        wider, verdict = _compare_with_delay(problem, x, record, verdict)
+        widenings += wider
     if rest is None or not rest.follows or state is None:
         return CheckResults((verdict,), tuple(widenings), found)
-    with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
+    with _contained("a residual that follows the motion", failures):  # the verdict stands, however wide it is
         widenings.append(widen_for_rest(state.problem, state.x, rest))
     follows = rest.verdict
     before = next((one for one in fit.checks.verdicts if one.subject is follows.subject), None)
@@ -314,13 +364,12 @@ def _judge_by_position(
 
     Faults of loop and log that were found stand. Friction, play and spring of the joint have no part in it.
     """
-    with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands
-        of_loop = any(not fault.of_model for one in named for fault in (one.fault, *one.alike))
-        found = None if of_loop else find_law_causes(record, loop, shown)
-        if found is not None:
-            others = verdict.reasons if verdict.status is Status.FAILED else ()
-            return Verdict(Subject.LOOP, Status.FAILED, (found.message, *others))
-    return verdict
+    of_loop = any(not fault.of_model for one in named for fault in (one.fault, *one.alike))
+    found = None if of_loop else find_law_causes(record, loop, shown)
+    if found is None:
+        return verdict
+    others = verdict.reasons if verdict.status is Status.FAILED else ()
+    return Verdict(Subject.LOOP, Status.FAILED, (found.message, *others))
 
 
 def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
@@ -336,10 +385,7 @@ def _compare_with_delay(
     problem: ClosedLoopProblem, x: FloatArray, record: Record, verdict: Verdict
 ) -> tuple[list[Widening], Verdict]:
     """Return the shifts by alternatives to a delay, and the verdict on them."""
-    try:
-        wider, excluded = compare_with_delay(problem, x, record)
-    except (JointidError, np.linalg.LinAlgError):  # no check ends an identification
-        return [], verdict
+    wider, excluded = compare_with_delay(problem, x, record)
     if not excluded or verdict.status is not Status.PASSED:
         return wider, verdict
     first, *others = verdict.reasons
@@ -348,7 +394,7 @@ def _compare_with_delay(
     return wider, replace(verdict, reasons=(first, *others))
 
 
-def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> CheckResults:
+def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress, failures: list[Message]) -> CheckResults:
     """Return the checks of a robot's fit: the controllers that it simulated, and the residual of each joint."""
     if len(fit.records) > len(part.model):
         return CheckResults((skip_test(Subject.LOOP, "not checked: several records were identified in one fit"),))
@@ -378,7 +424,9 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
         loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
     elif wrong := found.describe_laws(holds=False):
         said = "; ".join(filter(None, (wrong, found.untested_clause)))
-        shown = _numbers_by_position(part, fit.records, found)
+        shown: list[Message] = []
+        with _contained("the laws along the motor positions", failures):
+            shown = _numbers_by_position(part, fit.records, found)
         loop = Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, said), *shown))
     if of_logs := found.name_faults(of_model=False):
         loop = Verdict(Subject.LOOP, Status.FAILED, (*of_logs, *(loop.reasons if loop.status is Status.FAILED else ())))
@@ -390,7 +438,9 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress) -> C
     if lost is not None:
         loop = Verdict(Subject.LOOP, Status.FAILED, (lost,))
     tested = part.has_controllers or of_logs or lost is not None
-    wider = _widen_for_undeclared(fit, found)
+    wider: list[Widening] = []
+    with _contained("undeclared elements", failures):
+        wider = _widen_for_undeclared(fit, found)
     return CheckResults((residual, loop) if tested else (residual,), tuple(wider), diagnosis=found)
 
 
@@ -416,10 +466,7 @@ def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
         {fault.name for finding in axis.faults.findings for fault in (finding.test.fault, *finding.test.alike)}
         for axis in found.axes
     ]
-    try:
-        return widen_for_undeclared(fit, found.torques, named)
-    except (JointidError, np.linalg.LinAlgError):  # no check ends an identification
-        return []
+    return widen_for_undeclared(fit, found.torques, named)
 
 
 def widen_for_faults(check: AxisFaults, values: Mapping[str, float]) -> list[Widening]:

@@ -114,13 +114,16 @@ class OtherLawTest:
 def choose_law(explaining: Sequence[OtherLawTest]) -> OtherLawTest | None:
     """Return the likeliest law; of those that differ in what they make of the reference the one that leaves least.
 
-    Many of these are alike: of those that leave nearly as little the plainest comes first in the list.
+    None if no law of the reference leaves less than the declared one, however likely the tests of them make it. Many
+    of these are alike: of those that leave nearly as little the plainest comes first in the list.
     """
     likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
     if likeliest is None or not likeliest.of_reference:
         return likeliest
     likely = [one for one in explaining if one.of_reference and one.as_likely([likeliest])]
     best = max(likely, key=lambda one: one.gain)
+    if best.gain <= 0:
+        return None
     return next(one for one in likely if (best.gain - one.gain) * best.likelihood <= RIVAL * best.gain)
 
 

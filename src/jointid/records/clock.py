@@ -154,20 +154,22 @@ def cut_table(
     common = time or next((name for name in table.columns if TIME_NAME.fullmatch(name)), None)
     if sample_time is not None and time is None:
         common = None
-    if cut != Cut() and common is None and sample_time is None and not table.clocks:
+    own = own_clocks(table, time)
+    if cut != Cut() and common is None and sample_time is None and not own:
         raise RecordError(
             f"start, stop and part cut {table.source} by its clock, and no time column was found; name it as time, or "
             "give sample_time."
         )
     columns, remarks = dict(table.columns), list[str]()
-    for clock in dict.fromkeys([common, *table.clocks.values()]):
+    own |= {clock: clock for clock in own.values()}  # a time column is cut with the columns that it stamps
+    for clock in dict.fromkeys([common, *own.values()]):
         stamps = table.columns.get(clock) if clock else np.asarray(np.arange(table.rows) * (sample_time or math.nan))
         if stamps is None or stamps.size < 2 or not np.isfinite(stamps).all():
             continue
         names = [
             name
             for name, values in columns.items()
-            if (table.clocks.get(name) or common) == clock and values.size == stamps.size
+            if (own.get(name) or common) == clock and values.size == stamps.size
         ]
         if clock in columns and clock not in names:
             names.append(clock)
@@ -186,6 +188,12 @@ def cut_table(
         kept[kept] = cut.find_rows(stamps[kept], seconds_of(table, clock, time_unit), clock or "the clock")
         columns |= {name: columns[name][kept] for name in names}
     return (table if not remarks and cut == Cut() else replace(table, columns=columns)), remarks
+
+
+def own_clocks(table: Table, time: str | None) -> dict[str, str]:
+    """Return the time column of each column that has its own; none where one is named for a file of one clock."""
+    one_named = time is not None and len(set(table.clocks.values())) == 1
+    return {} if one_named else dict(table.clocks)
 
 
 def seconds_of(table: Table, clock: str | None, time_unit: str | None) -> float:

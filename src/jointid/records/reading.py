@@ -27,6 +27,7 @@ from jointid.records.clock import (
     cut_table,
     find_clock,
     is_same_rate,
+    own_clocks,
     seconds_of,
 )
 from jointid.records.columns import (
@@ -216,9 +217,7 @@ class RecordReader:
     def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
         time = self._find_time(table)
         # A sample time that is given alone is all that counts, unless a channel names its own column.
-        # So is a time column that is named, where the file has one clock.
-        one_named = self.time is not None and len(set(table.clocks.values())) == 1
-        stated = {} if one_named or (time is None and self.sample_time is not None) else table.clocks
+        stated = {} if time is None and self.sample_time is not None else own_clocks(table, self.time)
         clocks = {c.time or stated.get(c.column) for c in found.values() if c.sample_time is None}
         tolerance = None if self.resample else self.clock_tolerance
         common = Clock(self.sample_time)

@@ -92,6 +92,7 @@ class Reason(StrEnum):
     RECORD_TOO_SHORT = "record_too_short"
     HARDLY_MOVES = "hardly_moves"
     NOT_TESTED = "not_tested"
+    CHECK_FAILED = "check_failed"
     MOTION_MEASURED = "motion_measured"
     SCALE_DECLARED = "scale_declared"
     SCALE_KNOWN = "scale_known"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,9 +19,7 @@ from jointid.apps.cli.console import (
     show,
 )
 from jointid.apps.cli.places import Outputs
-from jointid.common.document import WIDTH
 from jointid.common.errors import MethodError
-from jointid.common.text import wrap
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
@@ -118,9 +115,8 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Record, Windowing, advise, figures
+    from jointid import Windowing, figures
     from jointid.config import require_joint
-    from jointid.estimation.result.answer import told_bounds
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
@@ -131,7 +127,6 @@ def identify(
     file: File[Any] = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
     if figure is not None and len(records) > 1:
         require_joint(file, "--figure of several records")
-    logged = None
     if window is not None or settling is not None:
         if len(records) > 1:
             raise MethodError(
@@ -146,12 +141,8 @@ def identify(
         ready(options.progress)
         estimate = file.identify_together(records, options.progress)
     else:
-        logged, estimate = options.identify(file)
+        estimate = options.identify(file)[1]
     deliver(estimate, json, (figure, figures.torque), details=details)
-    if isinstance(logged, Record) and told_bounds(estimate):
-        advice = advise(estimate, logged)
-        said = replace(advice, transmission=None) if details else advice  # the details of the estimate have it
-        show("\n" + wrap(str(said), WIDTH, below=2))
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 
