@@ -8,7 +8,6 @@ from .controller_id.learn import learn_controller
 from .diagnostics.compare import compare
 from .diagnostics.diagnose import diagnose
 from .diagnostics.examine_record import examine
-from .diagnostics.experiment_design import advise
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.validation import validate
@@ -78,7 +77,6 @@ __all__ = [
     "Transmission",
     "Tuning",
     "Windowing",
-    "advise",
     "compare",
     "compute_controller_torque",
     "controller",

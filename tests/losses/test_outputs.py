@@ -95,7 +95,6 @@ COMMANDS = {
     "compare estimate.json estimate.json": "ZZ",
     "diagnose methods joint.toml": "DIDIM",
     "diagnose joint.toml": "Loop and log",
-    "advise joint.toml": "encoder",
     "diagnose intervals joint.toml": "ZZ",
     "tune joint.toml": "position_gain",
     "learn-controller joint.toml": "cascade",

@@ -37,7 +37,6 @@ COMMANDS = {
     "tune": ("tune joint.toml -q", "--json", "o.json", "--figure", "o.png"),
     "diagnose methods": ("diagnose methods joint.toml -q", "--json", "o.json"),
     "diagnose": ("diagnose joint.toml -q", "--json", "o.json"),
-    "advise": ("advise joint.toml -q", "--json", "o.json"),
     "report": ("report joint.toml -q --no-profiles", "--html", "o.html", "--markdown", "pages", "--json", "o.json"),
     "demo": ("demo again -q",),
     "learn-controller": ("learn-controller joint.toml -q", "--write", "o.toml", "--json", "o.json"),

@@ -12,12 +12,11 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.config import load
-from jointid.diagnostics.experiment_design import rebuild_declared_problem
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import SAMPLE_TIME, twin
-from jointid.planning.predict import Noise, planned_record, predict_roughly, predict_test
+from jointid.planning.predict import Noise, planned_record, predict_roughly, predict_test, rebuild_declared_problem
 from jointid.records.record import Record, Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation

@@ -1417,11 +1417,6 @@ def predicted(driven: Any, values: Mapping[str, float], reference: Any, **noise:
     return {"text": text(str(made)), "std": numbers(made.covariance.std)}
 
 
-def revealing(found: Any, record: Any) -> Json:
-    """Return which test would show a refused stiffness."""
-    return _revealing(ji.to_dict(ji.advise(found, record)))
-
-
 # Files
 
 DRIVES: Mapping[str, Json] = {

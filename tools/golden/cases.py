@@ -241,8 +241,8 @@ def emps_regular_start(at: Workspace) -> Any:
 def emps_flexible(at: Workspace) -> Any:
     """A flexible joint, whose stiffness is refused."""
     folder = at.folder("emps")
-    found, record = ask.identify_file(ask.joint_file(folder, "emps", "flexible"), at.emps)
-    return ask.whole(found) | {"revealing": ask.revealing(found, record)}
+    found, _ = ask.identify_file(ask.joint_file(folder, "emps", "flexible"), at.emps)
+    return ask.whole(found)
 
 
 @case

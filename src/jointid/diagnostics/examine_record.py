@@ -1,4 +1,4 @@
-"""Examination of a new record: its faults, what it determines of the joint, and what to change.
+"""Examination of a new record: its faults, and what it determines of the joint.
 
 The checks are those of other modules, in the order in which one fault spoils the next: clock, torque, motion,
 controller, joint. The joint is identified once, for the intervals of its parameters.
@@ -6,7 +6,6 @@ controller, joint. The joint is identified once, for the intervals of its parame
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,14 +13,13 @@ from enum import StrEnum
 
 import numpy as np
 
-from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table, Verdicts
+from jointid.common.document import Block, Document, Documented, Facts, Heading, Paragraph, Table, Verdicts
 from jointid.common.errors import FaultsError, JointidError, MethodError, require_type
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import in_words, join, number, pluralise
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.experiment_design import advise
 from jointid.diagnostics.faults.record import find_plain_cause, find_standstill
 from jointid.diagnostics.find_causes import find_causes
 from jointid.diagnostics.identify import identify
@@ -119,7 +117,6 @@ class Examination(Documented):
         logged: its channels, in a sentence.
         answers: to the questions that apply.
         parameters: precision of each; none if no joint could be identified.
-        changes: effect of other tests and sensors, one sentence each.
         transmission: on whose `side` all numbers are.
     """
 
@@ -127,7 +124,6 @@ class Examination(Documented):
     logged: str
     answers: tuple[Answer, ...]
     parameters: tuple[Determined, ...] = ()
-    changes: tuple[str, ...] = ()
     transmission: Transmission | None = None
 
     @property
@@ -153,7 +149,7 @@ class Examination(Documented):
         return f"Nothing is wrong with {self.record}{told if self.parameters else ''}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the answers, the parameters and what to change; there are no further details."""
+        """Return the answers and the parameters; there are no further details."""
         del details
         blocks: list[Block] = []
         if self.logged:
@@ -168,7 +164,6 @@ class Examination(Documented):
                 (in_words(one.name), number(one.percent, 2), one.remark, one.symbol) for one in self.parameters
             )
             blocks.append(Table(("parameter", "2 sigma %", "known", "symbol"), rows, words=(0, 2, 3)))
-        blocks += [Listing(self.changes)] if self.changes else []
         return Document(self.sentence, tuple(blocks))
 
 
@@ -215,8 +210,8 @@ def examine(
     checked += [_check_clock(first), *(replace(one, axis=axis.name) for axis in axes for one in _check_axis(axis))]
     checked.sort(key=lambda one: one.question is not Question.RECORD)
 
-    def conclude(known: Sequence[Determined] = (), changes: tuple[str, ...] = ()) -> Examination:
-        return Examination(first.name, first.sentence, tuple(checked), tuple(known), changes, gear)
+    def conclude(known: Sequence[Determined] = ()) -> Examination:
+        return Examination(first.name, first.sentence, tuple(checked), tuple(known), gear)
 
     if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in checked):  # no joint would be right
         return conclude()
@@ -230,12 +225,7 @@ def examine(
     checked += _check_estimate(estimate)
     if any(one.good is False for one in checked):
         return conclude()
-    changes: tuple[str, ...] = ()
-    if isinstance(record, Record):
-        with contextlib.suppress(JointidError):  # without a prediction
-            said = "predicted for a force in the loop; noise of the log alone would give narrower intervals"
-            changes = (*advise(estimate, record, progress=progress).sentences, said)
-    return conclude((*_list_precision(estimate),), changes)
+    return conclude((*_list_precision(estimate),))
 
 
 @dataclass(frozen=True, slots=True)

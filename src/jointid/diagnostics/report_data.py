@@ -20,11 +20,10 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Detail, Message, Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import intervals
 from jointid.diagnostics.validation import Validation, validate
-from jointid.estimation.result.answer import loop_verdict, told_bounds
+from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
 from jointid.models.position_forces import Motion
@@ -112,7 +111,6 @@ class ReportData:
         response: of the joint.
         profiles: of single quantities.
         parabolic: quantities that are not profiled, since the criterion is a parabola out to their intervals' ends.
-        stiffness_test: test that would identify the stiffness, where it is not identifiable.
         checks: of the same estimate on other records.
         absent: reason why a part is missing, by its name, in a sentence.
     """
@@ -127,7 +125,6 @@ class ReportData:
     response: FrequencyResponse | None
     profiles: tuple[ProfileInterval, ...]
     parabolic: tuple[str, ...]
-    stiffness_test: StiffnessTestDesign | None
     checks: tuple[Validation, ...]
     absent: dict[str, str]
 
@@ -163,7 +160,7 @@ def collect_report_data(
         progress: called with each step.
     """
     absent: dict[str, str] = {}
-    work = Work(progress, "collecting the report", 3 + bool(told_bounds(estimate)), "parts")
+    work = Work(progress, "collecting the report", 3, "parts")
 
     def attempt(name: str, step: str, compute: Callable[[], _Part]) -> _Part | None:
         progress(Detail(step))
@@ -196,13 +193,7 @@ def collect_report_data(
         "profiles", "profiling the criterion",
         lambda: intervals(estimate, record, profiles, curved_only=curved_only, progress=progress),
     )  # fmt: skip
-    stiffness_test, check = None, estimate.checks.diagnosis
-    if told_bounds(estimate):
-        stiffness_test = attempt(
-            "revealing",
-            "designing a test that identifies the stiffness",
-            lambda: design_stiffness_test(estimate, record),
-        )
+    check = estimate.checks.diagnosis
     return ReportData(
         estimate=estimate,
         channels=dict(record.items()),
@@ -214,7 +205,6 @@ def collect_report_data(
         response=response,
         profiles=() if followed is None else followed.profiles,
         parabolic=() if followed is None else followed.parabolic,
-        stiffness_test=stiffness_test,
         checks=tuple(checks),
         absent=absent,
     )

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
-from jointid.diagnostics.other_experiments import choose_encoder_steps
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.limits import AxisLimits, describe_excess, find_excess, units_of_limits
 from jointid.planning.designed import DesignedAxis
+from jointid.planning.encoders import choose_encoder_steps
 from jointid.planning.goals import Goal, parse_goal
 from jointid.planning.plans import Family, Plan, Room, Table, TorqueTable, families_in, room_of
 from jointid.planning.predict import (

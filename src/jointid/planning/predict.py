@@ -29,12 +29,13 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import POSITION_UNIT, Parameter
-from jointid.diagnostics.experiment_design import rebuild_declared_problem
-from jointid.diagnostics.other_experiments import add_information, compute_encoder_information
+from jointid.diagnostics.intervals import rebuild_problem
+from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
+from jointid.planning.encoders import add_information, compute_encoder_information
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome, Simulation
@@ -89,7 +90,7 @@ class Noise:
         if any(p.value is None or p.stderr is None for p in estimate.params.rows if p.free):
             raise MethodError(
                 "The noise of a first record is taken from an estimate that gives every parameter, and this record "
-                "does not identify all: jointid advise says which test would; jointid.design takes rough values."
+                "does not identify all: jointid.design takes rough values."
             )
         error, slopes = problem.linearise(x)
         alone = stationary(-slopes, -slopes, error).std
@@ -98,6 +99,30 @@ class Noise:
             p.name: (reported.get(p.name) or std) / std for p, std in zip(problem.free, map(float, alone), strict=True)
         }
         return cls(left=error, wider=wider)
+
+
+def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
+    """Return the problem an estimate solved and its free parameters, 0 for those not identifiable.
+
+    Raises:
+        MethodError: it is not of a simulated loop as it was declared, or of another record.
+    """
+    estimate.require_joint()
+    if estimate.settings.loop is None:
+        raise MethodError(
+            "A prediction needs an estimate by DIDIM, which simulates its loop; this one is by "
+            f"{estimate.settings.method}."
+        )
+    another = (
+        f"The estimate is of {estimate.data.record}, and {record.name} holds another torque; give the record it is of."
+    )
+    problem, x = rebuild_problem(estimate, record, another)
+    freed = [p.name for p in estimate.params.rows if p.free and not p.of_joint]
+    if any(name not in INITIAL for name in freed):
+        raise MethodError(
+            f"A prediction takes the loop as declared, and here {', '.join(freed)} was free; identify with those fixed."
+        )
+    return problem, x
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -186,7 +186,7 @@ def _propose(
         work.add()
         points = np.concatenate([points, at])
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
-    return None, None, [f"{said}; ask for less, or narrow the interval (jointid advise says how)"]
+    return None, None, [f"{said}; ask for less, or narrow the interval"]
 
 
 def _gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[str, DriveNumber]) -> tuple[Gain, ...]:
@@ -457,7 +457,7 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
         raise MethodError(
             f"The stiffness is refused and {estimate.data.record} does not bound it at any load share, "
             "so no margin can be "
-            "stated; a record with pulses would, see jointid advise."
+            "stated; a record with pulses would, see jointid design."
         )
     sums = {one.combination.quantity: one for one in estimate.checks.known.physical}
     inertia = sums.get("inertia")

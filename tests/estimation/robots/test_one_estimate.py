@@ -106,7 +106,6 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
         ji.tune,
         lambda found: ji.diagnose(found, logged()[1][0]),
         lambda found: ji.validate(found, logged()[1][0]),
-        lambda found: ji.advise(found, logged()[1][0]),
         lambda found: found.report(logged()[1][0]),
         lambda found: found.plot.response(),
         lambda found: found.plot.spectrum(),

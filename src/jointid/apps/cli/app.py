@@ -23,7 +23,7 @@ from jointid.apps.cli import console, endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.demo import demo
-from jointid.apps.cli.diagnose import advise, diagnosis, friction, intervals, methods, springs
+from jointid.apps.cli.diagnose import diagnosis, friction, intervals, methods, springs
 from jointid.apps.cli.doctor import doctor
 from jointid.apps.cli.identify import examine, identify, learn_controller, payload, tune
 from jointid.apps.cli.plan import design
@@ -96,7 +96,6 @@ _EXAMPLES: dict[str, dict[Callable[..., Any], str]] = {
         intervals: "jointid diagnose intervals joint.toml --of stiffness",
         validate: "jointid validate joint.toml --estimate estimate.json",
         compare: "jointid compare estimate.json estimate.json",
-        advise: "jointid advise joint.toml",
         tune: "jointid tune joint.toml",
         design: "jointid design joint.toml --out next-test",
         simulate: "jointid simulate joint.toml --estimate estimate.json --out run.csv",
@@ -125,7 +124,7 @@ _ORDER: tuple[tuple[App, Group, tuple[Any, ...]], ...] = (
     (app, _START, (demo, examine, data, serve, reproduce, doctor)),
     (data, _WITHIN, (inspect, convert)),
     (app, _IDENTIFY, (identify, learn_controller, report, payload)),
-    (app, _ASK, (diagnose, validate, compare, advise)),
+    (app, _ASK, (diagnose, validate, compare)),
     (diagnose, _WITHIN, (methods, springs, friction, intervals)),
     (app, _USE, (tune, design, simulate, export)),
     (app, _MANY, (campaign,)),

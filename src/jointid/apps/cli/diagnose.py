@@ -125,29 +125,3 @@ def intervals(
         require_quantities(of or (), file.loop)
     logged, estimate = options.identify(file, checks=False)
     show(run(estimate, logged, of, bootstrap=bootstrap or refit, refit=refit, progress=options.progress))
-
-
-def advise(
-    joint: Path,
-    /,
-    *,
-    options: Options = DEFAULTS,
-    encoder_step: float | None = None,
-    noise: Literal["loop", "log"] = "loop",
-) -> None:
-    """Predict what an encoder or another motion would add.
-
-    The joint is identified from torque and reference first.
-
-    Args:
-        joint: the joint file (TOML); its method is didim.
-        options: those that most commands have.
-        encoder_step: of the encoders, in m or rad, on the side of a transmission that is reported; without it that of
-            the record's own, or a millionth of the travel.
-        noise: where the torque's residual comes from, a force in the loop or the log itself; a record does not tell,
-            and a force in the loop gives the wider intervals.
-    """
-    from jointid import advise
-
-    record, estimate = options.identify_by_didim(joint, options.outputs)
-    deliver(advise(estimate, record, encoder_step=encoder_step, noise=noise, progress=options.progress), options.json)

@@ -134,7 +134,7 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "PredictedTest": keys("name values std units covariance.correlation"),
     "Examination": document_shape(
-        "jointid.examination/1", "record healthy sentence logged transmission questions=answers parameters changes"
+        "jointid.examination/1", "record healthy sentence logged transmission questions=answers parameters"
     ),
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
     "Diagnosis": document_shape(
@@ -159,26 +159,6 @@ SHAPES: Mapping[str, Shape] = {
     },
     "Fault": str,
     "FaultTest": keys("name alike declared more_than_declared=size std statistic p_value shape"),
-    "Advice": document_shape(
-        "jointid.advice/1",
-        "record noise transmission sensors tests sentences",
-        parameters=lambda advice: {
-            name: {"symbol": advice.symbols[name], "unit": advice.units[name], "std": std}
-            for name, std in advice.std.items()
-        },
-    ),
-    "Prediction": {**keys("name described=description"), "std": lambda prediction: dict(prediction.std) or None},
-    "StiffnessTestDesign": document_shape(
-        "jointid.revealing/1",
-        "record transmission",
-        pulses=keys("height width told=pulses"),
-        load_encoder=keys("step told=encoder"),
-        sentence=str,
-    ),
-    "DetectableMode": {
-        **keys("load_share=share excluded_below_hz=softest told_below_hz=mode"),
-        "relative_std": lambda mode: mode.deviation if math.isfinite(mode.deviation) else None,
-    },
     "EstimateComparison": document_shape(
         "jointid.drift/1",
         "a=before b=after same_record level sentences",
@@ -276,8 +256,7 @@ def to_dict(result: object) -> Json:
     """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
 
     Args:
-        result: of `identify`, `validate`, `compare`, `diagnose`, `advise`, `tune`,
-            `learn_controller`, `inspect`.
+        result: of `identify`, `validate`, `compare`, `diagnose`, `tune`, `learn_controller`, `inspect`.
 
     Raises:
         MethodError: it is no such result.

@@ -158,7 +158,6 @@ class Report:
             "diagnosis": given.diagnosis,
             "profiles": given.profiles,
             "frequencies": {} if given.response is None else given.response.modes,
-            "revealing": given.stiffness_test,
             "parabolic": given.parabolic,
             "tuning": None if self.tuned is None else _without_responses(plain(self.tuned)),
             "design": self.design,

@@ -66,8 +66,6 @@ def report_blocks(
     bounds = bounds_table(estimate, "With 95 % confidence, for a mode damped by up to 15 %")
     if bounds is not None:
         found += [Heading("Lower bound of the stiffness"), bounds, *picture("bounds")]
-        if given.stiffness_test is not None:
-            found += [Heading("Tests that would show the stiffness", 3), Paragraph(str(given.stiffness_test))]
     return (
         *summary_blocks(given, tuned, design, picture),
         Heading("Appendix"),

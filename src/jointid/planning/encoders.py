@@ -1,4 +1,4 @@
-"""Other sensors and other motions than a record's, under the same loop, for the prediction of tests.
+"""Position encoders beside the torque of a test, for the prediction of its intervals.
 
 Position encoders add information to that of the torque, from the exact sensitivities of the positions. An encoder adds
 its sensitivities g, weighted by the spectrum S of its errors, to the information of an estimate, the inverse of its
@@ -31,8 +31,7 @@ in it would count as information, because an encoder's steps are that small besi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -41,19 +40,14 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.records.checks import find_encoder_step
-from jointid.records.record import Channel, Injection, Record
+from jointid.records.record import Record
 from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.excitation import pulses
-from jointid.simulation.loop_input import LoopInput, prepare, to_log
+from jointid.simulation.loop_input import to_log
 from jointid.uncertainty.covariance import smoothed_spectrum, sum_over_frequencies
 
 Noise: TypeAlias = Literal["loop", "log"]
 
 _OF_TRAVEL = 1e-6  # of the commanded travel: the step assumed of an unknown encoder
-_COULOMB = 5.0  # times the Coulomb friction of the whole joint: the height of a pulse
-_WIDTH = 1.2  # over the cut-off: 20 ms at 60 Hz, half a period of a mode in the middle of the band
-_EVERY = 20.0  # widths from one pulse to the next
-_FASTER = math.sqrt(2.0)  # times the speed: twice the acceleration
 
 
 def choose_encoder_steps(record: Record, given: float | None) -> tuple[float, float]:
@@ -164,84 +158,3 @@ def _simulate_load_error(problem: ClosedLoopProblem, x: FloatArray) -> FloatArra
     assert quiet.load_position is not None
     motor = run.motor_position - quiet.motor_position
     return subtract_driven_motion(problem, x, motor, run.load_position - quiet.load_position)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Variation:
-    """Another motion under the same loop.
-
-    Attributes:
-        name, description: in a word or two, and with its numbers.
-        experiment: to simulate.
-    """
-
-    name: str
-    description: str
-    experiment: LoopInput
-
-
-def choose_pulse(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[float, float]:
-    """Return the height (N or N m) and the width (s) of pulses that excite a joint.
-
-    Five times its Coulomb friction, so that they move it from rest, and 1.2 over the cut-off long, as the twin's 20 ms
-    are: half a period of a mode in the middle of the fitted band.
-    """
-    assert problem.filtering.cutoff is not None
-    by_direction = {False: 0.0, True: 0.0}
-    for name, value in values.items():
-        if "coulomb" in name:
-            by_direction[name.endswith("backwards")] += abs(value)
-        elif name.endswith("stribeck_force"):  # what holds it at rest is so much more
-            by_direction = {back: size + max(value, 0.0) for back, size in by_direction.items()}
-    size = max(by_direction.values()) or float(np.sqrt(np.mean(problem.measured**2)))
-    return _COULOMB * size, _WIDTH / problem.filtering.cutoff
-
-
-def add_pulses(problem: ClosedLoopProblem, height: float, width: float) -> Variation:
-    """Return the record's own motion with pulses added to the motor's force and to any injected signal.
-
-    Args:
-        problem: of the record.
-        height: of the pulses, N or N m.
-        width: of a pulse, s; one comes every 20 widths, as `excitation.pulses` draws them.
-    """
-    experiment = problem.experiment
-    period = experiment.law.period
-    more = pulses(experiment.after_limit.size, period, height, width, _EVERY * width, seed=0)
-    unit = problem.torque_unit
-    again = "more " if experiment.injected else ""
-    description = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
-    changed = replace(experiment, after_limit=experiment.after_limit + more)
-    return Variation(f"{again}pulses", description, changed)
-
-
-def double_acceleration(problem: ClosedLoopProblem, record: Record) -> Variation:
-    """Return the same path with twice the acceleration, repeated for the duration of the record.
-
-    It is simulated once, 1.4 times as fast, for less time; known pulses stay as long and as far apart as they were.
-    """
-    assert record.reference is not None
-    log = record.torque or record.reference
-    samples = math.floor(len(log) / _FASTER)
-
-    def speed_up(channel: Channel | None, gain: float = 1.0) -> Channel | None:
-        if channel is None:
-            return None
-        count = math.floor(samples * log.sample_time / channel.sample_time)
-        at = np.minimum(_FASTER * np.arange(count), len(channel) - 1)
-        return replace(channel, values=gain * np.interp(at, np.arange(len(channel)), channel.values))
-
-    def shorten(channel: Channel) -> Channel:
-        return replace(channel, values=channel.values[: math.floor(samples * log.sample_time / channel.sample_time)])
-
-    driven = Record(
-        torque=None if record.torque is None else shorten(record.torque),
-        tap=record.tap,
-        reference=speed_up(record.reference),
-        reference_velocity=speed_up(record.reference_velocity, _FASTER),
-        injected=None
-        if record.injected is None
-        else Injection(shorten(record.injected.channel), record.injected.at, record.injected.in_torque),
-        name=record.name,
-    )
-    return Variation("faster", "the same path with twice the acceleration", prepare(problem.loop, driven))
