@@ -1,8 +1,7 @@
-"""What every peer simulates: one flexible joint, one motion, two digital laws; 25 s at 1 kHz.
+"""What every peer simulates: one flexible joint, one motion, one digital law; 25 s at 1 kHz.
 
-Joint, motion and the first law are those of the measuring stick, which lies beside the real records and outside the
-project; they are written here anew, so that everything but the comparison with C runs without it. NumPy alone is
-imported, because start-up and memory are measured from here.
+Joint, motion and law are those of the measuring stick, which lies beside the real records and outside the
+project; they are written here anew, so that everything but the comparison with C runs without it.
 """
 
 from __future__ import annotations
@@ -40,15 +39,12 @@ class Law:
     The velocity is that of the backward difference d: ``v = memory v' + now d + before d'``, primes a period ago.
 
     Attributes:
-        key, title: short, and in words.
         position_gain, derivative_gain: N/m and N s/m.
         memory, now, before: of the velocity's filter.
         limit: N.
         fed: whether the reference's velocity is fed forward through derivative_gain.
     """
 
-    key: str
-    title: str
     position_gain: float
     derivative_gain: float
     memory: float
@@ -58,17 +54,8 @@ class Law:
     fed: bool
 
 
-_EMPS_KP, _EMPS_KV = 160.18, 243.45 * 35.15065188  # 1/s and N s/m: the gains and the drive chain of the benchmark
-
-STICK = Law("stick", "the stick's loop", 1.4e6, 15_000.0, 0.3, 0.7, 0.0, 1e3, True)
+STICK = Law(1.4e6, 15_000.0, 0.3, 0.7, 0.0, 1e3, True)
 """A stiff PD law with the reference's velocity and a filter of first order."""
-
-EMPS = Law(
-    "emps", "the EMPS loop", _EMPS_KP * _EMPS_KV, _EMPS_KV, 0.0, 0.5, 0.5, 10.0 * 35.15065188, False,
-)  # fmt: skip
-"""The cascade of the public EMPS axis, 18 Hz on this mass: ``kv (kp (r - q) - v)``, v the mean of two differences."""
-
-LAWS = (STICK, EMPS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,11 +114,6 @@ def loop_of(law: Law, samples: int = SAMPLES) -> Loop:
     """Return the problem: trapezoids of 0.2 m there and back, and pulses of 80 N and 15 ms of alternating sign."""
     reference, velocity = _trapezoids(samples)
     return Loop(law, reference, velocity, _pulses(samples))
-
-
-def candidates(count: int) -> Array:
-    """Return parameters up to 10 % from the truth, (count, parameters); the same for everyone."""
-    return np.asarray(TRUTH * np.random.default_rng(1).uniform(0.9, 1.1, (count, TRUTH.size)))
 
 
 def _trapezoids(samples: int) -> tuple[Array, Array]:

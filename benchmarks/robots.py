@@ -1,15 +1,13 @@
 """How long robots take to simulate and to identify, beside MuJoCo's own stepping at its own error.
 
     python -m benchmarks.robots
-    python -m benchmarks.robots --costs [--figure costs.svg]
     python -m benchmarks.robots --twelve
 
 The closed loop: 6 joints, 10 s at 1 kHz, rigid and flexible, and MuJoCo in steps of 1 ms to 0.05 ms, the errors of both
 against jointid's own run at sixteen times the steps, which an adaptive integrator with the same events confirms
 (`tests/simulation/test_robots.py`). Then DIDIM. With `--twelve` that of two arms of six joints on one base alone, for
 60 s at 500 Hz, and `identify` of them with all checks.
-`--costs` measures instead how the processor's time grows with joints, 1 to 7 and 12, and with the length of the record,
-2 to 40 s, and draws it into a file, SVG or PNG, where one is named. Times are the shortest of several turns, taken in
+Times are the shortest of several turns, taken in
 turn; those of the processor are printed beside those of the clock, since a machine may have other work.
 """
 
@@ -17,9 +15,8 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -27,9 +24,7 @@ from jointid import identify
 from jointid.common.arrays import FloatArray
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.flexible import identify_flexible_robot
-from jointid.estimation.robots.numbers import robot_parameters
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robot_sensitivities import differentiate_torques
 from jointid.simulation.robot_start import begin
 from jointid.simulation.robots import prepare_robot, run_robot
 from tests.estimation.robots.test_rigid_robots import recorded
@@ -37,7 +32,6 @@ from tests.robots_mujoco import simulate_by_mujoco
 from tests.robots_plants import Twin, seven, six, two
 
 TURNS = 5
-JOINTS, LENGTHS = (*range(1, 8), 12), (2.0, 5.0, 10.0, 20.0, 40.0)  # of what the cost is measured over; s
 STEPS = (1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5)  # s, of MuJoCo
 
 
@@ -71,7 +65,7 @@ def loops() -> None:
         for step in STEPS:
 
             def theirs(step: float = step) -> FloatArray:
-                return simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, start, step)  # noqa: B023
+                return simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, start, step)[0]  # noqa: B023
 
             taken = shortest(theirs, 2)
             error = worst(theirs(), exact)
@@ -111,13 +105,6 @@ def flexible(twin: Twin, duration: float, *, searched: bool) -> None:
     )
 
 
-def only(twin: Twin, joints: int) -> Twin:
-    """Return a twin of the first joints of another."""
-    robot = replace(twin.robot, links=twin.robot.links[:joints], joints=twin.robot.joints[:joints])
-    each = (values[:joints] for values in (twin.home, twin.travel, twin.inertia, twin.bandwidth))
-    return Twin(robot, *each)
-
-
 def twelve() -> Twin:
     """Return two arms of six joints on one base."""
     arm = six()
@@ -131,71 +118,11 @@ def twelve() -> Twin:
     return Twin(replace(arm.robot, links=tuple(links), joints=tuple(joints)), *twice)
 
 
-def cost(twin: Twin, duration: float) -> tuple[float, ...]:
-    """Return the processor's time of a closed loop, of one with all derivatives, and of rigid DIDIM, s."""
-    loop, driven = twin.loop(), twin.records(duration)
-    experiment, numbers = prepare_robot(loop, driven), RobotNumbers.of(twin.robot)
-    records, _ = recorded(loop, driven, 0.03)
-    places = robot_parameters(twin.robot).places
-    calls: tuple[Callable[[], object], ...] = (
-        lambda: run_robot(experiment, numbers),
-        lambda: differentiate_torques(run_robot(experiment, numbers, keep=True), places),
-        lambda: identify_rigid_robot(loop, records),
-    )
-    return tuple(shortest(call, turns)[1] for call, turns in zip(calls, (TURNS, 3, 3), strict=True))
-
-
-def costs(figure: Path | None) -> None:
-    """Print how the processor's time grows with joints and length, with the power it grows by; and draw it."""
-    found = []
-    for what, sizes, twins in (
-        ("joints", JOINTS, [(twelve() if n > len(seven().robot) else only(seven(), n), 10.0) for n in JOINTS]),
-        ("seconds", LENGTHS, [(seven(), length) for length in LENGTHS]),
-    ):
-        times = np.array([cost(*one) for one in twins])
-        powers = np.polyfit(np.log(sizes), np.log(times), 1)[0]
-        print(f"{what}: loop, loop with derivatives, rigid DIDIM, s of the processor")
-        for size, row in zip(sizes, times, strict=True):
-            print(f"  {size:g}: {row[0]:.4f}, {row[1]:.4f}, {row[2]:.3f}")
-        print(f"  grows as the power {', '.join(f'{power:.2f}' for power in powers)}", flush=True)
-        found.append((what, sizes, times))
-    if figure is not None:
-        draw(found, figure)
-
-
-def draw(found: Sequence[tuple[str, Sequence[float], FloatArray]], path: Path) -> None:
-    """Draw time over size, a panel for each."""
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(9.0, 4.0), layout="constrained")
-    panels = drawn.subplots(1, len(found), sharey=True)
-    kinds = ("closed loop", "with derivatives", "rigid DIDIM")
-    looks = zip(kinds, ("#000000", "#0072B2", "#D55E00"), "os^", strict=True)
-    for k, (kind, colour, marker) in enumerate(looks):
-        for axes, (what, sizes, times) in zip(panels, found, strict=True):
-            axes.loglog(sizes, times[:, k], marker=marker, color=colour, label=kind)
-            axes.set_xlabel("joints, 10 s at 1 kHz" if what == "joints" else "length of the record [s], 7 joints")
-            axes.set_xticks(sizes, [f"{size:g}" for size in sizes], minor=False)
-            axes.minorticks_off()
-            axes.grid(color="0.9")
-    for k, kind in enumerate(kinds):
-        _, sizes, times = found[-1]
-        apart, side = ((-6, 6), "right") if k else ((8, -12), "left")  # the lowest line has its name below it
-        panels[-1].annotate(kind, (sizes[2], times[2, k]), apart, textcoords="offset points", ha=side)
-    panels[0].set_ylabel("time of the processor [s]")
-    drawn.savefig(path, dpi=130)
-
-
 def main() -> None:
     """Print it all."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.robots")
-    parser.add_argument("--costs", action="store_true", help="how the time grows with joints and length, alone")
-    parser.add_argument("--figure", type=Path, help="file to draw that into, SVG or PNG")
     parser.add_argument("--twelve", action="store_true", help="the time of twelve joints, alone")
     said = parser.parse_args()
-    if said.costs or said.figure is not None:
-        costs(said.figure)
-        return
     if not said.twelve:
         loops()
         for twin in (two(), six(), seven()):

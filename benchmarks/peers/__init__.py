@@ -9,16 +9,12 @@ from benchmarks.peers.shape import Peer, Setting
 _WHERE = {
     "jointid": "engine.Engine",
     "c": "c_stick.CStick",
-    "jax": "jax_scan.JaxScan",
-    "casadi": "casadi_map.CasadiMap",
     "mujoco": "mujoco_step.MujocoStep",
-    "rollout": "mujoco_rollout.MujocoRollout",
-    "control": "python_control.PythonControl",
     "scipy": "scipy_ivp.SolveIvp",
 }
 
 PEERS = tuple(_WHERE)
-"""Their keys, in the order of the tables."""
+"""Their keys, in the order of the table."""
 
 
 def peer(key: str) -> type[Peer]:

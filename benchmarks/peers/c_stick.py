@@ -8,8 +8,6 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers.shape import CORES, Peer, Setting
-from benchmarks.problem import NAMES, STICK, Array, Loop
+from benchmarks.peers.shape import Peer, Setting
+from benchmarks.problem import NAMES, Array, Loop
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,14 +43,10 @@ def stick_module(name: str) -> ModuleType:
 
 
 class CStick(Peer):
-    """`sim`, `sim_sens` and `batch` of exact.c, called with their arrays prepared."""
+    """`sim` and `sim_sens` of exact.c, called with their arrays prepared."""
 
-    key = "c"
     title = "plain C (the stick)"
-    settings = (Setting("exact", error=1e-9),)
-    model = "the same stepper for this law and symmetric friction alone; gcc -O3 -march=native"
-    derivatives = "exact, of the same run"
-    many = "two threads through ctypes, eight candidates in one vector where the processor has AVX-512"
+    settings = (Setting("exact"),)
 
     def __init__(self, loop: Loop, setting: Setting) -> None:
         super().__init__(loop, setting)
@@ -66,13 +60,11 @@ class CStick(Peer):
         self.columns = _aligned((loop.samples, len(NAMES)))
 
     @classmethod
-    def absent(cls, loop: Loop | None = None) -> str | None:
-        """It knows one law only, and is built where it is used."""
+    def absent(cls) -> str | None:
+        """It is built where it is used."""
         if stick_folder() is None:
             return "it lies beside the real records, which are not here"
-        if shutil.which("gcc") is None:
-            return "there is no gcc"
-        return "it knows the stick's law only" if loop is not None and loop.law.key != STICK.key else None
+        return "there is no gcc" if shutil.which("gcc") is None else None
 
     def torque(self, parameters: Array) -> Array:
         """Return the torque, in the same array every time."""
@@ -89,25 +81,6 @@ class CStick(Peer):
             _at(self.columns), _at(self.counts),
         )  # fmt: skip
         return self.found, self.columns
-
-    def batch(self, candidates: Array) -> Sequence[Array]:
-        """Return many torques, in fresh memory; the library releases the interpreter, so threads are enough."""
-        eights = hasattr(self.library, "batch8") and len(candidates) % 8 == 0
-        call, lanes = (self.library.batch8, 8) if eights else (self.library.batch, 1)
-        groups = np.ascontiguousarray(candidates).reshape(-1, lanes, len(NAMES))
-        torques = _aligned((len(groups), self.loop.samples, lanes))
-        parts = zip(np.array_split(groups, CORES), np.array_split(torques, CORES), strict=True)
-        with ThreadPoolExecutor(CORES) as pool:
-            list(pool.map(lambda part: self._many(call, *part), parts))
-        return [torques[i // lanes, :, i % lanes] for i in range(len(candidates))]
-
-    def _many(self, call: Any, groups: Array, torques: Array) -> None:
-        call.restype = None
-        count = groups.shape[0] * groups.shape[1]
-        call(
-            ctypes.c_int(count), self.samples, _at(groups), ctypes.byref(self.law), _at(self.w), self.start,
-            _at(torques),
-        )  # fmt: skip
 
 
 def _aligned(shape: tuple[int, ...]) -> Array:

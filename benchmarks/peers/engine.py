@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
-from benchmarks.peers.shape import CORES, Peer, Setting
+from benchmarks.peers.shape import Peer, Setting
 from benchmarks.problem import NAMES, PERIOD, Array, Law, Loop
 
 
 class Engine(Peer):
-    """`simulate_torque`, `simulate_sensitivities` and `simulate_many`."""
+    """`simulate_torque` and `simulate_sensitivities`: exact to rounding, with exact derivatives of the same run."""
 
-    key = "jointid"
     title = "jointid"
-    requires = (".",)
-    settings = (Setting("exact", error=1e-9),)
-    model = "exact to rounding: events located, true sticking"
-    derivatives = "exact, of the same run"
-    many = "`simulate_many`, two threads"
+    settings = (Setting("exact"),)
 
     def __init__(self, loop: Loop, setting: Setting) -> None:
         from jointid.simulation.loop_input import prepare
@@ -41,42 +33,6 @@ class Engine(Peer):
 
         run = simulate_sensitivities(self.closed, self.experiment, _values(parameters), NAMES)
         return run.response.torque, run.torque
-
-    def batch(self, candidates: Array, workers: int = CORES) -> Sequence[Array]:
-        """Return many torques; every one is kept, in fresh memory."""
-        from jointid.simulation.closed_loop import simulate_many
-
-        values = [_values(parameters) for parameters in candidates]
-        return [run.torque for run in simulate_many(self.closed, self.experiment, values, workers=workers)]
-
-    def kernel(self, parameters: Array) -> Callable[[], object]:
-        """Return a call of the compiled simulation alone, with the arguments that `torque` gives it."""
-        from jointid.simulation.kernels import drive as kernels
-
-        caught: list[tuple[Any, ...]] = []
-        original = kernels.run
-
-        def spy(*arguments: Any) -> int:
-            caught.append(tuple(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
-            return int(original(*arguments))
-
-        kernels.run = spy  # type: ignore[assignment]
-        try:
-            self.torque(parameters)
-        finally:
-            kernels.run = original
-        (arguments,) = caught
-        arrays = [(a, a.copy()) for a in arguments if isinstance(a, np.ndarray) and a.size < _SMALL]
-
-        def call() -> None:
-            for array, begun in arrays:  # states are stepped where they stand
-                array[...] = begun
-            original(*arguments)
-
-        return call
-
-
-_SMALL = 100  # what is larger is a signal, not a state
 
 
 def _closed(law: Law) -> Any:

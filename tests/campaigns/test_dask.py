@@ -18,13 +18,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.dask_cluster import ROOT, Cluster
 from jointid.campaigns.cases import Outcome
 from jointid.campaigns.engines import DaskCluster, LocalProcesses
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.store import open_database
 from jointid.common.errors import JointidError, MethodError, RecordError
+from tests.campaigns.dask_cluster import ROOT, Cluster
 from tests.campaigns.work import POISON, carry, cases, ends
 from tests.losses.runs import COUNT, SEED, note
 
