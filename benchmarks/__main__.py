@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -66,9 +67,9 @@ def main() -> None:
             chosen[key] = made, reference.error(made.torque(TRUTH))
             if chosen[key][1] <= ENOUGH:
                 break
-    single = interleaved({key: lambda one=one: one.torque(TRUTH) for key, (one, _) in chosen.items()}, rounds)
+    single = interleaved({key: partial(one.torque, TRUTH) for key, (one, _) in chosen.items()}, rounds)
     parts = {key: type(one)(loop.first(one.slow), one.setting) for key, (one, _) in chosen.items()}
-    slopes = interleaved({key: lambda one=one: one.slopes(TRUTH) for key, one in parts.items()}, rounds)
+    slopes = interleaved({key: partial(one.slopes, TRUTH) for key, one in parts.items()}, rounds)
     slopes = {key: seconds * SAMPLES / parts[key].slow for key, seconds in slopes.items()}
     print("| | setting | worst error | one simulation, ms | ratio | with 8 derivatives, ms | ratio |")
     print("|---|---|---|---|---|---|---|")

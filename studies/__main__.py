@@ -1,4 +1,4 @@
-"""Run studies, check a drawn part of them, or write their tables.
+"""Run studies, check a drawn part of them, or print their table.
 
 python -m studies [NAME ...]                 run all studies, or these, and store their shares in docs/studies.json
 python -m studies NAME --seeds 1000:1200     run other seeds, and show their shares
@@ -6,7 +6,7 @@ python -m studies list                       show the studies
 python -m studies check [NAME ...] [--draw WORD]
                                              judge a tenth of these again, or of a quarter of the studies; a word or
                                              else the commit draws them
-python -m studies tables [--check]           write the tables of the documentation
+python -m studies tables [--check]           print the table of the documentation, or check what is stored
 """
 
 from __future__ import annotations
@@ -17,11 +17,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jointid.common.text import align
-from studies.comparing import LEVEL, compare, counted
 from studies.registry import STUDIES
-from studies.seeds import Judged, judge_tasks
-from studies.stored import ROOT, Entry, Program, fill_tables, read_entries, shown_studies, write_entries
-from studies.study import Study, draw_studies
+from studies.seeds import judge_tasks
+from studies.stored import ROOT, Entry, Program, make_table, read_entries, write_entries
+from studies.study import LEVEL, Study, counted, draw_studies, is_claimed
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -33,9 +32,11 @@ def main(arguments: Sequence[str]) -> int:
         _say(f'No study is called {", ".join(sorted(unknown))}; "python -m studies list" shows them.')
         return 2
     if command == "list":
-        return _list()
+        rows = [(study.name, str(len(study.tasks())), study.shows) for study in STUDIES]
+        _say(align(("study", "tasks", "shows"), rows, (False, True, False)))
+        return 0
     if command == "tables":
-        return _write_tables(given.check)
+        return _check_stored() if given.check else _say(make_table(STUDIES, read_entries()))
     if command == "check":
         draw = given.draw or Program.here().commit
         return _check(chosen if given.names else draw_studies(STUDIES, draw), draw)
@@ -51,19 +52,13 @@ def _parse(arguments: Sequence[str]) -> tuple[str, argparse.Namespace]:
     parser.add_argument("--seeds", type=_seeds, metavar="A:B", help="others than the study's; nothing is stored")
     parser.add_argument("--out", type=Path, help="folder in which outcomes are kept, and found again")
     parser.add_argument("--draw", default="", metavar="WORD", help="of check: what draws the tasks")
-    parser.add_argument("--check", action="store_true", help="of tables: fail where one is another, and write nothing")
+    parser.add_argument("--check", action="store_true", help="of tables: fail where what is stored is of other studies")
     return command, parser.parse_args(arguments[command != "run" :])
 
 
 def _seeds(text: str) -> range:
     first, _, after = text.partition(":")
     return range(int(first), int(after))
-
-
-def _list() -> int:
-    rows = [(study.name, str(len(study.tasks())), f"{len(study.shares)}", study.shows) for study in STUDIES]
-    _say(align(("study", "tasks", "shares", "shows"), rows, (False, True, True, False)))
-    return 0
 
 
 def _run(chosen: Sequence[Study], seeds: range | None, out: Path | None) -> int:
@@ -73,75 +68,76 @@ def _run(chosen: Sequence[Study], seeds: range | None, out: Path | None) -> int:
         out = ROOT / "build" / "studies" / program.commit[:12]
     for study in chosen:
         judged = judge_tasks(study.tasks(seeds), out)
-        entry = Entry(
-            program, tuple(seeds or study.seeds), len(study.settings), sum(one.seconds for one in judged),
-            study.count([one.outcome for one in judged]),
-        )  # fmt: skip
-        _show(study, entry)
+        shares = study.count([one.outcome for one in judged])
+        seconds = sum(one.seconds for one in judged)
+        rows = []
+        for label, letters in shares.items():
+            held, of = counted(letters)
+            rows.append((label, f"{held}", f"{of}", f"{100 * held / max(of, 1):.1f}"))
+        _say(align((study.name, "holds in", "of", "%"), rows, (False, True, True, True)))
+        _say(f"{seconds:.1f} s of the processor\n")
         if seeds is None:
+            entry = Entry(program, tuple(study.seeds), len(study.settings), seconds, shares)
             write_entries(read_entries() | {study.name: entry})
     return 0
 
 
-def _show(study: Study, entry: Entry) -> None:
-    rows = []
-    for label, letters in entry.shares.items():
-        held, of = counted(letters)
-        rows.append((label, f"{held}", f"{of}", f"{100 * held / max(of, 1):.1f}"))
-    header = (study.name, "holds in", "of", "%")
-    _say(f"{align(header, rows, (False, True, True, True))}\n{entry.seconds:.1f} s of the processor\n")
-
-
 def _check(chosen: Sequence[Study], draw: str) -> int:
-    """Judge a drawn tenth of each study again, and compare its shares with the stored ones."""
-    stored = read_entries()
-    if missing := [study.name for study in chosen if study.name not in stored or not stored[study.name].is_of(study)]:
-        _say(f"docs/studies.json has other tasks or shares than {', '.join(missing)}; run them again.")
+    """Judge a drawn tenth of each study again, and compare its shares with what is claimed of them."""
+    if _check_stored():
         return 1
+    stored = read_entries()
     places = {study.name: study.draw(draw) for study in chosen}
     tasks = {study.name: [study.tasks()[place] for place in places[study.name]] for study in chosen}
     judged = iter(judge_tasks([task for study in chosen for task in tasks[study.name]]))
     failed, seconds = 0, 0.0
     for study in chosen:
-        here: list[Judged] = [next(judged) for _ in places[study.name]]
+        here = [next(judged) for _ in places[study.name]]
         seconds += sum(one.seconds for one in here)
-        found, was = study.count([one.outcome for one in here]), stored[study.name].shares
-        compared = compare(study, was, places[study.name], found, len(STUDIES))
+        found = study.count([one.outcome for one in here])
         _say(f"{study.name}: {len(here)} of {len(study.tasks())} tasks")
-        for one in compared:
-            drawn, others = (f"{held} of {of}" for held, of in (one.drawn, one.others))
-            chances = f"p = {one.by_chance:.2g}; of the claim, p = {one.by_claim:.2g}"
-            _say(f"  {one.label}: {drawn}; the others {others}; {chances}{'' if one.passed else '; FAILED'}")
-            for place in one.changed:
-                task = study.tasks()[place]
-                _say(f"    another outcome than the stored one: seed {task.seed}, {dict(task.settings)}")
-        failed += sum(not one.passed for one in compared)
+        for share in (one for one in study.shares if one.tested):
+            letters, was = found[share.label], stored[study.name].shares[share.label]
+            passed = is_claimed(study, share, letters, len(STUDIES))
+            failed += not passed
+            held, of = counted(letters)
+            _say(f"  {share.label}: {held} of {of}{'' if passed else '; FAILED'}")
+            for place, letter in zip(places[study.name], letters, strict=True):
+                if was[place] != letter:
+                    task = study.tasks()[place]
+                    _say(f"    another outcome than the stored one: seed {task.seed}, {dict(task.settings)}")
     names = [study.name for study in chosen] if len(chosen) < len(STUDIES) else []
     _say(
         f"{seconds:.0f} s of the processor; drawn by {draw}; a right program fails in less than {LEVEL:g} of the runs\n"
         f"repeat: {' '.join(['python -m studies check', *names, '--draw', draw])}\n"
-        f"{f'{failed} shares FAILED' if failed else 'all shares are as stored'}"
+        f"{f'{failed} shares FAILED' if failed else 'all shares are as claimed'}"
     )
     return int(failed > 0)
 
 
-def _write_tables(check: bool) -> int:
-    """Write the tables of all pages, or say which are not those of the stored outcomes."""
-    stored, other = read_entries(), []
-    for page in sorted((ROOT / "docs").rglob("*.md")):
-        text = page.read_text(encoding="utf-8")
-        if shown_studies(text) and (filled := fill_tables(text, STUDIES, stored)) != text:
-            other.append(page.relative_to(ROOT).as_posix())
-            if not check:
-                page.write_text(filled, encoding="utf-8")
+def _check_stored() -> int:
+    """Check that what is stored is of the studies that there are, and within their claims."""
+    stored = read_entries()
+    other = [study.name for study in STUDIES if study.name not in stored or not stored[study.name].is_of(study)]
+    other += sorted(stored.keys() - {study.name for study in STUDIES})
     if other:
-        _say(f"{', '.join(other)}: {'not the stored outcomes' if check else 'written'}")
-    return int(check and bool(other))
+        _say(f"docs/studies.json has other tasks or shares than {', '.join(other)}; run them again.")
+    beyond = [
+        f"{study.name}: {share.label}"
+        for study in STUDIES
+        for share in study.shares
+        if share.tested and study.name not in other
+        and not is_claimed(study, share, stored[study.name].shares[share.label], len(STUDIES))
+    ]  # fmt: skip
+    if beyond:
+        _say(f"beyond what is claimed: {', '.join(beyond)}")
+    return int(bool(other or beyond))
 
 
-def _say(text: str) -> None:
+def _say(text: str) -> int:
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
+    return 0
 
 
 if __name__ == "__main__":

@@ -8,29 +8,19 @@ the one it found is kept beside the runs of it, and found again with them.
 
 from __future__ import annotations
 
-import argparse
-import contextlib
-import json
-import sys
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 import jointid as ji
-from jointid.campaigns.cases import sha256_of
-from jointid.common.files import write_whole
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.limits import find_excess
 from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.planning.predict import find_maxima
 from jointid.simulation.loop_input import prepare
-from studies.seeds import judge_seeds
 
 _ENOUGH = 1e-6  # relative: far below a deviation
 
@@ -84,59 +74,12 @@ def propose(loop: LoopName, noise: NoiseName, goal: str, search_time: float) -> 
     )  # fmt: skip
 
 
-def made(
-    loop: LoopName, noise: NoiseName, goal: str, runs: int, search_time: float, out: Path | None = None
-) -> dict[str, object]:
-    """Design a test, make it many times, and return how far what was foretold is true.
-
-    Args:
-        loop: of the twin.
-        noise: of it, too.
-        goal: of the design.
-        runs: how often it is made.
-        search_time: of the search for it.
-        out: folder in which the test and its runs are kept, and found again; one for this call alone when None.
-    """
-    with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(TemporaryDirectory())) if out is None else out
-        own = folder / f"{loop} {noise} {goal}"
-        own.mkdir(parents=True, exist_ok=True)
-        path = own / "test.json"
-        if not path.exists():
-            write_whole(path, json.dumps(asdict(propose(loop, noise, goal, search_time))))
-        text = path.read_text(encoding="utf-8")
-        settings = {"loop": loop, "noise": noise, "test": str(path.resolve()), "sha256": sha256_of(text)}
-        found = list(judge_seeds("studies.designed:judge", range(runs), settings, out=own))
-    test = ProposedTest(**json.loads(text))
-    errors, over = np.array([one["errors"] for one in found]), [one["over"] for one in found]
-    w = np.array([test.weights.get(name, 0.0) for name in test.values])
-    scatter = float(np.sqrt(np.mean((errors @ w) ** 2)))
-    share = None if test.floor is None else (test.before - scatter) / (test.before - test.floor)
-    return {
-        "loop": loop, "noise": noise, "goal": goal, "runs": runs, "test": test.description, "before": test.before,
-        "foretold": test.foretold, "scatter": scatter, "floor": test.floor,
-        "of_what_the_floor_allows": share, "passed": sum(one > 0 for one in over), "worst": max(over),
-    }  # fmt: skip
-
-
 @dataclass(frozen=True, slots=True)
 class MadeTest:
     """Errors of the joint's parameters by one test that was made, and by what it passed a limit, as a share."""
 
     errors: list[float]
     over: float
-
-
-@lru_cache(maxsize=1)
-def _test(path: str, sha256: str) -> ProposedTest:
-    text = Path(path).read_text(encoding="utf-8")
-    assert sha256_of(text) == sha256, "another test than the one that was designed"
-    return ProposedTest(**json.loads(text))
-
-
-def judge(seed: int, loop: LoopName, noise: NoiseName, test: str, sha256: str) -> MadeTest:
-    """Make a kept test once, see `make_test`."""
-    return make_test(seed, loop, noise, _test(test, sha256))
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,26 +131,3 @@ def make_test(seed: int, loop: LoopName, noise: NoiseName, asked: ProposedTest) 
     start = problem.vector({**truth, "initial_position": float(reference[0])})
     x = descend(problem, start, _ENOUGH).x
     return MadeTest([float(x[k]) - truth[name] for k, name in enumerate(own)], float(over))
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Write a line of JSON for each loop, noise and goal."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--search-time", type=float, default=90.0)
-    parser.add_argument("--loop", action="append", choices=("L19", "L30"))
-    parser.add_argument("--noise", action="append", choices=("white", "disturbance"))
-    parser.add_argument("--out", type=Path, help="folder in which tests and runs are kept, and found again")
-    given = parser.parse_args(arguments)
-    loops: Sequence[LoopName] = given.loop or ("L19",)
-    noises: Sequence[NoiseName] = given.noise or ("disturbance", "white")
-    for loop in loops:
-        for noise in noises:
-            for goal in ("stiffness", "motor_viscous - load_viscous"):
-                said = made(loop, noise, goal, given.runs, given.search_time, given.out)
-                sys.stdout.write(json.dumps(said) + "\n")
-                sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -6,14 +6,9 @@ a user calls it. Noise is on the log, or a force on the motor inside the loop, w
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +17,6 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
-from studies.seeds import judge_seeds
 
 MOTIONS = ("trapezoid", "s-curve", "sweep", "multisine")
 NOISES = ("log", "white force", "coloured force")
@@ -206,41 +200,3 @@ def judge(seed: int, longest: float = 60.0, noise: str = "") -> Said:
         {n: std / abs(axis.truth[n]) for n, (_, std) in known.items()},
         axis.truth, {n: r.value for n, r in rows.items() if r.value is not None},
     )  # fmt: skip
-
-
-def summarise(runs: Sequence[Said]) -> str:
-    """Return what share got a stiffness, an error and a false alarm, and of how many deviations values are wrong."""
-    given = [run for run in runs if run.given]
-    errors, alarms = sum(bool(run.error) for run in runs), sum(run.loop == "failed" for run in runs)
-    lines = [f"{len(runs)} drives: a stiffness {len(given)}, errors {errors}, loop called faulty {alarms}"]
-    for name in sorted({name for run in given for name in run.z}):
-        off = np.abs([run.z[name] for run in given if name in run.z])
-        lines.append(
-            f"{name:15} within 2 sigma {100 * np.mean(off < 2):5.1f} %, beyond 3 {100 * np.mean(off > 3):4.2f} %"
-        )
-    off = np.abs([z for run in given for z in run.z.values()])
-    lines.append(f"{'all':15} within 2 sigma {100 * np.mean(off < 2):5.1f} %, beyond 3 {100 * np.mean(off > 3):4.2f} %")
-    return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Write a line of JSON for each drive, and at the end, beside them, what they say together."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--longest", type=float, default=60.0)
-    parser.add_argument("--noise", choices=NOISES, default="", help="of all drives; each has one of its own without it")
-    parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
-    given = parser.parse_args(arguments)
-    seeds = range(given.first, given.first + given.count)
-    runs = []
-    for found in judge_seeds(
-        "studies.healthy:judge", seeds, {"longest": given.longest, "noise": given.noise}, out=given.out
-    ):
-        runs.append(Said(**found))
-        sys.stdout.write(json.dumps(found) + "\n")
-    sys.stderr.write(summarise(runs) + "\n")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

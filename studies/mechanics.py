@@ -7,14 +7,8 @@ and dry friction in finite freedom dynamics", 1988). Their controller is the dec
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import sys
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -24,16 +18,13 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.compare import compare
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.unmodelled_motion import predict_residual
-from jointid.models.friction import FRICTIONS, find_friction
+from jointid.models.friction import find_friction
 from jointid.models.position_forces import PositionHarmonics
-from jointid.models.springs import SPRINGS, ElasticLoad, LinearSpring, find_spring
+from jointid.models.springs import ElasticLoad, LinearSpring, find_spring
 from jointid.simulation.loop_input import LoopInput, prepare
-from studies.healthy import NOISES, Drive, drive
-from studies.seeds import judge_seeds
+from studies.healthy import Drive, drive
 
 FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
@@ -392,105 +383,3 @@ def judge(
 def _follows(estimate: ji.Estimate, record: ji.Record) -> bool:
     predicted = predict_residual(*rebuild_problem(estimate, record, ""))
     return predicted is not None and predicted.follows
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """The spring or the friction that a drive's record shows; of a spring how far its stiffness is off, in sigmas."""
-
-    seed: int
-    fault: str
-    size: float
-    error: str
-    shown: str
-    z: float | None
-    left: dict[str, float | None]
-
-
-def choose(seed: int, fault: str, longest: float = 12.0, kind: str = "spring") -> Chosen | None:
-    """Compare springs, or frictions, on the record of a drive with a fault; None where there is no such drive."""
-    made = spoiled(seed, fault, longest)
-    if made is None:
-        return None
-    try:
-        compared: LawComparison
-        compared = compare(made.record, made.axis.loop, "springs" if kind == "spring" else "frictions")
-    except JointidError as error:
-        return Chosen(seed, fault, made.size, f"{type(error).__name__}: {error}", "", None, {})
-    shown = compared.shown
-    truth = made.stiffness(shown.name)
-    std = shown.std.get("stiffness")
-    z = (shown.values["stiffness"] - truth) / std if std else None
-    return Chosen(seed, fault, made.size, "", shown.name, z, {one.name: one.kept for one in compared.laws})
-
-
-def summarise_choices(runs: Sequence[Chosen]) -> str:
-    """Return a row for each fault: which springs were shown, and how many of their stiffnesses are within 2 sigma."""
-    lines = ["fault, drives; shown; stiffness within 2 sigma"]
-    for fault in dict.fromkeys(run.fault for run in runs):
-        here = [run for run in runs if run.fault == fault]
-        shown = Counter(run.shown or "error" for run in here).most_common()
-        z = [abs(run.z) for run in here if run.z is not None]
-        held = f"{sum(one <= 2 for one in z)} of {len(z)}"
-        lines.append(f"{fault}, {len(here)}; {', '.join(f'{name} {count}' for name, count in shown)}; {held}")
-    return "\n".join(lines)
-
-
-def summarise(runs: Sequence[Said]) -> str:
-    """Return a row for each fault: how far stiffnesses are off, how many are silent, and what is named first."""
-    lines = [
-        "fault, drives, given; off by %, median and 90 %; deviations, the same; relied on, silent; residuals that "
-        "follow the motion; named right first, else and more than 2 deviations off; named first"
-    ]
-    for fault in dict.fromkeys(run.fault for run in runs):
-        here = [run for run in runs if run.fault == fault]
-        given = [run for run in here if run.z is not None]
-        off = np.abs([run.off for run in given if run.off is not None])
-        z = np.abs([run.z for run in given if run.z is not None])
-        sizes = [f"{np.median(a):.2g} {np.quantile(a, 0.9):.2g}" for a in (off, z) if a.size]
-        relied = sum(run.trust.startswith("reliable") for run in given)
-        sought, most = fault.split(", "), 1 + fault.count(", ")  # of a pair both, in either order
-        right = [all({*run.named[:most]} & {*RIGHT.get(one, ())} for one in sought) for run in here]
-        missed = sum(not named and run.z is not None and abs(run.z) > 2 for run, named in zip(here, right, strict=True))
-        named = Counter(run.named[0] if run.named else "nothing" for run in here).most_common()
-        lines.append(
-            f"{fault}, {len(here)}, {len(given)}; {'; '.join(sizes)}; {relied}, {sum(run.silent for run in given)}; "
-            f"{sum(run.follows for run in given)}; {sum(right)}, {missed}; "
-            + ", ".join(f"{name} {count}" for name, count in named)
-        )
-    return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Write a line of JSON for each drive, and at the end, beside them, what they say together."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=16)
-    parser.add_argument("--longest", type=float, default=12.0)
-    parser.add_argument("--fault", action="append", choices=(*FAULTS, *PAIRS))
-    parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
-    parser.add_argument("--friction", choices=FRICTIONS, default="symmetric")
-    parser.add_argument("--ripple", action="store_true", help="declare the period of the cogging")
-    parser.add_argument("--choose", choices=("spring", "friction"), help="compare all of them, and say which is shown")
-    parser.add_argument("--noise", choices=NOISES, default="", help="of all drives; each has one of its own without it")
-    parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
-    given = parser.parse_args(arguments)
-    seeds, said, chosen = range(given.first, given.first + given.count), list[Said](), list[Chosen]()
-    for fault in given.fault or FAULTS:
-        asked = {"fault": fault, "longest": given.longest}
-        if given.choose:
-            asked, function = asked | {"kind": given.choose}, "studies.mechanics:choose"
-        else:
-            asked |= {"spring": given.spring, "friction": given.friction, "ripple": given.ripple, "noise": given.noise}
-            function = "studies.mechanics:judge"
-        for found in judge_seeds(function, seeds, asked, out=given.out):
-            sys.stdout.write(json.dumps(found) + "\n")
-            if given.choose:
-                chosen.append(Chosen(**found))
-            else:
-                said.append(Said(**found | {"named": tuple(found["named"])}))
-    sys.stderr.write((summarise_choices(chosen) if given.choose else summarise(said)) + "\n")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -6,16 +6,10 @@ beforehand, from the sensitivities at the truth: they predict how well the stiff
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from jointid.common.messages import ignore_progress
-from jointid.common.text import align, number
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -24,7 +18,6 @@ from jointid.estimation.starts.flexible_joint import frequency_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.position_dependent_error import uncertainty
-from studies.seeds import judge_seeds
 
 Noise = Literal["disturbance", "white"]
 
@@ -70,62 +63,6 @@ class StiffnessRun:
         return abs(self.value - self.stiffness) <= 2 * self.std
 
 
-@dataclass(frozen=True, slots=True)
-class Refusals:
-    """Verdicts on the stiffness in many runs.
-
-    Attributes:
-        runs: all of them, by factor.
-    """
-
-    runs: tuple[StiffnessRun, ...]
-
-    @property
-    def held(self) -> float:
-        """Share of the runs in which what was said is true."""
-        return float(np.mean([run.holds for run in self.runs]))
-
-    @property
-    def refused_plain(self) -> float:
-        """Share of the runs refused among those of which the stiffness can be known to 3 %."""
-        return float(np.mean([run.value is None for run in self.runs if run.predicted < PLAIN]))
-
-    @property
-    def given_invisible(self) -> float:
-        """Share of the runs given a value among those whose 2 sigma would be as large as the stiffness, or larger."""
-        return float(np.mean([run.value is not None for run in self.runs if run.predicted > INVISIBLE]))
-
-    def __str__(self) -> str:
-        """Return the table, a row for each stiffness."""
-        header = ("K12, N/m", "free-free, Hz", "predicted deviation, %", "values given, %", "bound / K12", "true, %")
-        rows = [_row(list(group)) for _, group in itertools.groupby(self.runs, lambda run: run.factor)]
-        said = (
-            f"{len(self.runs)} runs: {100 * self.held:.1f} % of what is said is true; refused where K12 can be known "
-            f"to {100 * PLAIN:.0f} %: {100 * self.refused_plain:.1f} %; given where it is invisible: "
-            f"{100 * self.given_invisible:.1f} %"
-        )
-        return f"{align(header, rows, (True,) * len(header))}\n\n{said}"
-
-
-def refusals(
-    factors: Sequence[float] = FACTORS,
-    seeds: Sequence[int] = range(1, 11),
-    noises: Sequence[Noise] = ("disturbance", "white"),
-    out: Path | None = None,
-) -> Refusals:
-    """Judge the stiffness of the twin (loop L19) with springs from soft to stiff, under noise of both kinds.
-
-    Args:
-        factors: times the K12 of Table 2; see `jointid.paper.twin.twin` for what happens to F12.
-        seeds: of the noise, for each factor and kind.
-        noises: kinds.
-        out: folder in which runs are kept, and found again.
-    """
-    settings = [{"factor": factor, "noise": noise} for factor, noise in itertools.product(factors, noises)]
-    found = judge_seeds("studies.refusals:judge", seeds, *settings, out=out)
-    return Refusals(tuple(StiffnessRun(**run) for run in found))
-
-
 def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     """Identify one run by a fit that begins at the truth: the search is not tested here."""
     axis = twin("L19", noise=noise, seed=seed, stiffer=factor)
@@ -150,16 +87,3 @@ def _problem(axis: Twin) -> ClosedLoopProblem:
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
     still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     return on_band(replace(problem, parameters=still), Filtering(), frequency_of(axis.truth))
-
-
-def _row(runs: list[StiffnessRun]) -> tuple[str, ...]:
-    bounds = [run.bound / run.stiffness for run in runs if run.bound is not None]
-    given = np.mean([run.value is not None for run in runs])
-    return (
-        f"{runs[0].stiffness:.2g}",
-        number(runs[0].frequency, 3),
-        number(100 * float(np.median([run.predicted for run in runs])), 2),
-        f"{100 * given:.0f}",
-        number(float(np.median(bounds)), 2) if bounds else "-",
-        f"{100 * np.mean([run.holds for run in runs]):.0f}",
-    )

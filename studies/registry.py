@@ -9,8 +9,6 @@ from jointid.paper.published import SYMBOLS
 from jointid.paper.twin import TABLE_2
 from jointid.tuning.margins import NAMES
 from studies.forces import ASKED, ForceRun
-from studies.foretold import SUMS
-from studies.jitter import REMEDIES
 from studies.loop_faults import NOTHING
 from studies.margins import CHANGED, MarginRun
 from studies.mechanics import RIGHT
@@ -21,7 +19,6 @@ from studies.setpoints import Said
 from studies.stiffness_bounds import BoundRun
 from studies.study import Share, Study
 from studies.unknown_timing import OTHERS, TRUE
-from studies.velocity_taps import TapsRun
 from tests.faults import FAULTS
 from tests.faults import PAIRS as FAULT_PAIRS
 from tests.mistakes import PAIRS, axis, mistakes_of, more_mistakes_of
@@ -156,18 +153,6 @@ def _stiffness_within_2(run: Any) -> bool | None:
     return None if run["z"] is None else abs(run["z"]) <= 2
 
 
-def _largest(name: str) -> Callable[[Any], float]:
-    return lambda run: max(map(abs, run[name].values()))
-
-
-def _remedied(run: Any) -> bool:
-    """Return whether a remedy does what the documentation says of it, for DIDIM and for IDIM."""
-    exact = run["remedy"] in ("taken as uniform", "cubic, reference held")
-    right = (run["remedy"] == "taken as uniform") == (run["late"] == "stamps")
-    didim, idim = _largest("didim")(run), _largest("idim")(run)
-    return (didim < 1e-6 if exact else 1e-3 < didim < 2e-2) and (idim < 1e-2 if right else idim > 5e-2)
-
-
 def _robots(kind: str, flexible: bool, seeds: range) -> Study:
     return Study(
         f"robots-{kind}",
@@ -196,11 +181,6 @@ def _mistakes() -> tuple[Mapping[str, Any], ...]:
 
 def _is_named(outcome: Any) -> bool:
     return bool({*outcome["right"]} & {*outcome["named"]}) and outcome["worded"]
-
-
-def _foretold() -> tuple[Share, ...]:
-    sums = [f"{what} {sign}" for what in SUMS for sign in ("sum", "difference")]
-    return tuple(Share(f"{_symbol(name)} within 2 sigma", _within(name), 0.9, 0.99) for name in (*TABLE_2, *sums))
 
 
 def _changes(name: str) -> tuple[Share, Share]:
@@ -234,31 +214,12 @@ STUDIES: tuple[Study, ...] = (
     _coverage("L19", "disturbance", range(1, 301)),
     _coverage("L30", "disturbance", range(1, 301)),
     Study(
-        "servo",
-        "The twin's axis under a servo drive of today, in deviations that the sensitivities foretell.",
-        "studies.servo:judge",
-        range(1, 81),
-        _intervals(0.9, 0.995),
-    ),
-    Study(
         "forces",
         "Drives measured under a force in the loop of 0.5 to 5 % of the torque: the drive side and IDIM.",
         "studies.forces:judge",
         range(50),
         tuple(Share(f"{_symbol(name)} in the reported 2 sigma", _within_force(name), 0.91, 0.985) for name in ASKED),
         ({"method": "drive_side"}, {"method": "idim"}),
-    ),
-    Study(
-        "foretold",
-        "Deviations that are foretold of a planned test, beside the errors once it is made.",
-        "studies.foretold:judge",
-        range(60),
-        _foretold(),
-        (
-            {"loop": "L19", "noise": "disturbance", "tap": "command"},
-            {"loop": "L19", "noise": "disturbance", "tap": "measured"},
-            {"loop": "L30", "noise": "white", "tap": "command"},
-        ),
     ),
     Study(
         "refusals",
@@ -402,30 +363,6 @@ STUDIES: tuple[Study, ...] = (
         ),
     ),
     Study(
-        "added-mass",
-        "The twin with 10 kg more on its load, in two records.",
-        "studies.added_mass:judge_difference",
-        range(7000, 7020),
-        (
-            Share("apart, within 2 x 0.19 kg", lambda run: abs(run["apart"]) <= 0.38, 0.92),
-            Share("together, within 2 x 0.07 kg", lambda run: abs(run["together"]) <= 0.14, 0.92),
-            Share("together, above the truth", lambda run: run["together"] > 0, 0.3, 0.7),
-        ),
-        ({"noise": "white"}, {"noise": "disturbance"}),
-    ),
-    Study(
-        "drive-gain",
-        "A drive whose torque is 3 % more than its log says, from a known mass.",
-        "studies.added_mass:judge_gain",
-        range(8000, 8015),
-        (
-            Share("the gain within 2 sigma", lambda run: abs(run["z"]) <= 2, 0.92),
-            Share("the gain within 1.4 %", lambda run: abs(run["error"]) <= 0.014, 0.92),
-            Share("the records are said to disagree", _is("differs"), at_most=0.15),
-        ),
-        ({"noise": "disturbance"}, {"noise": "white"}),
-    ),
-    Study(
         "random-plants",
         "Random flexible drives of any size, identified from nothing.",
         "studies.random_plants:judge",
@@ -553,14 +490,6 @@ STUDIES: tuple[Study, ...] = (
         ),
     ),
     Study(
-        "jitter",
-        "The twin, whose log is late by up to 30 % of the sample time.",
-        "studies.jitter:judge",
-        range(1, 3),
-        (Share("a remedy helps or harms as stated", _remedied, 0.98),),
-        tuple({"late": late, "share": 0.3, "remedy": remedy} for late in ("samples", "stamps") for remedy in REMEDIES),
-    ),
-    Study(
         "unknown-timing",
         "Rigid joints by IDIM, logged at 30 to 1,000 Hz, whose torque is held or sampled, as nobody stated.",
         "studies.unknown_timing:judge",
@@ -589,13 +518,6 @@ STUDIES: tuple[Study, ...] = (
             Share("of an arm without the law it is named on an axis", lambda run: run.get("robot"), 0.1, tested=False),
         ),
         ({"system": "joint"}, {"system": "robot"}),
-    ),
-    Study(
-        "velocity-taps",
-        "Controllers of random servos whose velocity is a weighted difference of up to eight positions.",
-        "studies.velocity_taps:judge",
-        range(130, 134),
-        (Share("the torque of the true law within 1 %, no feed-forward", lambda run: TapsRun(**run).right, 0.95),),
     ),
     _robots("rigid", False, range(12)),
     _robots("flexible", True, range(12)),

@@ -12,15 +12,9 @@ that are known to a tenth.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -45,7 +39,6 @@ from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, RobotSimulation
 from jointid.simulation.synthesis import simulate
-from studies.seeds import judge_seeds
 
 _AT_NOISE = 1.05  # times the noise: what a joint's filtered error may be
 _KNOWN = 0.1  # relative deviation of a parameter that is told to be known
@@ -318,54 +311,3 @@ def _with_idim(about: Found, made: Drives, estimator: str) -> Found:
     assert truth is not None
     z, shares = (part.values - truth) / std, std / np.maximum(np.abs(part.values), 1e-300)
     return replace(about, idim=tuple(z.tolist()), idim_shares=tuple(shares.tolist()))
-
-
-def summarise(runs: Sequence[Found]) -> str:
-    """Return how many ended at the noise, what the others did, and what 2 sigma hold."""
-    done = [run for run in runs if not run.error]
-    lines = [
-        f"{len(runs)} robots, {sum(run.joints for run in runs)} joints, {sum(run.prismatic for run in runs)} prismatic,"
-        f" {sum(run.springs for run in runs)} springs of which {sum(run.spring_shown for run in runs)} are shown",
-        f"{sum(run.at_noise for run in done)} at the noise; not: "
-        + ", ".join(f"{run.seed} ({run.error[:60] or f'{run.left:.3g}'})" for run in runs if not run.at_noise),
-        f"seconds of processors: median {np.median([run.seconds for run in runs]):.2g}, "
-        f"largest {max(run.seconds for run in runs):.3g}",
-        _covered("2 sigma", [(run.z, run.shares) for run in done if run.at_noise]),
-    ]
-    if any(run.idim for run in done):
-        lines.append(_covered("IDIM", [(run.idim, run.idim_shares) for run in done if run.idim]))
-    return "\n".join(lines)
-
-
-def _covered(name: str, rows: Sequence[tuple[Sequence[float], Sequence[float]]]) -> str:
-    z, shares = (np.concatenate([np.array(row[i]) for row in rows]) for i in range(2))
-    known = shares < _KNOWN
-    inside = np.abs(z) <= _TWO
-    return (
-        f"{name} hold {100 * np.mean(inside):.1f} % of {z.size} parameters, "
-        f"{100 * np.mean(inside[known]):.1f} % of the {known.sum()} known to a tenth"
-    )
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Write a line of JSON for each robot, and at the end, beside them, what they say together."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=100)
-    parser.add_argument("--flexible", action="store_true")
-    parser.add_argument("--drive-side", action="store_true", help="flexible robots from motor positions")
-    parser.add_argument("--idim", default="", help="an estimator of IDIM, to be judged too")
-    parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
-    given = parser.parse_args(arguments)
-    seeds = range(given.first, given.first + given.count)
-    asked = {"flexible": given.flexible, "estimator": given.idim, "drive_side": given.drive_side}
-    runs = list[Found]()
-    for found in judge_seeds("studies.robots:judge", seeds, asked, out=given.out):
-        sys.stdout.write(json.dumps(found) + "\n")
-        whole: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in found.items()}
-        runs.append(Found(**whole))
-    sys.stderr.write(summarise(runs) + "\n")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

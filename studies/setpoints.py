@@ -7,13 +7,7 @@ lines, by Hermite's cubics, or by a running mean.
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +22,6 @@ from jointid.records.record import Channel, Timing
 from jointid.simulation.loop_input import prepare
 from studies.healthy import Drive, drive
 from studies.mechanics import simulate
-from studies.seeds import judge_seeds
 
 LOG = 1e-3  # s
 _COARSE = 4  # samples of the log in a coarse setpoint
@@ -176,41 +169,3 @@ def judge(seed: int, kind: str, longest: float = 4.0) -> Said | None:
     return Said(
         seed, kind, about, made.average, "", str(found.answer), str(trust.code), z, tuple(named), tuple(doubted)
     )
-
-
-def summarise(runs: Sequence[Said]) -> str:
-    """Return a row for each way: silent errors, what is named right, and what is named first."""
-    lines = ["way, drives; relied on, silent; named right first; named first"]
-    for kind in dict.fromkeys(run.kind for run in runs):
-        here = [run for run in runs if run.kind == kind]
-        named = Counter(run.named[0] if run.named else run.error[:60] or "nothing" for run in here).most_common()
-        relied = sum(run.relied for run in here)
-        lines.append(
-            f"{kind}, {len(here)}; {relied}, {sum(run.silent for run in here)}; {sum(run.right for run in here)}; "
-            + ", ".join(f"{name} {count}" for name, count in named)
-        )
-    return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Write a line of JSON for each drive, and at the end, beside them, what they say together."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=12)
-    parser.add_argument("--longest", type=float, default=4.0)
-    parser.add_argument("--kind", action="append", choices=RIGHT)
-    parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
-    given = parser.parse_args(arguments)
-    runs = []
-    for kind in given.kind or RIGHT:
-        seeds = range(given.first, given.first + given.count)
-        asked = {"kind": kind, "longest": given.longest}
-        for found in judge_seeds("studies.setpoints:judge", seeds, asked, out=given.out):
-            sys.stdout.write(json.dumps(found) + "\n")
-            if found is not None:
-                runs.append(Said(**found | {"named": tuple(found["named"])}))
-    sys.stderr.write(summarise(runs) + "\n")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -1,4 +1,4 @@
-"""Outcomes of all studies in `docs/studies.json`, and the tables of the documentation that are made of them."""
+"""Outcomes of all studies in `docs/studies.json`, and the table of the documentation that is made of them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from studies.comparing import counted
-from studies.study import Share, Study
+from studies.study import Share, Study, counted
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "docs" / "studies.json"
-_BETWEEN = re.compile(r"(?P<head><!-- studies: (?P<name>[\w-]+) -->\n).*?(?P<foot><!-- end of studies -->)", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,37 +86,14 @@ def write_entries(entries: Mapping[str, Entry], path: Path = STORED) -> None:
     path.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def make_table(study: Study, entry: Entry | None) -> str:
-    """Return the table of a study in Markdown, with where and when it was made; a sentence if it was not run."""
-    if entry is None:
-        return f"{study.shows} (Not run yet: `python -m studies {study.name}`.)\n"
-    rows = ["| | holds in | of | % | stated, % |", "|---|---|---|---|---|"]
-    for share in study.shares:
-        held, of = counted(entry.shares[share.label])
-        rows.append(f"| {share.label} | {held} | {of} | {100 * held / max(of, 1):.1f} | {_claim(share)} |")
-    program = entry.program
-    tree = "" if program.clean else " with changes"
-    made = (
-        f"{study.shows} (`python -m studies {study.name}`: seeds {_said(entry.seeds)}; "
-        f"commit {program.commit[:9]}{tree}, {program.date}, {program.processor}.)"
-    )
-    return "\n".join([made, "", *rows, ""])
-
-
-def fill_tables(text: str, studies: Iterable[Study], entries: Mapping[str, Entry]) -> str:
-    """Return a page whose tables between the markers of studies are those of the stored outcomes."""
-    by_name = {study.name: study for study in studies}
-
-    def filled(found: re.Match[str]) -> str:
-        name = found["name"]
-        return f"{found['head']}{make_table(by_name[name], entries.get(name))}{found['foot']}"
-
-    return _BETWEEN.sub(filled, text)
-
-
-def shown_studies(text: str) -> list[str]:
-    """Return the names of the studies whose tables a page has."""
-    return [found["name"] for found in _BETWEEN.finditer(text)]
+def make_table(studies: Iterable[Study], entries: Mapping[str, Entry]) -> str:
+    """Return the table of the tested shares of all studies in Markdown."""
+    rows = ["| study | share | holds in | stated, % |", "|---|---|---|---|"]
+    for study in studies:
+        for share in (one for one in study.shares if one.tested and study.name in entries):
+            held, of = counted(entries[study.name].shares[share.label])
+            rows.append(f"| {study.name} | {share.label} | {held} of {of} | {_claim(share)} |")
+    return "\n".join(rows) + "\n"
 
 
 def _claim(share: Share) -> str:

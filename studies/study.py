@@ -10,6 +10,8 @@ from typing import Any
 from studies.seeds import Task
 
 HELD, FAILED, UNCOUNTED = "1", "0", "-"
+LEVEL = 1e-3
+"""Largest probability that a check fails a right program."""
 _PART, _LEAST = 10, 8  # a tenth is drawn, and of a small study at least so many tasks
 
 
@@ -66,10 +68,33 @@ class Study:
         return {share.label: "".join(_letter(share, one) for one in outcomes) for share in self.shares}
 
 
+def counted(letters: str) -> tuple[int, int]:
+    """Return how many tasks hold, and how many count."""
+    return letters.count(HELD), len(letters) - letters.count(UNCOUNTED)
+
+
 def draw_studies(studies: Sequence[Study], word: str) -> list[Study]:
     """Return a quarter of the studies, drawn by a word, in their order."""
     drawn = random.Random(word).sample(range(len(studies)), -(-len(studies) // 4))  # noqa: S311
     return [studies[place] for place in sorted(drawn)]
+
+
+def is_claimed(study: Study, share: Share, letters: str, studies: int) -> bool:
+    """Return whether chance allows the drawn outcomes if the true share is at the claimed bound.
+
+    An exact binomial test. All tests of a run together fail a right program with a probability of at most `LEVEL`: each
+    study has the same part of it, and within a study each test (Bonferroni).
+    """
+    from scipy.stats import binom
+
+    held, of = counted(letters)
+    chances = []
+    if share.at_least > 0.0:
+        chances.append(binom.cdf(held, of, share.at_least))
+    if share.at_most < 1.0:
+        chances.append(binom.sf(held - 1, of, share.at_most))
+    tests = sum((one.at_least > 0.0) + (one.at_most < 1.0) for one in study.shares if one.tested)
+    return bool(min(chances) >= LEVEL / studies / tests)
 
 
 def _letter(share: Share, outcome: Any) -> str:

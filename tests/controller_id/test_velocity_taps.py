@@ -39,7 +39,7 @@ from jointid.controller_id.structures import (
 )
 from jointid.records.record import Record
 from studies.learned import loop_twin
-from studies.velocity_taps import TapsTwin, learn_servos, taps_twin
+from tests.controller_id.servos import TapsTwin, taps_twin
 from tests.mistakes import cut
 
 EMPS = load(Path(__file__).resolve().parents[2] / "examples" / "emps" / "joint.toml")
@@ -218,13 +218,6 @@ def test_free_taps_have_intervals_and_go_into_a_joint_file(tmp_path: Path, monke
     assert load(tmp_path / "joint.toml").controller == learned.controller
     built = controller(learned.structure, {one.name: one.value for one in learned.numbers}, 1e-3, 1.0)
     assert built == learned.controller
-
-
-@pytest.mark.slow
-def test_a_servo_s_weighted_difference_is_learned_without_a_feed_forward() -> None:
-    (run,) = learn_servos([1])
-    assert run.right and not run.fed
-    assert all(abs(z) < 2.0 for z in run.beside.values())  # the joint under it is the true law's, within its interval
 
 
 @pytest.mark.slow

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.identify_several import by_itself, starts, whiten_fit
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -17,17 +20,33 @@ from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.paper.twin import Twin, twin
 from jointid.records.record import InjectionPoint, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
-from studies.added_mass import FRICTION, KILOGRAMS, QUICK, Noise, heavier, twins
 from tests.estimates import amended, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 
 RIGID = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
+
+Noise = Literal["disturbance", "white", "none"]
+KILOGRAMS = 10.0
+FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
+QUICK = DIDIM(frequency=30.0)
+
+
+@cache
+def twins(noise: Noise) -> Twin:
+    """The twin with that noise."""
+    return twin(noise=noise)
+
+
+def heavier(truth: Mapping[str, float]) -> dict[str, float]:
+    """The twin with 10 kg on the load, and nothing else changed."""
+    return {**truth, "load_inertia": truth["load_inertia"] + KILOGRAMS}
 
 
 def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0) -> Record:

@@ -1,33 +1,16 @@
-"""Success rate of controller learning where the velocity is a weighted difference: random servos of up to 8 taps.
-
-The axis is rigid, its servo a PD law on the position's error, or with damping on the position alone. An encoder rounds
-what the log shows, and in every second servo what the law reads, too; the torque's log has 0.1 % of noise. The joint is
-identified from torque and reference under the true law and under the learned one.
-"""
+"""Random servos whose velocity is a weighted difference of up to eight positions, and their records."""
 
 from __future__ import annotations
 
 import math
-import sys
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
-from jointid.controller_id.learn import learn_controller
-from jointid.controller_id.learned_controller import LearnedController
-from jointid.controller_id.loop_record import prepare_loop_record
-from jointid.controller_id.structures import INTEGRAL
-from jointid.diagnostics.identify import identify
-from jointid.models.controllers import PD, Controller
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.controllers import PD
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.excitation import trapezoids
-from studies.seeds import judge_seeds, parse_seeds
 
 _PERIOD = 1e-3
 _SAMPLES = 8_000
@@ -56,89 +39,6 @@ class TapsTwin:
     record: Record
     seen: FloatArray
     inside: bool
-
-
-@dataclass(frozen=True, slots=True)
-class TapsRun:
-    """What was learned of one servo.
-
-    Attributes:
-        seed: of the servo.
-        found: words of the structure.
-        apart: rms difference of the learned law's torque from the true one's on what the law read, of its rms.
-        fed: whether a feed-forward was learned, of which there is none.
-        beside: by parameter, the estimate under the learned law less that under the true law, in the former's standard
-            deviations.
-        off: by parameter, the former less the truth, likewise.
-        seconds: that the learning took.
-    """
-
-    seed: int
-    found: str
-    apart: float
-    fed: bool
-    beside: dict[str, float]
-    off: dict[str, float]
-    seconds: float
-
-    @property
-    def right(self) -> bool:
-        """True if the learned law gives the true one's torque."""
-        return self.apart < _CLOSE and not self.fed
-
-
-def learn_servos(seeds: Sequence[int] = range(100), out: Path | None = None) -> tuple[TapsRun, ...]:
-    """Learn the laws of random servos, and identify their joints under them.
-
-    Args:
-        seeds: of the servos.
-        out: folder in which runs are kept, and found again.
-    """
-    return tuple(TapsRun(**run) for run in judge_seeds("studies.velocity_taps:judge", seeds, {}, out=out))
-
-
-def judge(seed: int) -> TapsRun:
-    """Learn the law of one servo, and identify its joint under it."""
-    twin = taps_twin(seed)
-    began = time.perf_counter()
-    try:
-        learned = learn_controller(twin.record)
-    except JointidError as refused:
-        return TapsRun(seed, str(refused)[:90], math.inf, False, {}, {}, time.perf_counter() - began)
-    seconds = time.perf_counter() - began
-    beside, off = _compare_joints(twin, learned)
-    # A PD on the plain difference of the error is the P-P with full velocity feed-forward, and called so.
-    fed = "feed-forward" in str(learned.structure).replace("full velocity feed-forward", "")
-    return TapsRun(seed, str(learned.structure), _torque_apart(twin, learned), fed, beside, off, seconds)
-
-
-def _torque_apart(twin: TapsTwin, learned: LearnedController) -> float:
-    """Return by how much the learned law's torque differs on what the true law read."""
-    seen = Channel(twin.seen, "m", _PERIOD, Timing.SAMPLED, "twin")
-    log = prepare_loop_record(replace(twin.record, motor_position=seen))
-    held = next((one.value for one in learned.numbers if one.name == INTEGRAL), 0.0)
-    true = log.predict(twin.controller.law(_PERIOD))[20:]
-    found = log.predict(learned.controller.law(_PERIOD), held, learned.structure.interpolation)[20:]
-    return float(np.sqrt(np.mean((found - true) ** 2) / np.mean(true**2)))
-
-
-def _compare_joints(twin: TapsTwin, learned: LearnedController) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the joint's estimate under the learned law less that under the true law, and less the truth."""
-
-    def under(controller: Controller) -> dict[str, tuple[float, float]]:
-        estimate = identify(
-            twin.record.without("motor_position"), ClosedLoop(RigidJoint("prismatic"), controller), checks=False
-        )
-        return {p.name: (p.value or 0.0, p.stderr or math.inf) for p in estimate.params.rows}
-
-    try:
-        true, found = under(twin.controller), under(learned.controller)
-    except JointidError:
-        return {}, {}
-    return (
-        {name: (value - true[name][0]) / std for name, (value, std) in found.items() if name in twin.values},
-        {name: (value - twin.values[name]) / std for name, (value, std) in found.items() if name in twin.values},
-    )
 
 
 def taps_twin(seed: int) -> TapsTwin:
@@ -246,20 +146,3 @@ def _move(q: float, v: float, force: float, friction: float, mass: float) -> tup
 
 def _rings(torque: FloatArray) -> bool:
     return float(np.std(np.diff(torque)[-1500:])) > 3 * float(np.std(np.diff(torque)[:5000]))
-
-
-def _main() -> None:
-    """Show the runs of the seeds ``python -m studies.velocity_taps [FIRST AFTER_LAST]``, 0 to 99 unless told."""
-    given = parse_seeds(_main.__doc__, 100)
-    runs = learn_servos(given.seeds, given.out)
-    inside = [abs(z) <= 2.0 for one in runs for z in one.beside.values()]
-    covered = [abs(z) <= 2.0 for one in runs for z in one.off.values()]
-    sys.stdout.write(
-        f"{sum(one.right for one in runs)} of {len(runs)} learned, {sum(one.fed for one in runs)} with a feed-forward "
-        f"that is not there; the joint within 2 sigma of the true law's in {100 * np.mean(inside):.1f} %, of the truth "
-        f"in {100 * np.mean(covered):.1f} %\n"
-    )
-
-
-if __name__ == "__main__":
-    _main()
