@@ -17,7 +17,8 @@ import numpy as np
 import jointid as ji
 from jointid.config import JointFile
 from jointid.models.friction import AsymmetricFriction, AsymmetricStribeckFriction, SymmetricFriction
-from jointid.simulation.prescribed import simulate_open_loop
+from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.loop_input import prepare
 
 RECORDS = ("DATA_EMPS", "DATA_EMPS_PULSES")
 JOINT = Path(__file__).parent.parent / "examples" / "emps" / "joint.toml"
@@ -73,7 +74,10 @@ def outputs(folder: Path) -> Iterator[tuple[str, str, list[tuple[float, float]],
     driven = records["DATA_EMPS_PULSES"]
     assert driven.torque is not None and driven.motor_position is not None
     position = driven.motor_position.values
-    start = {"initial_position": float(position[0]), "initial_velocity": 0.0, "log_delay": 0.0}
+    start = Initial(float(position[0]), 0.0)
+    force = ji.Channel(driven.torque.values, "m", driven.torque.sample_time)  # a law without feedback hands it on
+    passing = ji.controller.StateSpaceController(A=np.zeros((0, 0)), B={}, C=np.zeros(0), D={"reference": 1.0})
+    loop_of_force = ji.ClosedLoop(file.loop.joint, passing)
     for name, record in records.items():
         for output in ("torque", "motor_position"):
             found = ji.identify(record, file.loop, ji.DIDIM(outputs=(output,)), checks=False)
@@ -81,8 +85,8 @@ def outputs(folder: Path) -> Iterator[tuple[str, str, list[tuple[float, float]],
             values = {row.name: row.value or 0.0 for row in rows}
             loop = ji.validate(found, record).axes[0]
             assert loop.tracking_rms is not None
-            run = simulate_open_loop(file.loop.joint, driven.torque, values | start)
-            off = math.sqrt(float(np.mean((run.position - position)[_LEFT_OUT:] ** 2)))
+            run = simulate(loop_of_force, prepare(loop_of_force, ji.Record(reference=force)), values, start)
+            off = math.sqrt(float(np.mean((run.motor_position - position)[_LEFT_OUT:] ** 2)))
             errors = (100 * loop.relative_error, 1e3 * loop.tracking_rms, 1e3 * off)
             yield name, output, [(row.value or 0.0, 2 * (row.deviation or 0.0)) for row in rows], errors
 

@@ -13,7 +13,7 @@ from .diagnostics.intervals import intervals
 from .diagnostics.validation import validate
 from .estimation.methods.didim import DIDIM
 from .estimation.methods.idim import IDIM
-from .estimation.methods.prescribed import DriveSideFit, OpenLoopFit
+from .estimation.methods.prescribed import DriveSideFit
 from .estimation.problems.log_windows import Windowing
 from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
@@ -40,7 +40,7 @@ from .records.signals.filtering import Filtering
 from .records.writing import convert, write
 from .simulation import excitation
 from .simulation.controller_torque import compute_controller_torque
-from .simulation.prescribed import DriveSide, OpenLoop
+from .simulation.prescribed import DriveSide
 from .simulation.synthesis import simulate, simulated_record
 from .tuning.proposals import Tuning
 from .tuning.tune import tune
@@ -66,8 +66,6 @@ __all__ = [
     "Log",
     "MethodError",
     "Noise",
-    "OpenLoop",
-    "OpenLoopFit",
     "Record",
     "RecordError",
     "Report",

@@ -20,7 +20,7 @@ from jointid.config import (
 from jointid.config.schema import FILTERINGS
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
+from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import METHODS, MODELS
 from jointid.models.controllers import (
     PD,
@@ -426,10 +426,9 @@ motor_position = { column = "q", unit = "rad" }
         ('name = "drive_side"', DriveSideFit()),
         ('name = "drive_side"\nlog_delay = -4e-4\ninstruments = "never"', DriveSideFit(-4e-4, instruments="never")),
         ('name = "drive_side"\ncurrent_lag = "estimated"\nfrequency = 54', DriveSideFit(None, None, 54.0)),
-        ('name = "open_loop"\nhighpass = 2', OpenLoopFit(highpass=2.0)),
     ],
 )
-def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit | OpenLoopFit) -> None:
+def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit) -> None:
     file = loads(_BARE + lines)
     assert file.method == made
     assert loads(dumps(file)).method == made
@@ -438,8 +437,7 @@ def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit |
 @pytest.mark.parametrize(
     ("lines", "sentence"),
     [
-        ('name = "drive_side"\nhighpass = 2', 'method.highpass is not for the method "drive_side"'),
-        ('name = "open_loop"\nform = "paper"', 'method.form is not for the method "open_loop"'),
+        ('name = "drive_side"\nform = "paper"', 'method.form is not for the method "drive_side"'),
         ('name = "idim"\nlog_delay = 1e-3', 'method.log_delay is not for the method "idim"'),
     ],
 )

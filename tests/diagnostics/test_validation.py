@@ -133,13 +133,12 @@ def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
 
 
 @pytest.mark.parametrize("inertia", [30.0, 33.0])
-@pytest.mark.parametrize("setup", [LOOP.joint, ji.DriveSide(LOOP.joint), ji.OpenLoop(LOOP.joint)])
+@pytest.mark.parametrize("setup", [LOOP.joint, ji.DriveSide(LOOP.joint)])
 def test_by_measured_positions_too(setup: Any, inertia: float) -> None:
     estimate = ji.identify(made(0.1, 1), setup)
     found = ji.validate(estimate, made(0.13, 2, inertia=inertia))
     assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)
     assert found.causes == (() if inertia == 30.0 else (Cause.LOAD,))
-    assert ("mm rms off" in found.summary()) is isinstance(setup, ji.OpenLoop)
 
 
 @pytest.mark.parametrize("by_torques", [False, pytest.param(True, marks=pytest.mark.slow)])

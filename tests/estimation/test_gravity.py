@@ -11,7 +11,7 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.diagnostics.compare import compare
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
+from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
 from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
@@ -143,12 +143,6 @@ def test_a_link_on_its_drive_side() -> None:
     flexible = identify(geared(slow=True).without("load_position"), GEARED, DriveSideFit())
     assert_found(flexible, GEARED_TRUTH, 0.01)
     assert_found(identify(arm(), ARM.joint, DriveSideFit()), ARM_TRUTH, 1e-4)
-
-
-def test_a_link_in_open_loop() -> None:
-    """Balanced by its torque, which the position then answers to."""
-    found = identify(arm(1.0), ARM.joint, OpenLoopFit())
-    assert_found(found, {name: ARM_TRUTH[name] for name in ("inertia", "gravity_cos", "gravity_sin")}, 1e-3)
 
 
 @pytest.mark.parametrize("travel", [0.2, 0.05])

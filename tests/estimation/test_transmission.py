@@ -15,7 +15,7 @@ import pytest
 from jointid.common.transmission import OtherSide, Side, Transmission
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
+from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, bounds_on_other_side, known_on_other_side
@@ -27,7 +27,7 @@ from jointid.models.position_forces import Counterbalance, Gravity, PositionHarm
 from jointid.output.json import to_dict
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import pulses, trapezoids
-from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.identifiability import Combination, Known
 from jointid.uncertainty.verdict import StiffnessBound
@@ -312,13 +312,10 @@ def test_inverse_models_have_both_sides_too(gear: Transmission) -> None:
     assert [p.unit for p in there.other_side] == [p.unit for p in motor.params.rows]
 
 
-@pytest.mark.parametrize(
-    "method", [DriveSideFit(log_delay=0.0), OpenLoopFit(log_delay=0.0)], ids=["drive side", "open loop"]
-)
-def test_methods_without_a_controller_have_both_sides_too(method: DriveSideFit | OpenLoopFit) -> None:
-    closed = DriveSide if isinstance(method, DriveSideFit) else OpenLoop
-    motor = identify(logged("rigid"), closed(joint_of("rigid", None)), method)
-    there = identify(on_side(logged("rigid"), SCREW), closed(joint_of("rigid", SCREW)), method)
+def test_the_drive_side_has_both_sides_too() -> None:
+    method = DriveSideFit(log_delay=0.0)
+    motor = identify(logged("rigid"), DriveSide(joint_of("rigid", None)), method)
+    there = identify(on_side(logged("rigid"), SCREW), DriveSide(joint_of("rigid", SCREW)), method)
     assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-6
     assert there.fit.simulations == motor.fit.simulations
 

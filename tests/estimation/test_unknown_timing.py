@@ -167,14 +167,6 @@ def test_on_the_drive_side_the_delay_makes_up_for_the_timing(late):
     assert np.mean(kept) < 0.6
 
 
-def test_a_known_delay_that_counts_from_what_nobody_stated_is_estimated_in_open_loop():
-    record = logged(200.0, False, 1, noise=0.002)[0]
-    found = ji.identify(record, ji.OpenLoop(ji.RigidJoint("revolute")), ji.OpenLoopFit(log_delay=0.0), checks=False)
-    assert found["log_delay"].value == pytest.approx(2.5e-3, abs=5e-4)
-    for name, true in TRUE.items():
-        assert found[name].value == pytest.approx(true, rel=0.05), name
-
-
 @pytest.mark.parametrize("robot", [False, True], ids=["joint", "robot"])
 def test_held_and_sampled_are_one_to_didim(robot):
     """A controller's output at its stamp is its output until the next one."""

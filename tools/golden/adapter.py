@@ -84,7 +84,6 @@ VARIANTS: Mapping[str, Json] = {
     "fixed_damping": {"parameters": {"damping": {"value": 0.0}}},
     "idim": {"method": {"name": "idim", "frequency": None}},
     "idim_weighted": {"method": {"name": "idim", "estimator": "weighted", "frequency": None}},
-    "open_loop": {"method": {"name": "open_loop"}},
     "both_encoders": {
         "record": {"channels": {"load_position": {"column": "theta_my", "unit": "rad", "sign": -1}}},
         "method": {"name": "idim"},
@@ -1265,11 +1264,6 @@ def idim(estimator: Any = "ols", *, harmonics: int = 0, period: float | None = N
 def drive_side(of: Any) -> Any:
     """Return the model of a joint whose motor's motion is prescribed."""
     return ji.DriveSide(of)
-
-
-def open_loop(of: Any) -> Any:
-    """Return the model of a joint whose torque is prescribed."""
-    return ji.OpenLoop(of)
 
 
 def fit(record: Any, model: Any, method: Any = None, *, filtering: Mapping[str, Any] | None = None) -> Any:

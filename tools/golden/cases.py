@@ -54,7 +54,6 @@ LOOSENED: tuple[Loosened, ...] = (
     Loosened("emps_free_*", 1e-5, "a delay that is nearly 0, and gains that are known poorly"),
     Loosened("emps_idim_harmonics/condition/scaled", 1e-2, "scaled by a parameter that is nearly 0"),
     Loosened("gravity_flexible_lift/trace/*", 1e-7, _NEAR),
-    Loosened("gravity_link/open_loop/*", 1e-6, _NEAR),
     Loosened("intervals_emps/profiles/*/evaluations", 0.1, _NEAR),
     Loosened("intervals_*/profiles/*", 1e-6, _NEAR),
     Loosened("intervals_*/over_place/*", 1e-6, _NEAR),
@@ -65,15 +64,12 @@ LOOSENED: tuple[Loosened, ...] = (
     Loosened("learn_*/numbers/*/upper", 1e-2, "the interval holds what those laws allow"),
     Loosened("learn_*", 1e-6, _NEAR),
     Loosened("motorbench_both_encoders_weighted/*", 1e-7, "weights are iterated"),
-    Loosened("motorbench_open_loop/*", 1e-5, "the search does not converge"),
     Loosened("reproduction/*/initial/position", 1e-2, "it is nearly 0, and has no deviation beside it"),
     Loosened("reproduction/*", 1e-7, _NEAR),
     Loosened("report_emps/profiles/*", 1e-6, _NEAR),
     Loosened("twin_drive_side/answer/simulations", 0.05, "rounding decides whether a start takes a last step"),
     Loosened("twin_drive_side/*", 1e-7, _NEAR),
     Loosened("twin_free_gains/*", 1e-7, _NEAR),
-    Loosened("twin_open_loop/answer/simulations", 0.05, "rounding decides whether a start takes a last step"),
-    Loosened("twin_open_loop/*", 1e-3, "the search does not converge"),
 )
 """What is reproduced on one machine, but carries another order of sums beyond 1e-9; the first that matches counts.
 
@@ -163,7 +159,7 @@ CASES: dict[str, Case] = {}
 """Every case by name, in the order in which they run."""
 
 
-SLOWEST = ("learn_emps", "emps_flexible", "learn_pd", "motorbench_open_loop", "reproduction")
+SLOWEST = ("learn_emps", "emps_flexible", "learn_pd", "reproduction")
 """Cases that begin first where several run at a time."""
 
 
@@ -294,12 +290,6 @@ def emps_drive_side(at: Workspace) -> Any:
 
 
 @case
-def emps_open_loop(at: Workspace) -> Any:
-    """The force prescribed."""
-    return ask.refused(lambda: ask.identify(at.folder("emps"), ask.EXAMPLES["emps"], at.emps, method="open_loop"))
-
-
-@case
 def emps_free_gains(at: Workspace) -> Any:
     """The controller's gains identified with the joint."""
     folder = at.folder("emps")
@@ -327,13 +317,6 @@ def motorbench_drive_side(at: Workspace) -> Any:
     """The load's encoder hidden."""
     found, _ = ask.identify_file(ask.EXAMPLES["motorbench"], at.motorbench)
     return ask.whole(found)
-
-
-@case
-def motorbench_open_loop(at: Workspace) -> Any:
-    """The current prescribed."""
-    folder = at.folder("motorbench")
-    return ask.identify(folder, ask.joint_file(folder, "motorbench", "open_loop"), at.motorbench)
 
 
 @case
@@ -429,14 +412,6 @@ def twin_drive_side(at: Workspace) -> Any:
     folder = at.folder("twin")
     path = ask.joint_file(folder, "twin", "grid")
     return ask.refused(lambda: ask.identify(folder, path, at.twin(), method="drive_side"))
-
-
-@case
-def twin_open_loop(at: Workspace) -> Any:
-    """The torque prescribed."""
-    folder = at.folder("twin")
-    path = ask.joint_file(folder, "twin", "grid")
-    return ask.refused(lambda: ask.identify(folder, path, at.twin(), method="open_loop"))
 
 
 @case
@@ -623,14 +598,13 @@ def law_with_reference_velocity(_: Workspace) -> Any:
 
 @case
 def gravity_link(_: Workspace) -> Any:
-    """A link that turns about a horizontal axis: torque alone, encoders, drive side, and open loop."""
+    """A link that turns about a horizontal axis: torque alone, encoders, and drive side."""
     loop, record = _rigid_arm(ask.law("cascade", position_gain=20.0, velocity_gain=250.0), _LINK, gravity="link")
     joint = ask.joint("rigid", "revolute", gravity="link")
     return {
         "torque_only": ask.whole(ask.fit(ask.torque_only(record), loop)),
         "idim": ask.whole(ask.fit(record, joint, ask.idim())),
         "drive_side": ask.whole(ask.fit(record, ask.drive_side(joint))),
-        "open_loop": ask.refused(lambda: ask.whole(ask.fit(record, ask.open_loop(joint)))),
     }
 
 

@@ -91,7 +91,7 @@ def _explain(text: str, changes: tuple[str, ...], path: Path, record_sha256: str
     file = require_joint(_file(text, changes), "A bootstrap")
     record = file.record(path)
     fit = file.identify(record, checks=False).fit
-    if fit.compared != "torque" or record.torque is None or fit.predicted.size != len(record.torque):
+    if record.torque is None or fit.predicted.size != len(record.torque):
         raise MethodError(
             "A bootstrap draws what is left of the torque anew, sample by sample; received a method that does not "
             "give it so: use didim or idim on a uniform record."

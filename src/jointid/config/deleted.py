@@ -7,6 +7,7 @@ from fnmatch import fnmatchcase
 
 DELETED: Mapping[str, str] = {
     "record.channels.*.bits": "decode the frames by the motor's own library, and log numbers.",
+    "method.highpass": 'it was of the open loop; take method.name = "drive_side", which compares the torque.',
 }
 """What to do instead of each deleted key, by its path; * stands for any name.
 

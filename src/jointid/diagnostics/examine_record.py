@@ -33,7 +33,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_hunting, find_record_warnings, hunting_warnings, limit_faults, still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass
-from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.identifiability import Kind
@@ -176,7 +176,7 @@ def unreadable(error: FaultsError, record: str) -> Examination:
 @one_thread()
 def examine(
     record: Record | Sequence[Record],
-    model: ClosedLoop | DriveSide | OpenLoop | Joint | Robot | RobotLoop | RobotDriveSide,
+    model: ClosedLoop | DriveSide | Joint | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -255,10 +255,10 @@ def _list_axes(record: object, model: object) -> list[_Axis]:
             for name, one, joint, law in zip(robot.names, record, joints, laws, strict=True)
         ]
     require_type(record, Record, "One record is examined", "give that of one joint")
-    said = "A record is examined with the ClosedLoop, DriveSide or OpenLoop of a joint, with the joint, or with a robot"
-    require_type(model, ClosedLoop | DriveSide | OpenLoop | Joint, said, "give one of these")
-    assert isinstance(record, Record) and isinstance(model, ClosedLoop | DriveSide | OpenLoop | Joint)
-    joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
+    said = "A record is examined with the ClosedLoop or DriveSide of a joint, with the joint, or with a robot"
+    require_type(model, ClosedLoop | DriveSide | Joint, said, "give one of these")
+    assert isinstance(record, Record) and isinstance(model, ClosedLoop | DriveSide | Joint)
+    joint = model.joint if isinstance(model, ClosedLoop | DriveSide) else model
     return [_Axis("", record, joint, model if isinstance(model, ClosedLoop) else None)]
 
 

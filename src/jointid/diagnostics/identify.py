@@ -48,7 +48,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, skip_test
@@ -59,7 +59,7 @@ _TOLD = 1.0  # deviations: what a suspected fault moves further is said
 @one_thread()
 def identify(
     record: Record | Sequence[Record] | Sequence[Sequence[Record]] | LongRecord,
-    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
+    model: ClosedLoop | DriveSide | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -79,13 +79,12 @@ def identify(
             `Log` that is read in chunks, identified in windows in bounded memory. Of a robot the records of its joints,
             on one clock; or those of several logs, in one fit, which is not checked.
         model: the loop (joint and controller), or the joint alone when the controller is not known; `DriveSide` to
-            prescribe the motor's motion and simulate the load; `OpenLoop` to prescribe the torque. For several records
-            a loop, or one for each record: of one joint under different gains. A `Robot` alone, a `RobotLoop` with its
-            controllers, or a `RobotDriveSide` along the motors' motion.
-        method: `DIDIM`, `IDIM`, `DriveSideFit` or `OpenLoopFit` with its settings; by default
-            DIDIM when the controller is known, even where the record has a motor position, which is then not read; that
-            of a `DriveSide` or an `OpenLoop`; otherwise IDIM. Several records and a log are identified by DIDIM. A
-            robot likewise, but there is no `OpenLoopFit`.
+            prescribe the motor's motion and simulate the load. For several records a loop, or one for each record: of
+            one joint under different gains. A `Robot` alone, a `RobotLoop` with its controllers, or a `RobotDriveSide`
+            along the motors' motion.
+        method: `DIDIM`, `IDIM` or `DriveSideFit` with its settings; by default DIDIM when the controller is known, even
+            where the record has a motor position, which is then not read; that of a `DriveSide`; otherwise IDIM.
+            Several records and a log are identified by DIDIM. A robot likewise.
         filtering: see `Filtering`; its defaults follow the sample time.
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
             joint without anything added. Of a robot values and bounds of friction, as "joint1.viscous".

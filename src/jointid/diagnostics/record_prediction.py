@@ -17,23 +17,17 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
 from jointid.estimation.problems.inverse_model import idim_channels, motion_of
-from jointid.estimation.problems.prescribed import (
-    CURRENT_LAG,
-    DriveSideProblem,
-    OpenLoopProblem,
-    motion_problem,
-    position_problem,
-)
+from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, law_fingerprint
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.disturbances import EncoderOffset, effect_parameters
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
-from jointid.records.signals.filtering import differentiate, lowpass
+from jointid.records.signals.filtering import differentiate
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.prescribed import PARTS, DriveSide, OpenLoop
+from jointid.simulation.prescribed import PARTS, DriveSide
 from jointid.simulation.simulated import require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
@@ -95,7 +89,7 @@ def predict_joint(identified: IdentifiedJoint, record: Record) -> Predicted:
     """
     if identified.loop is not None:
         return _simulate_loop(identified, identified.loop, record)
-    if identified.method in ("drive_side", "open_loop"):
+    if identified.method == "drive_side":
         return _simulate_along_motion(identified, record)
     assert record.torque is not None
     joint, filtering, effects = identified.joint, identified.filtering, identified.effects
@@ -157,37 +151,28 @@ def _simulate_loop(identified: IdentifiedJoint, loop: ClosedLoop, record: Record
 
 
 def _simulate_along_motion(identified: IdentifiedJoint, record: Record) -> Predicted:
-    """Predict the torque along the motor's motion, or the motor's motion under the torque, with the log's own delay."""
+    """Predict the torque along the motor's motion, with the log's own delay."""
     joint, filtering, values = identified.joint, identified.filtering, identified.values
-    free: DriveSideProblem | OpenLoopProblem
-    if identified.method == "drive_side":
-        log = LOG_DELAY.fix(-identified.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
-        free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, log)
-    else:
-        free = position_problem(record, OpenLoop(joint), filtering, joint.parameters, LOG_DELAY.fix(-identified.delay))
+    log = LOG_DELAY.fix(-identified.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
+    free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, log)
     problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
     found = solve(problem, _SEARCH, problem.vector({})) if problem.free else None
     x = np.zeros(0) if found is None else found.x
     predicted, _, finished = problem.simulate(x, ())
     if not finished:
         raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
-    if isinstance(problem, DriveSideProblem):
-        position, velocity = problem.motion.position[::PARTS], problem.motion.velocity[::PARTS]
-    else:
-        assert record.motor_position is not None and filtering.position_cutoff is not None
-        position = lowpass(record.motor_position.values, filtering.position_cutoff, problem.sample_time)
-        velocity = differentiate(position, problem.sample_time)
-    size, moving = problem.measured.size, getattr(problem, "weights", None)
+    position, velocity = problem.motion.position[::PARTS], problem.motion.velocity[::PARTS]
+    size = problem.measured.size
     motion = [one[:size] for one in (position, velocity, differentiate(velocity, problem.sample_time))]
     return _predict_by(problem, free, x, predicted, motion, joint, DriveSide(joint).channels)._replace(
-        compared=None if moving is None else moving[:, np.newaxis],
+        compared=problem.weights[:, np.newaxis],
         simulations=1 + (0 if found is None else found.evaluations),
     )
 
 
 def _predict_by(
-    problem: ClosedLoopProblem | DriveSideProblem | OpenLoopProblem,
-    free: ClosedLoopProblem | DriveSideProblem | OpenLoopProblem,
+    problem: ClosedLoopProblem | DriveSideProblem,
+    free: ClosedLoopProblem | DriveSideProblem,
     x: FloatArray,
     predicted: FloatArray,
     motion: Sequence[FloatArray],

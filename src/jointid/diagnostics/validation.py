@@ -1,7 +1,6 @@
 """Validation as the paper does it: the direct test on the same record, the cross test on another one.
 
-The torque of each axis is predicted (`record_prediction`) and compared with the measured one, ``||Y - Ys|| / ||Y||``;
-in open loop the motor position.
+The torque of each axis is predicted (`record_prediction`) and compared with the measured one, ``||Y - Ys|| / ||Y||``.
 
 What noise allows is what the same model leaves of another record when its parameters are free there. It predicts the
 record where it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
@@ -83,8 +82,8 @@ class ValidatedAxis:
 
     Attributes:
         name: of the joint in its robot; empty for a joint alone.
-        unit: of the signal: N, N m, A or V, in open loop m or rad; position_unit: of the motion, m or rad.
-        measured, predicted: (samples,) raw signal; in open loop the motor position without its drift.
+        unit: of the signal: N, N m, A or V; position_unit: of the motion, m or rad.
+        measured, predicted: (samples,) raw signal.
         compared: (samples,) 0 at the borders, and where a method leaves out a motor that rests or turns round; else 1.
         relative_error: of the raw signal; a ratio.
         filtered_error: of the filtered and decimated signal, with the estimate's own filtering; a ratio.
@@ -159,7 +158,6 @@ class Validation(Documented):
         record, identified_from: names of the records.
         channels: of the record that were used.
         sample_time: of the signals, seconds.
-        compared: "torque", or "position" for an open loop.
         borders: samples left out at each end of the relative error.
         axes: (n,) of each joint of a robot in order, or of the one joint.
         initial: estimated motor state of a joint, for a simulation.
@@ -176,7 +174,6 @@ class Validation(Documented):
     identified_from: str
     channels: tuple[str, ...]
     sample_time: float
-    compared: Literal["torque", "position"]
     borders: tuple[int, int]
     axes: tuple[ValidatedAxis, ...]
     initial: Initial | None = None
@@ -236,10 +233,10 @@ class Validation(Documented):
         bad = code not in (Prediction.OWN_RECORD, Prediction.PREDICTED)
         there = [axis for axis in self.axes if axis.prediction is code] if bad else list(self.axes)
         left, least = _rms([a.filtered_error for a in there]), _rms_of_all([a.attainable_error for a in there])
-        who, signal = "robot" if self.axes[0].name else "joint", self.compared
-        of = f"its filtered {signal}"
+        who = "robot" if self.axes[0].name else "joint"
+        of = "its filtered torque"
         if bad and self.axes[0].name:
-            of = f"the filtered {signal} of {join([axis.name for axis in there])}"
+            of = f"the filtered torque of {join([axis.name for axis in there])}"
         share = f"leaves {_format_share(left)} of {of}"
         allowed = "" if least is None else f", and one identified from it {_format_share(least)}"
         again = "identify it from this record, too, and"
@@ -332,15 +329,14 @@ class Validation(Documented):
         how = {
             "didim": "simulated from the reference",
             "drive_side": "simulated along the motor position",
-            "open_loop": "simulated under the torque",
         }.get(self.method, "computed from the measured position")
         test = f"{self.test} test on {self.record}, of the {what} identified from {self.identified_from}"
         left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
         error = f"{100 * self.relative_error:.4f} % raw ({left_out}), {100 * self.filtered_error:.4f} % filtered"
         facts = [
-            ("test", f"{test}; {self.compared} {how}"),
+            ("test", f"{test}; torque {how}"),
             *common_facts(self.resampled, first.transmission),
-            (f"{self.compared} error", error),
+            ("torque error", error),
         ]
         if self.tracking_error is not None:
             facts.append(("tracking error", f"{100 * self.tracking_error:.4f} % away from the measured tracking error"))
@@ -439,7 +435,7 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
         method, source, prints = identified.method, identified.record, identified.fingerprints
         length = POSITION_UNIT[joint.kind]
         assert record.torque is not None
-        axes = [("", length if method == "open_loop" else record.torque.unit, length, joint.transmission)]
+        axes = [("", record.torque.unit, length, joint.transmission)]
     torques = [one.torque.values for one in records if one.torque is not None]
     own = fingerprint(np.concatenate(torques)) in prints
     refit = None if own else found.with_free()
@@ -459,7 +455,6 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     for k, (name, unit, length, gear) in enumerate(axes):
         measured, predicted = found.measured[:, k], found.predicted[:, k]
         off, off_rms = _compare_tracking(records[k], found, k) if loop else (None, None)
-        off_rms = _rms((measured - predicted)[compared[:, k] > 0]) if method == "open_loop" else off_rms
         made.append(
             ValidatedAxis(
                 name, unit, length, measured, predicted, compared[:, k],
@@ -481,7 +476,7 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     return Validation(
         "direct" if own else "cross", method, first.name, source,
         (*found.channels, *(("injected",) if first.injected is not None else ())), found.sample_time,
-        "position" if method == "open_loop" else "torque", found.borders, tuple(made), found.initial,
+        found.borders, tuple(made), found.initial,
         found.simulations, warnings, first.resampled, causes, tuple(first.other_axes),
     )  # fmt: skip
 

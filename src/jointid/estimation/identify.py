@@ -35,7 +35,7 @@ from jointid.records.checks import check_record
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 
@@ -162,7 +162,7 @@ def _travel(records: Sequence[Record]) -> float:
 
 def fit(
     record: Record | Records | LongRecord,
-    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
+    model: ClosedLoop | DriveSide | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -228,7 +228,7 @@ def fit(
 
 def _fit_single(
     record: Record,
-    model: ClosedLoop | DriveSide | OpenLoop | Joint,
+    model: ClosedLoop | DriveSide | Joint,
     method: Method | None,
     filtering: Filtering | None,
     parameters: Mapping[str, Parameter] | None,

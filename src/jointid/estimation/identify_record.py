@@ -15,12 +15,12 @@ from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.prescribed import DriveSide
 
 
 def identify_record(
     record: Record,
-    model: ClosedLoop | DriveSide | OpenLoop | Joint,
+    model: ClosedLoop | DriveSide | Joint,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -32,7 +32,7 @@ def identify_record(
     A parameter outside its bounds is fixed at the bound, with a warning, and the others are identified again.
     """
     loop = model if isinstance(model, ClosedLoop) else None
-    joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
+    joint = model.joint if isinstance(model, ClosedLoop | DriveSide) else model
     chosen = method or default_method(model)()
     wanted = adjust_parameters(joint.parameters, parameters or {})
     check_record(record)

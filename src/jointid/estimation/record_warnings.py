@@ -70,10 +70,8 @@ def coupling_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...
         "not in the model of a single joint: the parameters are those of this motion and these poses"
     )
     fit, filtering = estimate.fit, estimate.settings.filtering
-    found = None
-    if fit.compared != "position":
-        residual = fit.measured - fit.predicted
-        found = find_coupling(record, residual, fit.borders, filtering, estimate.data.sample_time)
+    residual = fit.measured - fit.predicted
+    found = find_coupling(record, residual, fit.borders, filtering, estimate.data.sample_time)
     if found is None:
         return (said,)
     share = f"{100 * found.explained:.0f} % of what it leaves follows their accelerations and positions"

@@ -37,14 +37,14 @@ from jointid.models.robots.friction_terms import friction_terms
 from jointid.models.robots.names import name_of
 from jointid.models.robots.robot import Robot
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
 
 RobotSystem = Robot | RobotLoop | RobotDriveSide
-System = Joint | ClosedLoop | DriveSide | OpenLoop | RobotSystem
+System = Joint | ClosedLoop | DriveSide | RobotSystem
 
 _DIGITS = 2e-3  # of the numbers in a sum, which has four
 _CODES: dict[str, StrEnum] = {str(code): code for code in Reason}  # of others, as of faults, the text is enough

@@ -8,7 +8,7 @@ nearer to another reading by more than three deviations, the answer says so. A m
 away from every possible reading may be that of a late log: its delay is estimated by further shifts, and said. It is
 taken off where all joints show it, and friction under load or a torque constant that falls does not explain as much.
 
-**The drive side and the open loop.** The log's delay is a parameter, and another reading changes it by half a sample
+**The drive side.** The log's delay is a parameter, and another reading changes it by half a sample
 and nothing else. So it is estimated, also where it was given, and its own interval covers half a sample.
 
 **DIDIM.** A controller's output is the same at its stamp and until its next period. Both readings are one.
@@ -36,7 +36,6 @@ from jointid.uncertainty.verdict import Reason
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
 _FLAT = 1e-6  # cost: less is taken for rounding, and the record does not tell the readings apart
 _CONTRADICTED = 1.5  # times two deviations: a stated timing that is farther from the minimum than halfway to another
-_WITH_LOG_DELAY = ("drive_side", "open_loop")
 _DELAY_SAID = (
     "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
     "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
@@ -96,7 +95,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
     stated = all(torque.stated for torque in torques)
     read = {torque.timing for torque in torques if stated or not torque.stated}
     first = fit(records)
-    if first.settings.method in _WITH_LOG_DELAY and not stated:
+    if first.settings.method == "drive_side" and not stated:
         return _widen(first, {LOG_DELAY.name: 0.25 * first.data.sample_time}, _DELAY_SAID)  # half in two deviations
     if first.settings.method != "idim" or (stated and (len(read) != 1 or first.fit.simulations)):
         return first  # instruments are simulated, minutes for a robot

@@ -1,4 +1,4 @@
-"""Exact simulation of a joint in closed loop, drive-side and in open loop."""
+"""Exact simulation of a joint in closed loop and on the drive side."""
 
 from jointid.simulation import excitation
 

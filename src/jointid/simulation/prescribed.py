@@ -1,6 +1,6 @@
-"""A joint without its controller: prescribed motor motion, or prescribed torque.
+"""A joint without its controller: the drive side.
 
-**The drive side.** The motor's motion is prescribed, the load is simulated, and the motor torque follows, independent
+The motor's motion is prescribed, the load is simulated, and the motor torque follows, independent
 of the controller; the record needs the motor's position::
 
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 (q12 - q1) + F12 (v12 - v1)
@@ -11,16 +11,12 @@ The load hangs on a spring and a damper from a moving point, which is equivalent
 sample is cut into `PARTS` with the force ``mean(s) - h^2/12 s''``, which corrects for curvature. On the paper's axis
 with components up to 60 Hz at 1 kHz the torque error is 6e-6, twenty times less than without
 (tests/simulation/test_drive_side.py). A rigid joint's torque is its inverse model.
-
-**The open loop.** The logged torque is prescribed, and the motor's motion follows. The kernels take it as a controller
-without feedback, with the torque as held reference; timing and log delay shift it. The position is a double integral of
-all model errors, so it drifts, and only faster components can be compared.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,16 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import POSITION_UNIT
-from jointid.models.controllers import StateSpaceController
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
-from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.loop_input import prepare
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.simulation.sensitivities import (
     coefficient_seeds,
     gravity_slope,
-    simulate_sensitivities,
     start_slope,
     taped_rows,
 )
@@ -345,69 +335,3 @@ def _start(joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, 
     steady = joint.start(values, float(motion.position[0]), float(motion.velocity[0]))[2:]
     beside = np.array([values.get(name, 0.0) for name in LOAD_STATE])
     return np.append(steady + beside, [0.0, 0.0])
-
-
-@dataclass(frozen=True, slots=True)
-class OpenLoop:
-    """A joint under prescribed torque: from torque to motor position.
-
-    Attributes:
-        joint: rigid or flexible.
-    """
-
-    joint: Joint
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Required channels of a record."""
-        return ("torque", "motor_position")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OpenLoopRun:
-    """Motor position of one run, and its derivatives.
-
-    Attributes:
-        position: (samples,), as an encoder would show it.
-        derivatives: (samples, names).
-        finished: False for values that no joint has, or a joint too fast to be simulated; all else is then 0.
-    """
-
-    position: FloatArray
-    derivatives: FloatArray
-    finished: bool
-
-
-def simulate_open_loop(
-    joint: Joint, torque: Channel, values: Mapping[str, float], names: Sequence[str] = ()
-) -> OpenLoopRun:
-    """Simulate a joint under a torque; the load begins in steady motion.
-
-    Args:
-        joint: rigid or flexible.
-        torque: on the motor.
-        values: every parameter of the joint by name, ``initial_position`` and ``initial_velocity`` of the motor, and
-            ``log_delay`` of the torque channel.
-        names: to differentiate by.
-    """
-    period = torque.sample_time
-    late = torque.timing.begins - values["log_delay"] / period
-    whole = math.floor(late)
-    picked = np.clip(np.arange(torque.values.size) - whole, 0, torque.values.size - 1)
-    passed = Channel(torque.values[picked], POSITION_UNIT[joint.kind], period)
-    passing = StateSpaceController(
-        A=np.zeros((0, 0)), B={}, C=np.zeros(0), D={"reference": 1.0}, delay=(late - whole) * period
-    )
-    loop = ClosedLoop(joint, passing)
-    experiment = prepare(loop, Record(reference=passed))
-    initial = Initial(values["initial_position"], values["initial_velocity"])
-    run = simulate(loop, experiment, values, initial)
-    if run.outcome is not Outcome.FINISHED:
-        return OpenLoopRun(np.zeros(torque.values.size), np.zeros((torque.values.size, len(names))), False)
-    if not names:
-        return OpenLoopRun(run.motor_position, np.zeros((run.motor_position.size, 0)), True)
-    of_law = ["delay" if name == "log_delay" else name for name in names]
-    slopes = simulate_sensitivities(loop, experiment, values, of_law, initial, positions=True).motor_position
-    # A log that is later by so much shows a torque that acts earlier by as much.
-    signs = np.array([-1.0 if name == "log_delay" else 1.0 for name in names])
-    return OpenLoopRun(run.motor_position, slopes * signs, True)

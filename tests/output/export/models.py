@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 
 import jointid as ji
+from jointid.common.parameters import POSITION_UNIT
 from jointid.models.joints import Joint
 from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.json import plain
 from jointid.paper.twin import TABLE_2
+from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.loop_input import prepare
 
 PIECES = TABLE_2 | {"gap": 3e-4, "stiffness_2": 1.2e6, "stiffness_3": 1.5e6, "torque_1": 20.0, "torque_2": 40.0}
 """The paper's axis with what springs in pieces have, too."""
@@ -92,3 +95,15 @@ def simulated(
 def apart(torque: np.ndarray, ours: np.ndarray) -> float:
     """The norm of what two torques differ by, over that of ours."""
     return float(np.linalg.norm(torque - ours) / np.linalg.norm(ours))
+
+
+def pushed(
+    joint: Joint, values: Mapping[str, float], torque: np.ndarray, period: float, delay: float = 0.0
+) -> np.ndarray:
+    """The motor's position of our own simulation, from rest at 0, under a held torque that acts so late."""
+    passing = ji.controller.StateSpaceController(
+        A=np.zeros((0, 0)), B={}, C=np.zeros(0), D={"reference": 1.0}, delay=delay
+    )
+    loop = ji.ClosedLoop(joint, passing)
+    experiment = prepare(loop, ji.Record(reference=ji.Channel(torque, POSITION_UNIT[joint.kind], period)))
+    return simulate(loop, experiment, values, Initial(0.0, 0.0)).motor_position

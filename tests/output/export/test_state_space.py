@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,24 +12,14 @@ import pytest
 from scipy.signal import dlsim, lsim
 
 import jointid as ji
-from jointid.models.joints import Joint
 from jointid.output.export.joint_model import joint_model
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.records.record import Timing
-from jointid.simulation.prescribed import simulate_open_loop
-from tests.output.export.models import answer, apart, model, servo, simulated
+from tests.output.export.models import answer, apart, model, pushed, servo, simulated
 
 T = 1e-3
 VISCOUS = TABLE_2 | {"motor_coulomb": 0.0, "load_coulomb": 0.0, "offset": 0.0}
 JOINT = ji.FlexibleJoint("prismatic")
 TORQUE = 50.0 * np.random.default_rng(4).standard_normal(4000)
-
-
-def ours(joint: Joint, values: Mapping[str, float], delay: float = 0.0) -> np.ndarray:
-    """The motor's position of our own simulation under TORQUE, held, that acts so much after its sample."""
-    held = ji.Channel(TORQUE, "N", T, Timing.HELD)
-    around = {"initial_position": 0.0, "initial_velocity": 0.0, "log_delay": -delay}
-    return simulate_open_loop(joint, held, {**values, **around}).position
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.4e-3, 1e-3, 2.75e-3])
@@ -39,9 +28,7 @@ def test_sampled_it_is_our_simulation_whatever_the_delay(delay: float) -> None:
     silent[:4] = 0.0  # before its first sample ours acts, the state space's does not
     system = ji.state_space(model(JOINT, VISCOUS)).discretise(T, delay)
     _, found, _ = dlsim(system.scipy(), silent)
-    held = ji.Channel(silent, "N", T, Timing.HELD)
-    around = {"initial_position": 0.0, "initial_velocity": 0.0, "log_delay": -delay}
-    assert apart(found[:, 0], simulate_open_loop(JOINT, held, {**VISCOUS, **around}).position) < 1e-9
+    assert apart(found[:, 0], pushed(JOINT, VISCOUS, silent, T, delay)) < 1e-9
     assert system.states[4:] == tuple(f"torque_{i + 1}" for i in range({0.4e-3: 1, 1e-3: 1, 2.75e-3: 3}.get(delay, 0)))
 
 
@@ -49,7 +36,7 @@ def test_continuous_scipy_gives_the_same_motion() -> None:
     system = ji.state_space(model(JOINT, VISCOUS))
     times = np.arange(TORQUE.size) * T
     _, found, _ = lsim(system.scipy(), TORQUE, times, interp=False)
-    assert apart(found[:, 0], ours(JOINT, VISCOUS)) < 1e-9
+    assert apart(found[:, 0], pushed(JOINT, VISCOUS, TORQUE, T)) < 1e-9
 
 
 @pytest.mark.parametrize("made", ["from the file", "from the object"])

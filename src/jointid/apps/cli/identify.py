@@ -106,7 +106,7 @@ def identify(
             has no option here, as method.minimiser, method.estimator or method.harmonics, is set so.
         axis: of a robot file the name of one joint, which is identified alone, as if no other joint moved.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
-            too if the joint is flexible; drive_side and open_loop read torque and motor position, and no controller.
+            too if the joint is flexible; drive_side reads torque and motor position, and no controller.
         filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
             which aliases at 1 kHz and warns of it; default is the program's own.
         friction: the friction law, symmetric (the same in both directions) or another that joint.friction may name.

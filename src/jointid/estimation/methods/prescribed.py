@@ -1,6 +1,6 @@
-"""Identification without a controller: along a prescribed motion (the drive side), or under a prescribed torque.
+"""Identification without a controller, along a prescribed motion: the drive side.
 
-On the drive side, torque and motor position are enough, without a load encoder.
+Torque and motor position are enough, without a load encoder.
 The motor's motion is prescribed, the load is simulated behind it, and the torque this takes is compared with the
 measured one, filtered alike (`prescribed`). Bounded least squares with exact derivatives goes down from starts that
 need no guess: for each of a row of motor-locked frequencies, at which the motor sees an anti-resonance, a frictionless
@@ -8,11 +8,6 @@ load of one unit is simulated, and everything else about the joint is then linea
 
 A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
 squares is biased (`endogeneity` tests that, and mends it where the record has a reference or an injected signal).
-
-In open loop the logged torque is prescribed, and the motor's position is compared, less its drift. This criterion needs
-no derivative of a position, and noise of the encoder does not bias it; but it takes the logged torque for exact, and a
-loop around the drive, as of a record with a reference, makes it as endogenous: intervals are wider then. It begins
-where the drive-side identification of the same record ends.
 """
 
 from __future__ import annotations
@@ -21,7 +16,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -34,46 +29,21 @@ from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.methods.endogeneity import judge_endogeneity
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.problems.base import LOG_DELAY, log_delay
-from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.inverse_model import noise_limit_of
-from jointid.estimation.problems.prescribed import (
-    CURRENT_LAG,
-    DriveSideProblem,
-    motion_problem,
-    position_problem,
-    weights_of,
-)
+from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem, weights_of
 from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_prescribed_result
 from jointid.models.joints import acts_on_whole
 from jointid.records.signals.position_noise import describe_noise_limit
-from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.prescribed import DriveSide
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Multistart, Step, Watch, solve
-from jointid.uncertainty.covariance import sandwich, with_bands, with_measured_motion
-from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
 _LOWEST = 0.05  # ... from this share of the cut-off up to it
 _DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
 _REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
-
-
-def _log_delay() -> Any:
-    """Return the setting of when the log shows the torque."""
-    return setting(
-        None,
-        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
-        "estimated",
-        unit="s",
-    )
-
-
-def _frequency() -> Any:
-    """Return the setting of the mode that the search starts from."""
-    words = "motor-locked frequency of the start; without it the best of a grid"
-    return setting(None, words, unit="Hz", above=0, systems=MODELS)
 
 
 @add_settings_to_docstring
@@ -85,7 +55,12 @@ class DriveSideFit(Method):
     title = "the drive-side method"
     default_for = DriveSide
 
-    log_delay: float | None = _log_delay()
+    log_delay: float | None = setting(
+        None,
+        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
+        "estimated",
+        unit="s",
+    )
     current_lag: float | None = setting(
         0.0,
         "time constant between the log and the torque beside that delay: of the current loop behind a command, or of "
@@ -95,7 +70,13 @@ class DriveSideFit(Method):
         none="estimated",
         systems=MODELS,
     )
-    frequency: float | None = _frequency()
+    frequency: float | None = setting(
+        None,
+        "motor-locked frequency of the start; without it the best of a grid",
+        unit="Hz",
+        above=0,
+        systems=MODELS,
+    )
     instruments: Literal["tested", "always", "never"] = setting(
         "tested",
         "whether the reference and the injected signal replace least squares when they show that it is biased, "
@@ -243,63 +224,3 @@ def _report_steps(progress: Progress) -> Watch:
         progress(Detail(f"iteration {next(numbers)}: residual {step.norm:.6g}"))
 
     return watch
-
-
-@add_settings_to_docstring
-@dataclass(frozen=True, slots=True)
-class OpenLoopFit(Method):
-    """Settings of the open-loop identification."""
-
-    name = "open_loop"
-    title = "the open-loop method"
-    default_for = OpenLoop
-    systems = MODELS
-
-    log_delay: float | None = _log_delay()
-    highpass: float | None = setting(
-        None,
-        "frequency below which the position is drift, and not compared; without it 3 % of the cut-off",
-        unit="Hz",
-        above=0,
-    )
-    frequency: float | None = _frequency()
-    tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
-
-    def identify(self, task: Task) -> FitResult:
-        """Identify a joint in open loop from the torque and the motor position.
-
-        The filter's borders should outlast the transient of a load that was not in steady motion at the first sample.
-
-        Raises:
-            RecordError: a channel is missing, or at another rate.
-            MethodError: no start gives a joint with positive inertias.
-        """
-        setup, torque = OpenLoop(task.joint), task.record.torque
-        task.record.require(setup.channels, "Open-loop identification")
-        assert torque is not None
-        delay = log_delay(self.log_delay, torque.sample_time, stated=torque.stated)
-        problem = position_problem(task.record, setup, task.filtering, task.parameters, delay, self.highpass)
-        task.progress("identifying the drive side for a start")
-        first = DriveSideFit(log_delay=self.log_delay, frequency=self.frequency, instruments="never").identify(task)
-        found = {p.name: p.value for p in first.params.rows if p.value is not None}
-        given = {p.name: p.start for p in problem.parameters if p.start is not None}
-        start, solver = problem.vector({**found, **given}), LevenbergMarquardt(self.tolerance)
-        solution = solve(problem, solver, start, _report_steps(task.progress))
-        drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
-        J, error = solution.jacobian, solution.residual
-        covariance = with_bands(sandwich(J, J, error), J, J, error)
-        if controlled := task.record.reference is not None:
-            covariance = with_measured_motion(covariance, J, J, error)
-        return build_prescribed_result(
-            task.record,
-            problem,
-            solution.x,
-            solution,
-            covariance,
-            ("torque", "motor_position"),
-            ("open_loop", "open loop by least squares"),
-            earlier=first.simulations,
-            initial=initial_of(problem.values(solution.x)),
-            before=(drift,),
-            after=(MOTION_MEASURED,) if controlled else (),
-        )

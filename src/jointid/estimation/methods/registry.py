@@ -32,7 +32,6 @@ METHODS: Mapping[str, str] = MappingProxyType(
         "didim": "didim.DIDIM",
         "idim": "idim.IDIM",
         "drive_side": "prescribed.DriveSideFit",
-        "open_loop": "prescribed.OpenLoopFit",
     }
 )
 """Module and class of every method by its name; of two methods whose needs are met the first is the default."""
@@ -169,6 +168,6 @@ def default_method(model: object) -> type[Method]:
     """Return the class of the default method of a model.
 
     Args:
-        model: the closed loop, the drive side, the open loop, or the joint or robot alone.
+        model: the closed loop, the drive side, or the joint or robot alone.
     """
     return next(one for one in methods() if one.default_for is not None and isinstance(model, one.default_for))

@@ -1,42 +1,36 @@
-"""Problems with a prescribed motion, compared by torque, or a prescribed torque, compared by motion.
+"""The problem of the drive side: the motor's motion is prescribed, and the torque compared.
 
-The drive side: the motor's motion comes from the record, filtered; the torque it takes is predicted
+The motor's motion comes from the record, filtered; the torque it takes is predicted
 (`simulation.prescribed`) and seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away,
 where these are free. Both act on the prediction. On the measurement they would let a fit shrink both sides to nothing.
 While the motor rests, its friction takes what it must and the torque says nothing; these samples have no weight, on
 both sides alike and before the filter, which would smear them. Nor have those about reversals of a rigid joint.
-
-The open loop: nothing holds the motor, so every small force that the model lacks drifts away as the double integral of
-itself: what a position says slower than ``highpass`` is not of the joint, and is taken off both sides by one filter.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.base import FAILED, INITIAL_STATE, LOG_DELAY, RecordProblem
+from jointid.estimation.problems.base import FAILED, LOG_DELAY, RecordProblem
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import torque_and_positions
 from jointid.estimation.problems.rest import moving_weights, steady_weights
 from jointid.models.joints import Joint
-from jointid.records.record import Channel, Record, Tap
-from jointid.records.signals.filtering import Filtering, differentiate, lowpass, window_parts, window_torque
+from jointid.records.record import Record, Tap
+from jointid.records.signals.filtering import Filtering, lowpass, window_parts, window_torque
 from jointid.records.signals.position_noise import find_noise_limit
 from jointid.simulation.prescribed import (
     LOAD_STATE,
     PARTS,
     DriveSide,
     DriveSideRun,
-    OpenLoop,
     PrescribedMotion,
     prescribed_motion,
     simulate_drive_side,
-    simulate_open_loop,
 )
 
 CURRENT_LAG = Parameter("current_lag", "T i", Quantity.TIME, free=False, start=0.0, lower=0.0)
@@ -47,29 +41,28 @@ _LOAD_PARAMETERS = (
     Parameter(LOAD_STATE[0], "dq12(0)", Quantity.POSITION),
     Parameter(LOAD_STATE[1], "dv12(0)", Quantity.VELOCITY),
 )
-_DRIFT = 0.03  # of the cut-off: positions slower than that are drift
-_ORDER = 4  # of the filter that takes it off, each way
-_STILL = 0.01  # of the root mean square speed: a motor slower than that at the first sample rests
-_CONSTANT = ("offset", "gravity_constant")  # forces that push the same way wherever the motor is
-_AWAY = 20.0  # times the record's travel: a motor that leaves never turns round, and knows no Coulomb friction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PrescribedProblem(RecordProblem):
-    """A record whose motion or torque is prescribed, and the other simulated.
+class DriveSideProblem(RecordProblem):
+    """The torque of one record along its own motor motion; the torque is through `filtering.window_torque`.
 
-    The filter's borders are left out before it is applied.
+    Beside the joint's parameters there are those of `LOAD_STATE`, ``log_delay`` and ``current_lag``. The filter's
+    borders are left out before it is applied.
 
     Attributes:
         joint: what is identified.
+        motion: of the motor, prescribed.
+        weights: (samples,) 0 where the motor rests, or as a rigid joint turns round, else 1.
+        leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
+        sample_time: seconds.
     """
 
     joint: Joint
-
-    if TYPE_CHECKING:
-
-        def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
-            """Return the prediction of `measured`, (samples,), derivatives, (samples, names), and their validity."""
+    motion: PrescribedMotion
+    weights: FloatArray
+    leads: bool
+    sample_time: float
 
     @property
     def inside(self) -> slice:
@@ -95,25 +88,6 @@ class PrescribedProblem(RecordProblem):
             error = np.full_like(self.measured, FAILED * float(np.sqrt(np.mean(self.measured**2))))
         seen = self.filter(np.column_stack([error, -slopes]))
         return seen[:, 0], seen[:, 1:]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DriveSideProblem(PrescribedProblem):
-    """The torque of one record along its own motor motion; the torque is through `filtering.window_torque`.
-
-    Beside the joint's parameters there are those of `LOAD_STATE`, ``log_delay`` and ``current_lag``.
-
-    Attributes:
-        motion: of the motor, prescribed.
-        weights: (samples,) 0 where the motor rests, or as a rigid joint turns round, else 1.
-        leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
-        sample_time: seconds.
-    """
-
-    motion: PrescribedMotion
-    weights: FloatArray
-    leads: bool
-    sample_time: float
 
     def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
@@ -229,105 +203,3 @@ def _load_state(joint: Joint, motion: PrescribedMotion) -> tuple[Parameter, ...]
         return ()
     moving = bool(weights_of(motion)[0])
     return tuple(replace(p, free=moving, start=0.0) for p in _LOAD_PARAMETERS)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OpenLoopProblem(PrescribedProblem):
-    """The motor position of one record, less its drift, under its own torque.
-
-    Beside the joint's parameters there are the motor's first state and ``log_delay``.
-
-    Attributes:
-        torque: that is prescribed.
-        highpass: Hz.
-        travel: of the motor in the record, drift and all.
-    """
-
-    torque: Channel
-    highpass: float
-    travel: float
-
-    @property
-    def sample_time(self) -> float:
-        """Of torque and position, seconds."""
-        return self.torque.sample_time
-
-    def filter(self, columns: FloatArray) -> FloatArray:
-        """Return positions without drift through the problem's own filter, decimated."""
-        return self.filtering.decimate(columns[self.inside], self.sample_time)
-
-    def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
-        """Return the predicted position, (samples,), its derivatives, and their validity."""
-        run = simulate_open_loop(self.joint, self.torque, self.values(x), names)
-        if not run.finished or np.ptp(run.position) > _AWAY * self.travel:
-            return np.zeros_like(self.measured), np.zeros((self.measured.size, len(names))), False
-        seen = _fast(np.column_stack([run.position, run.derivatives]), self.highpass, self.sample_time)
-        return seen[:, 0], seen[:, 1:], True
-
-
-def _fast(positions: FloatArray, highpass: float, sample_time: float) -> FloatArray:
-    """Return positions, (samples,) or (samples, columns), less what is slower than `highpass`, both ways."""
-    from scipy.signal import butter, sosfiltfilt
-
-    sections = butter(_ORDER, 2 * highpass * sample_time, "highpass", output="sos")
-    padding = min(len(positions) - 1, round(3 / (highpass * sample_time)))
-    return np.asarray(sosfiltfilt(sections, positions - positions[:1], axis=0, padlen=padding))
-
-
-def position_problem(
-    record: Record,
-    setup: OpenLoop,
-    filtering: Filtering,
-    parameters: tuple[Parameter, ...],
-    delay: Parameter,
-    highpass: float | None = None,
-) -> OpenLoopProblem:
-    """Return the problem of reproducing a record's motor position from its torque.
-
-    Args:
-        record: with torque and motor position at one rate.
-        setup: the joint.
-        filtering: of the positions.
-        parameters: of the joint.
-        delay: by which the log shows the torque later than it acts; see `log_delay`.
-        highpass: Hz, below which the position is drift; 3 % of the cut-off when None.
-
-    Raises:
-        RecordError: a channel is missing, or at another rate.
-        MethodError: no parameter of the joint is free.
-    """
-    require_free(parameters)
-    torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Open-loop identification")
-    period = torque.sample_time
-    filtering = filtering.resolve(period, setup.joint.model)
-    assert filtering.cutoff is not None
-    highpass = highpass or _DRIFT * filtering.cutoff
-    most = float(np.max(np.abs(torque.values)))
-    # A constant force makes a drift, which is not compared: without a bound nothing would hold it.
-    parameters = tuple(
-        replace(p, lower=max(p.lower, -most), upper=min(p.upper, most)) if p.name in _CONSTANT and p.free else p
-        for p in parameters
-    )
-    return OpenLoopProblem(
-        (*parameters, *_first_state(position, filtering, period), delay),
-        _fast(position, highpass, period),
-        filtering,
-        setup.joint,
-        torque,
-        highpass,
-        float(np.ptp(position)),
-    )
-
-
-def _first_state(position: FloatArray, filtering: Filtering, period: float) -> tuple[Parameter, Parameter]:
-    """Return the motor's first position, fixed, and its first velocity, free if it moves.
-
-    Where a motor begins makes no difference to where it goes; how fast it begins does. One that never turned round
-    could take any Coulomb force for a constant one, so the velocity stays within what the record shows.
-    """
-    assert filtering.position_cutoff is not None
-    speed = differentiate(lowpass(position, filtering.position_cutoff, period), period)
-    fastest = float(np.max(np.abs(speed)))
-    first = replace(INITIAL_STATE[1], start=float(speed[0]), lower=-fastest, upper=fastest)
-    resting = abs(float(speed[0])) < _STILL * float(np.sqrt(np.mean(speed**2)))
-    return INITIAL_STATE[0].fix(float(position[0])), first.fix(0.0) if resting else first

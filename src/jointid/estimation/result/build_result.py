@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from jointid.common.messages import Message
 from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.estimation.problems.base import LOG_DELAY, RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.problems.prescribed import DriveSideProblem, OpenLoopProblem
+from jointid.estimation.problems.prescribed import DriveSideProblem
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.estimate import fingerprint, relative_error
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Iteration, Params, Settings
@@ -125,7 +124,6 @@ def build_fit(
     converged: bool,
     simulations: int,
     trace: tuple[Iteration, ...] = (),
-    compared: Literal["torque", "position"] = "torque",
     residuals: ResidualReport | None = None,
     initial: Initial | None = None,
 ) -> Fit:
@@ -139,7 +137,6 @@ def build_fit(
         converged: whether that is a good end.
         simulations: that were run.
         trace: every iteration.
-        compared: what was measured and predicted.
         residuals: tests of the filtered error.
         initial: the motor's state at the first sample.
     """
@@ -155,7 +152,6 @@ def build_fit(
         stop=stop,
         converged=converged,
         trace=trace,
-        compared=compared,
         residuals=residuals,
         initial=initial,
     )
@@ -333,7 +329,7 @@ def _sum_of(p: Parameter, unit: str) -> Combination:
 
 def build_prescribed_result(
     record: Record,
-    problem: DriveSideProblem | OpenLoopProblem,
+    problem: DriveSideProblem,
     x: FloatArray,
     solution: Solution,
     covariance: Covariance,
@@ -341,11 +337,9 @@ def build_prescribed_result(
     method: tuple[str, str],
     *,
     earlier: int,
-    initial: Initial | None = None,
-    before: Sequence[str] = (),
     after: Sequence[str] = (),
 ) -> FitResult:
-    """Return the fit of a joint whose motion or torque is prescribed: on the drive side, or in open loop.
+    """Return the fit of a joint whose motion is prescribed: on the drive side.
 
     Args:
         record: what was identified from.
@@ -356,15 +350,12 @@ def build_prescribed_result(
         channels: that were read.
         method: its name, and how it was run.
         earlier: simulations beside those of the solution.
-        initial: the motor's state at the first sample, where it was simulated.
-        before: warnings before those of the search and the parameters.
-        after: warnings after them.
+        after: warnings after those of the search and the parameters.
     """
     lost = find_lost(problem.free, x, covariance.std)
     fit = build_fit(
         problem, problem.predict(x), problem.residual(x), solution.message, converged=solution.converged,
-        simulations=earlier + solution.evaluations, trace=_trace(problem, solution), initial=initial,
-        compared="position" if isinstance(problem, OpenLoopProblem) else "torque",
+        simulations=earlier + solution.evaluations, trace=_trace(problem, solution),
     )  # fmt: skip
     names = [p.name for p in problem.free]
     # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
@@ -372,7 +363,6 @@ def build_prescribed_result(
     simulated = len(idle) < len(names)
     held = find_active_bounds(problem.free, x, solution.residual, solution.jacobian)
     warnings = (
-        *before,
         *warn_of_lost(lost),
         *([] if solution.converged else [NOT_CONVERGED]),
         *([] if simulated else [NOT_SIMULATED]),
@@ -388,7 +378,7 @@ def build_prescribed_result(
         *poor_fit(fit.filtered_error),
     )
     std = {name: one for name, one in name_deviations(problem, covariance).items() if name not in idle}
-    basis = f"from the sensitivities of the {fit.compared}: {words(covariance)}; {band_words()}"
+    basis = f"from the sensitivities of the torque: {words(covariance)}; {band_words()}"
     basis += FOR_MEASURED_MOTION if MOTION_MEASURED in after else ""
     delay = -problem.values(x)[LOG_DELAY.name]
     return FitResult(
@@ -400,7 +390,7 @@ def build_prescribed_result(
     )
 
 
-def _trace(problem: DriveSideProblem | OpenLoopProblem, solution: Solution) -> tuple[Iteration, ...]:
+def _trace(problem: DriveSideProblem, solution: Solution) -> tuple[Iteration, ...]:
     """Return every step of a descent."""
     lines: list[Iteration] = []
     for number, (x, norm) in enumerate((step.x, step.norm) for step in solution.trace):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -250,8 +249,6 @@ class Fit:
         relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, borders left out; a ratio.
         filtered_error: the same of the filtered and decimated torque: what was minimised.
         rows: filtered samples that were fitted.
-        compared: "torque", or "position" where an open loop is compared by it: then measured, predicted and the errors
-            are of the motor position, without its drift.
         residuals: tests of the filtered error: whiteness, repetition with the motion.
         conditioning: of the regressor, for a linear regression.
         initial: the motor's state at the first sample, for a simulation.
@@ -275,7 +272,6 @@ class Fit:
     simulations: int
     stop: str
     converged: bool
-    compared: Literal["torque", "position"] = "torque"
     residuals: ResidualReport | None = None
     conditioning: Conditioning | None = None
     initial: Initial | None = None
@@ -506,7 +502,7 @@ class EstimateParts:
     def signal(self) -> str:
         """The name of the signal that the fit compares, such as a torque computed from the position."""
         computed = any(verdict.subject is Subject.SCALE for verdict in self.checks.verdicts)
-        return f"{self.fit.compared}{' computed from the position' if computed else ''}"
+        return f"torque{' computed from the position' if computed else ''}"
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""

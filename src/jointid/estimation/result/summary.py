@@ -190,9 +190,9 @@ def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, s
         known = math.isfinite(fit.relative_error)  # a long log keeps no raw torque
         raw = f"{100 * fit.relative_error:.4f} % raw{left}, " if known else ""
         yield (
-            f"{fit.compared} error",
+            "torque error",
             f"{raw}{100 * fit.filtered_error:.4f} % filtered{rows}"
-            f"{estimate.signal.removeprefix(fit.compared).replace(' comp', ', comp')}",
+            f"{estimate.signal.removeprefix('torque').replace(' comp', ', comp')}",
         )
     if fit.position_rms:
         yield "position error", describe_positions(estimate)

@@ -100,13 +100,12 @@ class AxisSignals:
             raise MethodError(IN_WINDOWS)
         compared = np.zeros(fit.measured.size, dtype=np.bool_)
         compared[fit.borders[0] : compared.size - fit.borders[1]] = True
-        length = POSITION_UNIT[settings.joint.kind]
-        unit = length if fit.compared == "position" else estimate.data.torque_unit
+        words = "", estimate.data.torque_unit, POSITION_UNIT[settings.joint.kind]
         found = cls._of(
-            ("", unit, length), settings.method, settings.joint.transmission, estimate.data.sample_time,
+            words, settings.method, settings.joint.transmission, estimate.data.sample_time,
             (fit.measured, fit.predicted), compared, fit.relative_error, motion,
         )  # fmt: skip
-        return replace(found, quantity=f"{found.quantity}{estimate.signal.removeprefix(fit.compared)}")
+        return replace(found, quantity=f"{found.quantity}{estimate.signal.removeprefix('torque')}")
 
     @classmethod
     def of_validation(cls, found: Validation) -> list[AxisSignals]:

@@ -106,7 +106,7 @@ SHAPES: Mapping[str, Shape] = {
     # Diagnostics
     "Validation": document_shape(
         "jointid.validation/2",
-        f"test method record resampled identified_from channels compared answer {_ERRORS} "
+        f"test method record resampled identified_from channels answer {_ERRORS} "
         "better_than_nominal=better bodies_better_than_nominal=bodies_better samples_left_out=borders initial "
         "simulations warnings causes other_axes axes",
     ),

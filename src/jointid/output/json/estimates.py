@@ -168,7 +168,7 @@ _OF_A_JOINT: Shape = document_shape(
     "answer settings.method settings.variant settings.joint.model settings.joint.kind "
     "friction=settings.joint.friction.name spring=settings.joint.spring_name settings.joint.gravity "
     "settings.joint.ripple settings.joint.transmission data.channels free=params.names "
-    "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error fit.compared "
+    "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error "
     "samples_left_out=fit.borders fit.rows condition_numbers=fit.conditioning settings.filtering "
     "torque_timing=settings.timing settings.delay fit.iterations fit.simulations fit.converged fit.stop "
     "intervals=params.basis fit.trace checks.tests "
@@ -212,7 +212,7 @@ def _parameters_of_robot(estimate: Estimate) -> Json:
 _OF_A_ROBOT: Shape = document_shape(
     ESTIMATE_SCHEMA,
     "answer settings.method settings.variant data.channels free=params.names "
-    "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error fit.compared "
+    "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error "
     "samples_left_out=fit.borders fit.rows settings.filtering "
     "torque_timing=settings.timing settings.delay fit.simulations fit.converged fit.stop "
     "intervals=params.basis checks.warnings checks.verdicts",

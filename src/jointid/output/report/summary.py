@@ -56,7 +56,7 @@ def summary_blocks(
     yield parameters_table(estimate, details=False)
     yield Heading("Checks")
     yield from _checks(estimate)
-    yield Heading("Position" if estimate.fit.compared == "position" else "Torque")
+    yield Heading("Torque")
     yield from picture("torque")
     if tuned is not None:
         yield Heading("Tuning")
