@@ -182,3 +182,35 @@ def test_a_killed_process_releases_its_lock(tmp_path: Path) -> None:
     began = time.monotonic()
     _CompileLock(path).acquire()
     assert time.monotonic() - began < 60.0
+
+
+CARRIED = """
+import numpy as np
+from jointid.common.compiled import carry
+said = np.ones((1, 40, 8))
+carry(np.full((2, 4), 0.5), said, 1)
+print(repr(float(said.sum())))
+"""
+
+
+def compute(cache: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    return subprocess.run([sys.executable, "-c", CARRIED], env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.hostile
+def test_a_damaged_cache_is_compiled_again_and_one_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
+    good = compute(tmp_path)
+    for suffix in (".nbi", ".nbc"):
+        (kept,) = tmp_path.rglob(f"*carry*{suffix}")
+        kept.write_bytes(kept.read_bytes()[: kept.stat().st_size // 2])
+        ended = compute(tmp_path)
+        assert (ended.returncode, ended.stdout) == (0, good.stdout), ended.stderr
+        assert "is damaged" in ended.stderr and "Traceback" not in ended.stderr
+        assert compute(tmp_path).stderr == ""
+    (index,) = tmp_path.rglob("*carry*.nbi")
+    index.unlink()
+    index.mkdir()  # even root cannot write a file there
+    ended = compute(tmp_path)
+    assert (ended.returncode, ended.stdout) == (0, good.stdout), ended.stderr
+    assert "cannot be written" in ended.stderr

@@ -26,7 +26,7 @@ from jointid.campaigns.store import open_database
 from jointid.common.errors import JointidError, MethodError, RecordError
 from tests.campaigns.dask_cluster import ROOT, Cluster
 from tests.campaigns.work import POISON, carry, cases, ends
-from tests.losses.runs import COUNT, SEED, note
+from tests.losses.runs import COUNT, SEED
 
 pytestmark = [
     pytest.mark.slow,
@@ -138,7 +138,6 @@ def test_a_second_client_is_refused_and_goes_on_where_the_first_is_killed(cluste
             time.sleep(dice.uniform(0.0, 0.3))
             assert first.poll() is None
             first.kill()
-        note()
         kept, before = {row.content_hash for row in read_results(tmp_path).rows}, len(ends(log))
         run_by_dask(tmp_path, log, count, cluster)
         results = read_results(tmp_path)
@@ -174,7 +173,6 @@ def test_nothing_is_lost_or_kept_twice_at_any_moment(
             time.sleep(dice.uniform(0.0, 3.0))
             cluster.scheduler = cluster.start_scheduler(cluster.address)
         workers.append(cluster.add_worker())
-        note()
 
     for turn in range(COUNT):
         killer = threading.Thread(target=attack)

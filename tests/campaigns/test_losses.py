@@ -27,7 +27,7 @@ from jointid.campaigns.store import open_database, require_local_disk
 from jointid.common.errors import RecordError
 from tests.campaigns.conftest import FLEET
 from tests.campaigns.work import POISON, SLOW, carry, cases, ends, last_workers
-from tests.losses.runs import COUNT, SEED, note
+from tests.losses.runs import COUNT, SEED
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -78,7 +78,6 @@ def test_a_client_or_a_shard_that_is_killed_loses_nothing_and_makes_nothing_twic
                 time.sleep(0.01)
             time.sleep(dice.uniform(0.0, 0.2))
             client.kill()
-        note()
         now = {row.content_hash for row in read_results(tmp_path).rows}
         assert finished <= now, "a result was lost"
         assert not finished & set(ends(log)[before:]), "a finished case was made again"
@@ -107,10 +106,8 @@ def test_an_end_while_the_first_worker_starts_leaves_no_traceback_and_no_folder(
             time.sleep(0.2 + dice.uniform(0.0, 2.0))
             kill, send = ENDS[turn % len(ENDS)]
             send(client.pid, kill)
-            sent = time.monotonic()
             assert client.stderr is not None
             said = client.stderr.read().decode()  # which ends with the last process
-        note(seconds=time.monotonic() - sent)
         assert "Traceback" not in said, said
         assert client.returncode in (0, -kill, 128 + kill), said
         assert not any((place / "temporary").iterdir())
@@ -151,7 +148,6 @@ def test_workers_that_are_killed_at_random_moments_cost_no_result(tmp_path: Path
             with contextlib.suppress(ProcessLookupError, IndexError):  # it has ended, or none has begun
                 os.kill(last_workers(log)[-1], signal.SIGKILL)
                 kills += 1
-                note()
 
     killer = threading.Thread(target=kill_some)
     killer.start()

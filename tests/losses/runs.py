@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import io
 import os
 import select
@@ -26,17 +25,8 @@ COUNT = int(os.environ.get("JOINTID_ATTACKS", "6"))
 
 BROKEN = 70  # exit code of a copy whose exception came out of the program
 
-NOTES = os.environ.get("JOINTID_ATTACKS_NOTES", "")
-"""A file in which each attack is noted, for the table of `python -m tests.attack.table`."""
-
-EXECUTED = Path(os.environ.get("JOINTID_ATTACKS_NOTES", "jointid") + "-executed").absolute()
+EXECUTED = Path("jointid-executed").absolute()
 """What hostile content makes if it is executed."""
-
-FIRST = (
-    "import os, sys; from jointid.apps.cli import main; said = []; "
-    "sys.addaudithook(lambda event, _: event == 'import' and not said and said.append(os.write(2, b'!'))); main()"
-)
-"""The program, which notes the first module that it loads: before that Python itself is at work."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +36,6 @@ class Ended:
     code: int
     said: str
     seconds: float
-
-
-def note(count: int = 1, seconds: float = 0.0) -> None:
-    """Note so many attacks, and the longest time until the end of one."""
-    test = os.environ.get("PYTEST_CURRENT_TEST", "").rpartition("::")[2].removesuffix(" (call)")
-    _noted.append(f"{count} {max(seconds, 0.0)} {test}\n")
-
-
-_noted: list[str] = []
-if NOTES:  # at the end: a test may have filled the disk
-    atexit.register(lambda: Path(NOTES).write_text("".join(_noted), encoding="utf-8"))
 
 
 def run_program(*words: object, **how: object) -> Ended:
@@ -100,14 +79,11 @@ def run_copy(
         select.select([watch], [], [], after)  # until the moment at which it is attacked, or its end
         os.close(watch)
         os.kill(child, kill)
-    killed = time.monotonic()
     said = bytearray()
     while part := os.read(reader, 2**16):
         said += part
     os.close(reader)
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if kill:
-        note(seconds=time.monotonic() - killed)
     return Ended(status, said.decode("utf-8", "replace"), time.monotonic() - begin)
 
 

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from jointid.apps.web.folder import Folder, Run
 from tests.apps.web.testclient import TestClient
-from tests.losses.runs import note
 
 TOKEN = "kept-secret"
 ADDRESS = f"http://127.0.0.1:8765/{TOKEN}/"
@@ -41,12 +40,10 @@ class Asker:
         return unescape(answer.text)
 
     def post(self, path: str, data: dict[str, str] | None = None) -> tuple[int, str]:
-        note()
         answer = self.client.post(path, data=data or {})
         return answer.status_code, unescape(answer.text)
 
     def send(self, name: str, content: bytes, to: str = "/record") -> tuple[int, str]:
-        note()
         answer = self.client.post(to, files={"file": (name, content)})
         return answer.status_code, unescape(answer.text)
 
@@ -122,12 +119,11 @@ class Served:
 
     def send(self, raw: bytes) -> bytes:
         """Send bytes as they are and no more, and return all that comes back."""
-        got, began = b"", time.monotonic()
+        got = b""
         with self.connect() as made, contextlib.suppress(ConnectionError):  # it was cut off, which is an answer
             made.sendall(raw)
             while part := made.recv(65536):
                 got += part
-        note(seconds=time.monotonic() - began)
         return got
 
     def begin_upload(self, declared: int, sent: bytes = b"1,2\n") -> socket.socket:

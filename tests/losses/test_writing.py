@@ -1,0 +1,156 @@
+"""Kills at random moments, and a disk that is full: what was there stays, and nothing is cut."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+
+from jointid.common import files
+from tests.losses.runs import COUNT, SEED, contents, require_calm, run_program
+
+pytestmark = [pytest.mark.hostile, pytest.mark.skipif(sys.platform != "linux", reason="copies of a process")]
+
+OLD = b"what was there"
+WRITERS = {
+    "inspect": "inspect record.csv --figure o.png",
+    "identify": "identify joint.toml -q --json o.json",
+    "simulate .csv": "simulate joint.toml --estimate estimate.json -q --out o.csv",
+    "simulate .mat": "simulate joint.toml --estimate estimate.json -q --out o.mat",
+    "simulate .npy": "simulate joint.toml --estimate estimate.json -q --out o.npy",
+    "simulate .parquet": "simulate joint.toml --estimate estimate.json -q --out o.parquet",
+    "export": "export joint.toml --estimate estimate.json --out o.toml",
+    "report": "report joint.toml -q --no-profiles --no-tuning --html o.html",
+}
+LONGEST = 6.0  # seconds in which a command is attacked
+ENDS = {".png": b"IEND\xaeB`\x82", ".html": b"</html>", ".toml": b"\n", ".csv": b"\n",
+        ".parquet": b"PAR1"}  # fmt: skip
+
+
+def is_whole(name: str, content: bytes) -> bool:
+    suffix = Path(name).suffix
+    if suffix == ".json":
+        return bool(json.loads(content))
+    return content.rstrip().endswith(ENDS.get(suffix, b"").rstrip())
+
+
+@pytest.mark.parametrize("writer", ["inspect", "identify", "simulate .csv", "report"])
+def test_nothing_is_lost_or_cut_at_any_moment(writer: str, place: Path) -> None:
+    words = WRITERS[writer].split()
+    named = [word for word in words if word.startswith("o.")]
+    chance, seconds = random.Random(writer + SEED), LONGEST
+    for turn in range(COUNT):
+        for name in named:
+            (place / name).write_bytes(OLD)
+        before = contents(place)
+        kill = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)[turn % 3]
+        ended = run_program(*words, folder=place, kill=kill, after=chance.uniform(0.0, seconds))
+        seconds = min(seconds, 1.1 * ended.seconds) if ended.code == 0 else seconds
+        require_calm(ended, (0, -kill, 128 + kill))
+        found = contents(place)
+        left = {name for name in found if ".jointid-" in name}
+        assert not left or kill == signal.SIGKILL, left
+        assert found.keys() - left == before.keys()
+        for name in before:
+            assert found[name] == before[name] or (name in named and is_whole(name, found[name])), name
+        for room in place.rglob(".jointid-*"):
+            shutil.rmtree(room) if room.is_dir() else room.unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_a_full_disk_keeps_the_old_result_whole(writer: str, place: Path) -> None:
+    words = WRITERS[writer].split()
+    done = run_program(*words, folder=place)
+    assert done.code == 0, done
+    names = [word for word in words if word.startswith("o.")]
+    most = max(len(contents(place)[name]) for name in names)
+    for name in names:
+        (place / name).write_bytes(OLD)
+    before = contents(place)
+    sizes = max(COUNT // 4, 3)
+    # To the last byte: C keeps the end of a short file to itself, and NumPy does not ask how that went.
+    for size in (*(most * turn // sizes for turn in range(sizes)), most - 1):
+        ended = run_program(*words, folder=place, most=size)
+        require_calm(ended, (2,))
+        assert "cannot be written" in ended.said, ended
+        assert contents(place) == before, size
+
+
+CAMPAIGN = '[sweep]\n"filtering.cutoff" = [40.0, 50.0]\n[fleet]\njoint = "joint.toml"\n'
+
+
+def test_a_campaign_on_a_full_disk_loses_nothing(place: Path) -> None:
+    """What is finished at one size is there at the next, and on a free disk the same command goes on."""
+    (place / "campaign.toml").write_text(CAMPAIGN)
+    words, before = ["campaign", "run", "campaign.toml", "--out", "results", "--workers", "1", "-q"], contents(place)
+    for turn in range(max(COUNT // 4, 3)):
+        ended = run_program(*words, folder=place, most=40_000 * turn // max(COUNT // 4, 3))
+        require_calm(ended, (2,))
+        assert before.items() <= contents(place).items()
+    ended = run_program(*words, folder=place)
+    require_calm(ended, (0,))
+    assert "2 cases done" in ended.said
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_nothing_is_left_at_any_line_of_writing(tmp_path: Path) -> None:
+    """Ctrl-C before each line of what writes a file and each call of what removes one, and the end of the program."""
+    at, lines, is_written = tmp_path / "o.json", {files.__file__, contextlib.__file__}, False
+    for line in itertools.count():
+        at.write_bytes(OLD)
+        left = line
+
+        def interrupt(frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:
+            nonlocal left
+            if frame.f_code.co_filename not in {*lines, shutil.__file__}:
+                return None
+            if event == ("line" if frame.f_code.co_filename in lines else "call"):
+                left -= 1
+                if left == -1:
+                    raise KeyboardInterrupt
+            return interrupt
+
+        before = sys.gettrace()
+        sys.settrace(interrupt)
+        try:
+            files.write_whole(at, b"{}\n")
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.settrace(before)
+        files.remove_rooms()
+        assert list(tmp_path.iterdir()) == [at], line
+        assert at.read_bytes() in (OLD, b"{}\n"), line
+        is_written |= at.read_bytes() != OLD
+        if left >= 0:  # it ended before that line
+            break
+    assert line > 30 and is_written
+
+
+@pytest.mark.parametrize(("ending", "code"), [(">/dev/full", 2), (">&-", 0), (">&- 2>&-", 0)])
+def test_an_output_that_takes_nothing_costs_no_file(ending: str, code: int, place: Path) -> None:
+    program = f"{sys.executable} -c 'from jointid.apps.cli import main; main()'"
+    line = f"{program} inspect table.csv --json o.json {ending}"
+    ended = subprocess.run(["bash", "-c", line], cwd=place, capture_output=True, check=False)
+    assert ended.returncode == code and b"Traceback" not in ended.stderr
+    assert is_whole("o.json", (place / "o.json").read_bytes())
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_any_terminal_shows_what_it_can(encoding: str, place: Path) -> None:
+    program = [sys.executable, "-c", "from jointid.apps.cli import main; main()", "inspect", "table.csv"]
+    shown = {"PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"} | os.environ
+    ended = subprocess.run(program, cwd=place, env=shown, capture_output=True, check=False)
+    assert ended.returncode == 0 and b"t is the time of 2 channels" in ended.stdout
