@@ -37,7 +37,7 @@ from .records.inspection import inspect
 from .records.reading import read
 from .records.record import Channel, Record
 from .records.signals.filtering import Filtering
-from .records.writing import convert, write
+from .records.writing import write
 from .simulation import excitation
 from .simulation.controller_torque import compute_controller_torque
 from .simulation.prescribed import DriveSide
@@ -78,7 +78,6 @@ __all__ = [
     "compare",
     "compute_controller_torque",
     "controller",
-    "convert",
     "design",
     "diagnose",
     "examine",

@@ -147,6 +147,19 @@ def bag(path: Path) -> None:
         shutil.rmtree(folder)
 
 
+def topics(folder: Path, numbers: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    """Write a bag's folder with topics of numbers, each with its stamps in seconds."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, kind = get_typestore(Stores.ROS2_HUMBLE), "std_msgs/msg/Float64"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic, (stamps, values) in numbers.items():
+            link = writer.add_connection(topic, kind, typestore=store)
+            for stamp, value in zip(np.round(1e9 * stamps).astype(int).tolist(), values.tolist(), strict=True):
+                writer.write(link, stamp, store.serialize_cdr(store.types[kind](data=value), kind))
+
+
 JOINT_STATES = ("/joint_states/time", "/joint_states/elbow/position", "/joint_states/elbow/effort")
 LOGGED: Mapping[str, Logged] = {
     "csv": Logged(".csv", csv, ("t", "q", "tau")),

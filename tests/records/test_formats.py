@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from jointid.common.errors import ExtraError, RecordError
 from jointid.records.chunks import Log
 from jointid.records.columns import Column
-from jointid.records.formats import FORMATS, Holds, Table, format_of, read_blocks, read_table, read_tables, write_table
+from jointid.records.formats import FORMATS, Table, format_of, read_blocks, read_table, read_tables, write_table
+from jointid.records.formats.table import NotStreamedError
 from jointid.records.reading import read
 from jointid.records.resampling import Resampling
 from tests.records.logged import LOGGED, POSITION, ROWS, TIME, TORQUE, Logged
@@ -53,7 +54,7 @@ def test_a_record_is_made_of_any_of_them(name: str, tmp_path: Path) -> None:
     assert record.reference.sample_time == pytest.approx(1e-3, abs=1e-15)
 
 
-@pytest.mark.parametrize("name", ["csv", "npy", "hdf5", "mat73", "parquet", "tdms"])
+@pytest.mark.parametrize("name", ["csv", "npy", "parquet"])
 @pytest.mark.parametrize("rows", [1, 64, 99, 100, ROWS, 10_000])
 def test_pieces_are_the_whole(name: str, rows: int, tmp_path: Path) -> None:
     path = made(name, tmp_path)
@@ -64,21 +65,20 @@ def test_pieces_are_the_whole(name: str, rows: int, tmp_path: Path) -> None:
         np.testing.assert_allclose(pieces, values, rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("name", ["hdf5", "mat73", "parquet", "tdms"])
-def test_a_long_record_is_read_in_pieces(name: str, tmp_path: Path) -> None:
-    time, position, torque = LOGGED[name].names
+def test_a_long_record_is_read_in_pieces(tmp_path: Path) -> None:
+    time, position, torque = LOGGED["parquet"].names
     columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
-    log = Log(made(name, tmp_path), columns, {"time": time, "kind": "revolute"})
+    log = Log(made("parquet", tmp_path), columns, {"time": time, "kind": "revolute"})
     pieces = list(log.chunks(80, 20))
     assert [len(piece.record.torque) for piece in pieces if piece.record.torque] == [100, 100, 100, 60]
     joined = [piece.record.torque.values[:80] for piece in pieces if piece.record.torque]
     np.testing.assert_array_equal(np.concatenate(joined), TORQUE)
 
 
-@pytest.mark.parametrize("name", ["mat", "mcap", "db3", "npz", "jsonl"])
+@pytest.mark.parametrize("name", ["mat", "hdf5", "mat73", "tdms", "mcap", "db3", "npz", "jsonl"])
 def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
-    with pytest.raises(RecordError, match="cannot be read in chunks"):
+    with pytest.raises(NotStreamedError):
         next(iter(read_blocks(path, 10)))
     (table,) = read_tables(path, 10)
     assert table.columns.keys() == read_table(path).columns.keys()
@@ -98,62 +98,55 @@ def test_topics_of_different_clocks_make_one_record_where_it_is_asked_for(tmp_pa
 # What is written comes back
 # --------------------------
 
-WRITTEN = [(".h5", {}), (".mat", {}), (".mat", {"version": "7.3"}), (".parquet", {}), (".tdms", {}), (".mcap", {}),
-           (".db3", {}), (".npy", {}), (".npz", {}), (".json", {}), (".csv", {})]  # fmt: skip
 values = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=2, max_size=5)
 
 
-@pytest.mark.parametrize(("suffix", "options"), WRITTEN)
+@pytest.mark.parametrize("suffix", [".mat", ".parquet", ".npy", ".csv"])
 @settings(max_examples=10)  # some of them start a process for each
 @given(data=st.data())
 def test_what_is_written_is_read_to_the_last_bit(
-    suffix: str, options: dict[str, Any], data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+    suffix: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"round{suffix}"
-    writer = format_of(path)
     size = data.draw(st.integers(2, 5))
     exact = st.lists(st.floats(allow_nan=True), min_size=size, max_size=size)
     names = data.draw(st.lists(st.sampled_from(["t", "q", "tau", "x_1"]), min_size=1, max_size=3, unique=True))
-    columns = {name: np.array(data.draw(values if Holds.LENGTHS in writer.holds else exact)) for name in names}
-    scalars = {"position_gain": data.draw(st.floats())} if Holds.SCALARS in writer.holds else {}
-    units = {names[0]: "mm"} if Holds.UNITS in writer.holds else {}
-    if suffix in (".mcap", ".db3"):  # what is NaN throughout is no column of a bag
-        columns = {name: np.where(np.isnan(column).all(), 0.0, column) for name, column in columns.items()}
-    write_table(path, Table(columns, scalars, units=units), **options)
+    columns = {name: np.array(data.draw(values if suffix == ".mat" else exact)) for name in names}
+    scalars = {"position_gain": data.draw(st.floats())} if suffix in (".mat", ".parquet") else {}
+    units = {names[0]: "mm"} if suffix == ".parquet" else {}
+    write_table(path, Table(columns, scalars, units=units))
     again = read_table(path)
     for name, column in columns.items():
         assert column.tobytes() == again.columns[name].tobytes() or np.isnan(column).any()
         np.testing.assert_array_equal(again.columns[name], column)
     for name, value in scalars.items():
         np.testing.assert_array_equal(again.scalars[name], value)
-    assert dict(again.units) == units or suffix in (".mcap", ".db3")
+    assert dict(again.units) == units
 
 
 @pytest.mark.parametrize(
-    ("name", "table", "part"),
+    ("name", "table"),
     [
-        ("x.h5", Table({"a//b": np.ones(2)}), "cannot name a dataset of HDF5"),
-        ("x.h5", Table({"a": np.ones(2), "a/b": np.ones(2)}), "no other name begins with it"),
-        ("x.h5", Table({"a": np.ones(2)}, {"a": 1.0}), "one dataset per name"),
-        ("x.csv", Table({"a": np.zeros(2), "b": np.zeros(3)}), "one length; got a 2, b 3"),
-        ("x.csv", Table({"a": np.zeros(2)}, {"position_gain": 1.0}), "scalars position_gain; write a .mat"),
-        ("x.csv", Table({"2": np.zeros(2)}), "'2' would not be read back"),
-        ("x.csv", Table({"a\nb": np.zeros(2)}), "would not be read back"),
-        ("x.csv", Table({}), "got no column"),
-        ("x.mat", Table({"t [s]": np.ones(2), "rec.q": np.ones(2)}), r'"t \[s\]", "rec\.q" cannot name a MATLAB'),
-        ("x.mat", Table({"1": np.zeros(2)}), '"1" cannot name'),
-        ("x.mat", Table({"end": np.zeros(2)}), '"end" cannot name'),
-        ("x.mat", Table({"a" * 64: np.zeros(2)}), "at most 63"),
-        ("x.mat", Table({"a": np.zeros(2)}, {"a": 1.0}), '"a" names a column and a scalar'),
-        ("x.parquet", Table({"a": np.ones(2), "b": np.ones(3)}), "Parquet has columns of one length; got a 2, b 3"),
-        ("x.tdms", Table({"Untitled/a": np.ones(2)}), "cannot name a channel of TDMS"),
-        ("x.tdms", Table({"a": np.ones(2)}, {"a/b": 1.0}), "cannot name a property"),
-        ("x.mcap", Table({"a": np.ones(2)}, {"position_gain": 1.0}), "no place for the scalars position_gain"),
-        ("x.mcap", Table({"a": np.ones(2), "a/time": np.array([0.0, np.nan])}), "cannot be the clock"),
+        ("x.csv", Table({"a": np.zeros(2), "b": np.zeros(3)})),
+        ("x.csv", Table({"a": np.zeros(2)}, {"position_gain": 1.0})),
+        ("x.csv", Table({"2": np.zeros(2)})),
+        ("x.csv", Table({"a\nb": np.zeros(2)})),
+        ("x.csv", Table({"=1+1": np.zeros(2)})),
+        ("x.csv", Table({})),
+        ("x.mat", Table({"t [s]": np.ones(2), "rec.q": np.ones(2)})),
+        ("x.mat", Table({"1": np.zeros(2)})),
+        ("x.mat", Table({"end": np.zeros(2)})),
+        ("x.mat", Table({"a" * 64: np.zeros(2)})),
+        ("x.mat", Table({"a": np.zeros(2)}, {"a": 1.0})),
+        ("x.parquet", Table({"a": np.ones(2), "b": np.ones(3)})),
+        ("x.npy", Table({f"channel {k}": np.arange(3.0) for k in range(4000)})),
+        ("x.h5", Table({"a": np.ones(2)})),
+        ("x.csv.gz", Table({"a": np.ones(2)})),
+        ("none/x.csv", Table({"a": np.ones(2)})),
     ],
 )
-def test_what_a_format_cannot_hold_is_refused(name: str, table: Table, part: str, tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=part):
+def test_what_a_format_cannot_hold_is_refused(name: str, table: Table, tmp_path: Path) -> None:
+    with pytest.raises(RecordError):
         write_table(tmp_path / name, table)
     assert not (tmp_path / name).exists()
 
@@ -192,18 +185,12 @@ def test_a_missing_package_is_named_with_its_extra(name: str, tmp_path: Path, mo
     monkeypatch.setitem(sys.modules, PACKAGES[name], None)
     with pytest.raises(ExtraError, match=rf'needs the package {PACKAGES[name]}.*pip install "jointid\[logs\]"'):
         format_of(path).read(path)
-    with pytest.raises(ExtraError, match=rf"Writing .* needs the package {PACKAGES[name]}"):
-        write_table(
-            path.with_stem("again"), Table({"q": np.ones(2)}), **({"version": "7.3"} if name == "mat73" else {})
-        )
 
 
 def test_a_thousand_columns_of_npy_come_back_and_more_than_are_read_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "wide.npy"
     write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(1000)}))
     assert list(read_table(path).columns)[::999] == ["channel 0", "channel 999"]
-    with pytest.raises(RecordError, match=r"names of 4000 columns take \d+ characters.*write a \.parquet file"):
-        write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(4000)}))
     np.save(path, np.zeros((10_002, 10_001), dtype="u1"))
     with pytest.raises(RecordError, match=r"wide\.npy has 10001 columns \(at most 10000 are read\)"):
         read_table(path)
@@ -223,11 +210,9 @@ def test_a_pipe_is_not_called_empty(tmp_path: Path) -> None:
         read_table(tmp_path / "run.csv")
 
 
-def test_every_format_says_what_it_is() -> None:
+def test_no_suffix_is_that_of_two_formats() -> None:
     suffixes = [suffix for entry in FORMATS for suffix in entry.suffixes]
     assert len(suffixes) == len(set(suffixes))
-    for entry in FORMATS:
-        assert entry.legal_name("torque_1") == "torque_1"
 
 
 # Units that a file states

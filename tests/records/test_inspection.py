@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
@@ -89,7 +90,9 @@ def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     columns = {"a/time": np.arange(9) / 10, "a/q": np.ones(9), "b/time [ms]": np.arange(5.0), "b/q": np.ones(5),
                "c/time": np.array([0.0, 1.0, 0.5]), "c/q": np.ones(3)}  # fmt: skip
-    write_table(path, Table(columns, {"position_gain": 2.0}))
+    with h5py.File(path, "w") as file:
+        for name, values in {**columns, "position_gain": 2.0}.items():
+            file[name] = values
     inspection = inspect(path)
     found = {channel.name: (channel.time, channel.sample_time) for channel in inspection.channels}
     assert found["a/q"] == ("a/time", pytest.approx(0.1))

@@ -151,13 +151,6 @@ def test_another_kind_of_file_is_one_sentence(content: bytes, tmp_path: Path) ->
     assert str(error.value).startswith("run.mat")
 
 
-def test_a_mat_file_has_no_option_but_its_version(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="Reading MAT has no option delimiter; it has: version"):
-        read_table(tmp_path / "run.mat", delimiter=",")
-    with pytest.raises(RecordError, match=r'is written in version "7" or "7\.3"; got 6'):
-        write_table(tmp_path / "run.mat", Table({"q": np.zeros(2)}), version=6)
-
-
 def saved(variables: dict[str, Any], **how: Any) -> bytes:
     stream = io.BytesIO()
     savemat(stream, variables, **how)

@@ -80,7 +80,7 @@ def test_more_than_is_read_at_once_is_refused_by_its_size(
             writer.write_segment([ChannelObject("g", "q", np.zeros(1_000_000))])
     monkeypatch.setattr(table, "WHOLE", 2**20)
     monkeypatch.setattr(table.require_size, "__defaults__", (2**20,))
-    with pytest.raises(RecordError, match=r"declares 7\.63 MiB of numbers, and at most 1 MiB are read; choose columns"):
+    with pytest.raises(RecordError, match=r"declares 7\.63 MiB of numbers, and at most 1 MiB are read"):
         format_of(path).read(path)
 
 

@@ -20,6 +20,7 @@ from jointid.records.clock import measure_irregularity
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Timing
 from jointid.records.resampling import Resampling
+from tests.records.logged import topics
 
 T = 1e-3
 LATE = T * 0.3 * np.random.default_rng(3).random(400)
@@ -177,19 +178,18 @@ def test_two_clocks_that_jitter_begin_together_and_each_position_is_judged_by_it
     first, second = (uniform + 15e-6 * random.uniform(-1.0, 1.0, uniform.size) for _ in range(2))
     first[0], second[0] = uniform[0] + 15e-6, uniform[0] - 15e-6
     first, second = (np.round(1e9 * one) / 1e9 for one in (first, second + late * period))
-    columns = {"/q/time": first, "/q": np.sin(9 * (first if follows else uniform)),
-               "/r/time": second, "/r": np.sin(9 * (uniform + late * period))}  # fmt: skip
-    write_table(tmp_path / "run.mcap", Table(columns))
+    taken = first if follows else uniform
+    topics(tmp_path / "run", {"/q": (first, np.sin(9 * taken)), "/r": (second, np.sin(9 * (uniform + late * period)))})
     channels = {"motor_position": "/q", "reference": "/r"}
     if late:
         with pytest.raises(
             RecordError, match=r"reference begins .*give start = 1\.000.* and stop = 1\.749.*, or resample"
         ) as refusal:
-            ji.read(tmp_path / "run.mcap", channels, kind="prismatic")
+            ji.read(tmp_path / "run", channels, kind="prismatic")
         start, stop = map(float, re.findall(r"(?:start|stop) = ([\d.]+\d)", str(refusal.value)))
-        record = ji.read(tmp_path / "run.mcap", channels, kind="prismatic", start=start, stop=stop)
+        record = ji.read(tmp_path / "run", channels, kind="prismatic", start=start, stop=stop)
     else:
-        record = ji.read(tmp_path / "run.mcap", channels, kind="prismatic")
+        record = ji.read(tmp_path / "run", channels, kind="prismatic")
     (remark,) = record.remarks
     assert ('"/q/time" jitters' in remark and "follows" in remark) if follows else "taken as uniform" in remark
     assert (record.resampled is not None) is follows

@@ -566,7 +566,7 @@ def test_a_log_without_gains_asks_for_them_and_no_file_is_replaced(
     assert set(loads(given, tmp_path).record().channels) >= {"reference", "motor_position"}
     (tmp_path / "joint.toml").write_text("mine")
     with pytest.raises(SystemExit) as ended:
-        main(["data", "inspect", str(tmp_path / "run.csv"), "--write", str(tmp_path / "joint.toml")])
+        main(["inspect", str(tmp_path / "run.csv"), "--write", str(tmp_path / "joint.toml")])
     assert ended.value.code == 2
     assert "exists, and may hold what only you know; name another file" in capsys.readouterr().err
     assert (tmp_path / "joint.toml").read_text() == "mine"

@@ -14,9 +14,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jointid.common.errors import RecordError
-from jointid.records.formats import Table, read_table, rosbag, write_table
+from jointid.records.formats import read_table, rosbag
 from jointid.records.formats.messages import decode_message, message_types
-from tests.records.logged import LOGGED, POSITION, bag
+from tests.records.logged import LOGGED, bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
@@ -148,27 +148,6 @@ def test_a_file_of_a_bag_can_have_any_name(name: str, tmp_path: Path) -> None:
     made = tmp_path / f"run{Path(name).suffix.lower()}"
     bag(made)
     assert "/goal" in read_table(made.rename(tmp_path / name)).columns
-
-
-def test_a_bag_is_written_as_joint_states(tmp_path: Path) -> None:
-    from rosbags.highlevel import AnyReader
-
-    bag(tmp_path / "run.mcap")
-    table = read_table(tmp_path / "run.mcap")
-    write_table(tmp_path / "again", table)
-    with AnyReader([tmp_path / "again"]) as reader:
-        kinds = {link.topic: (link.msgtype, link.msgcount) for link in reader.connections}
-        link = next(link for link in reader.connections if link.topic == "/joint_states")
-        first = next(iter(reader.messages([link])))
-        message = reader.deserialize(first[2], link.msgtype)
-    assert kinds == {"/joint_states": ("sensor_msgs/msg/JointState", 300), "/goal": ("std_msgs/msg/Float64", 30)}
-    assert message.name == ["elbow", "wrist"] and message.position[0] == POSITION[0] and np.isnan(message.effort[1])
-    again = read_table(tmp_path / "again")
-    assert again.columns.keys() == table.columns.keys()
-    for name, values in table.columns.items():
-        np.testing.assert_allclose(again.columns[name], values, rtol=1e-14, atol=0)
-    with pytest.raises(RecordError, match="is already there, and a bag is not written over"):
-        write_table(tmp_path / "again", table)
 
 
 def test_a_topic_that_cannot_be_read_is_told_and_the_others_are_read(tmp_path: Path) -> None:
@@ -337,8 +316,6 @@ def test_a_bag_without_numbers_is_refused(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", {"/text": ("std_msgs/msg/String", [(1, T["std_msgs/msg/String"](data="x"))])})
     with pytest.raises(RecordError, match="bag holds no topic of numbers"):
         read_table(path)
-    with pytest.raises(RecordError, match="place for the scalars"):
-        write_table(tmp_path / "x.mcap", Table({"q": np.ones(2)}, {"position_gain": 1.0}))
 
 
 def test_a_topic_with_too_many_parts_or_two_joints_of_one_name_is_told(tmp_path: Path) -> None:

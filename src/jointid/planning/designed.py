@@ -24,7 +24,7 @@ from jointid.models.limits import AxisLimits, describe_excess, units_of_limits
 from jointid.planning.goals import WEAKEST, Goal
 from jointid.planning.predict import PredictedTest
 from jointid.planning.trajectories import Trajectory
-from jointid.records.formats import format_of
+from jointid.records.formats.matlab import variable_name
 from jointid.records.formats.rosbag import write_trajectory
 from jointid.records.record import InjectionPoint, Record
 from jointid.records.writing import write_columns
@@ -341,10 +341,9 @@ class Design(Charted, Documented):
         options = {} if self.layout is None else self.layout.options
         files: dict[str, bytes] = {}
         with tempfile.TemporaryDirectory() as place:
-            for name, given in (("test.csv", options), ("test.mat", {})):
+            for name, named, given in (("test.csv", str, options), ("test.mat", variable_name, {})):
                 path = Path(place) / name
-                legal = format_of(path).legal_name
-                write_columns({legal(one, list(columns)): values for one, values in columns.items()}, path, **given)
+                write_columns({named(one): values for one, values in columns.items()}, path, **given)
                 files[name] = path.read_bytes()
         return files | self._trajectory_files() | {"how-to-run.md": self._page(columns).encode("utf-8")}
 

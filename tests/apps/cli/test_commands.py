@@ -571,7 +571,7 @@ MISTAKES = {
     "no frequency": (("identify", EMPS, "--set", "method.frequency=fast"), "fast"),
     "frequency of a rigid joint": (("identify", EMPS, "--set", "method.frequency=30"), 'set joint.model = "flexible"'),
     "option that is a setting": (("identify", EMPS, "--frequency", "30"), "give --set method.frequency=VALUE"),
-    "setting of no command": (("data", "inspect", EMPS, "--harmonics", "3"), "--harmonics. See jointid --help."),
+    "setting of no command": (("inspect", EMPS, "--harmonics", "3"), "--harmonics. See jointid --help."),
     "no estimate": (("validate", EMPS, "--estimate", EMPS), "is no JSON file"),
     "unwritable folder": (("demo", EMPS / "inside"), "cannot be made a folder"),
 }

@@ -24,9 +24,8 @@ from tests.apps.commands import commands
 from tests.losses.runs import contents
 
 COMMANDS = (
-    "data inspect record.csv --json record.csv",
-    "data inspect record.csv --figure link.png",
-    "data convert record.csv record.csv",
+    "inspect record.csv --json record.csv",
+    "inspect record.csv --figure link.png",
     "identify joint.toml --json record.csv",
     "identify joint.toml --record record.csv --json record.csv",
     "identify joint.toml --json joint.toml",
@@ -96,7 +95,7 @@ LONG = "x" * 300
 @pytest.mark.parametrize(
     "command",
     (
-        f"data inspect {LONG}.csv",
+        f"inspect {LONG}.csv",
         f"identify {LONG}.toml",
         f"identify joint.toml --record {LONG}.csv",
         f"identify joint.toml --json {LONG}.json",
@@ -154,14 +153,14 @@ def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> N
 
 def test_a_log_of_nobody_is_refused_before_anything_is_written(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = contents(place)
-    assert run("data", "inspect", "record.csv", "--json", "new.json", "--write", "new.toml") == 2
+    assert run("inspect", "record.csv", "--json", "new.json", "--write", "new.toml") == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert "has no columns that a profile of a drive knows" in said.err
     assert contents(place) == before
     write_table("known.csv", Table({"t": np.arange(9) * 1e-3, "q": np.arange(9.0), "tauEst": np.ones(9)}))
     (place / "new.toml").mkdir()
-    assert run("data", "inspect", "known.csv", "--write", "new.toml") == 2
+    assert run("inspect", "known.csv", "--write", "new.toml") == 2
     assert "Traceback" not in capsys.readouterr().err
 
 
@@ -228,8 +227,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "campaign work": ("campaign.toml --shard 1/2", {"--out": "x"}),
     "compare": ("estimate.json other.json", {"--json": "x.json"}),
     "learn-controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
-    "data convert": ("record.csv", {"TARGET": "x"}),
-    "data inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png", "--write": "x.toml"}),
+    "inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png", "--write": "x.toml"}),
     "demo": ("", {"FOLDER": "x"}),
     "design": ("joint.toml", {"--json": "x.json", "--figure": "x.png", "--out": "x"}),
     "diagnose": ("joint.toml", {"--json": "x.json"}),

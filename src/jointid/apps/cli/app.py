@@ -21,11 +21,11 @@ from jointid.apps import SIGNALLED
 from jointid.apps.cli import campaign as campaigns
 from jointid.apps.cli import console, endings, streams
 from jointid.apps.cli.console import clear_bars, tell
-from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.demo import demo
 from jointid.apps.cli.diagnose import diagnosis, friction, intervals, methods, springs
 from jointid.apps.cli.doctor import doctor
 from jointid.apps.cli.identify import examine, identify, learn_controller, payload, tune
+from jointid.apps.cli.inspection import inspect
 from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
@@ -65,10 +65,9 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-data = App(name="data", help="Look into files of records, and convert them.", help_format="plaintext")
 diagnose = App(name="diagnose", help_format="plaintext")
 campaign = App(name="campaign", help="Many joints and runs, here or on a cluster.", help_format="plaintext")
-_FAMILIES = {"data": data, "diagnose": diagnose, "campaign": campaign}
+_FAMILIES = {"diagnose": diagnose, "campaign": campaign}
 
 _START, _IDENTIFY, _ASK, _USE, _MANY = (
     Group(name, sort_key=place, help_formatter=_spread)
@@ -84,8 +83,7 @@ _EXAMPLES: dict[str, dict[Callable[..., Any], str]] = {
     },
     "jointid demo": {
         examine: "jointid examine joint.toml",
-        inspect: "jointid data inspect record.csv",
-        convert: "jointid data convert record.csv record.mat",
+        inspect: "jointid inspect record.csv",
         identify: "jointid identify joint.toml",
         learn_controller: "jointid learn-controller joint.toml --write learned.toml",
         report: "jointid report joint.toml --html report.html",
@@ -121,8 +119,7 @@ def _ending(command: Callable[..., Any]) -> str:
 
 
 _ORDER: tuple[tuple[App, Group, tuple[Any, ...]], ...] = (
-    (app, _START, (demo, examine, data, serve, reproduce, doctor)),
-    (data, _WITHIN, (inspect, convert)),
+    (app, _START, (demo, examine, inspect, serve, reproduce, doctor)),
     (app, _IDENTIFY, (identify, learn_controller, report, payload)),
     (app, _ASK, (diagnose, validate, compare)),
     (diagnose, _WITHIN, (methods, springs, friction, intervals)),

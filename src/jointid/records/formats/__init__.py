@@ -24,10 +24,10 @@ from jointid.records.formats.rosbag import RosBag
 from jointid.records.formats.table import (
     Block,
     Format,
-    Holds,
     NotStreamedError,
     Streamed,
     Table,
+    Written,
     format_size,
     require_file,
 )
@@ -35,7 +35,7 @@ from jointid.records.formats.tdms import Tdms
 from jointid.records.formats.text import is_gzip
 
 __all__ = [
-    "FORMATS", "Block", "Csv", "Folder", "Format", "Hdf5", "Holds", "Json", "Matlab", "Npy", "Npz", "Parquet", "RosBag",
+    "FORMATS", "Block", "Csv", "Folder", "Format", "Hdf5", "Json", "Matlab", "Npy", "Npz", "Parquet", "RosBag",
     "Streamed", "Table", "Tdms", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
 ]  # fmt: skip
 
@@ -175,16 +175,15 @@ def _explain_failure(path: Path) -> Iterator[None]:
 
 
 def write_table(path: str | os.PathLike[str], table: Table, **options: object) -> None:
-    """Write a table, as its format reads it with these `options`; replaces the file.
+    """Write a table as CSV, MAT (version 7), NPY or Parquet, as it is read with these `options`; replaces the file.
 
     Raises:
-        RecordError: unknown suffix, a table that the format cannot hold, or an error of the system.
+        RecordError: a suffix of no such format, a table that the format cannot hold, or an error of the system.
     """
     path = Path(path)
     writer = format_of(path, **options)
-    if is_gzip(path):
-        raise RecordError(f"{path.name} would be packed by gzip, which is not written; write {path.stem}, and pack it.")
-    if isinstance(writer, RosBag) and not path.suffix and path.exists():
-        raise RecordError(f"{path} is already there, and a bag is not written over; name another folder.")
+    if not isinstance(writer, Written) or is_gzip(path):
+        written = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Written))
+        raise RecordError(f"{path.name} is of a format that is read alone; write one of {written}.")
     with beside(path) as fresh:
         writer.write(fresh, table)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
@@ -27,11 +27,11 @@ from jointid.records.formats.table import (
     TIME_NAME,
     WIDEST,
     Block,
-    Holds,
     NotStreamedError,
     Table,
     join_tables,
-    require_place,
+    require_no_scalars,
+    require_one_length,
 )
 from jointid.records.formats.text import (
     BLANKS,
@@ -205,7 +205,6 @@ class Csv:
 
     name: ClassVar[str] = "CSV"
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat")
-    holds: ClassVar[Holds] = Holds.NOTHING
 
     def __post_init__(self) -> None:
         mark = self.delimiter
@@ -236,7 +235,8 @@ class Csv:
         Default delimiter and decimal mark are comma and point, or semicolon beside a decimal comma. Numbered columns
         have no header. Scalars are refused, and names that would read as numbers or spreadsheet formulas.
         """
-        require_place(table, "Delimited text", self.holds)
+        require_no_scalars(table, "Delimited text")
+        require_one_length(table, "Delimited text")
         mark, point = self.delimiter or (";" if self.decimal == "," else ","), self.decimal or "."
         if mark == point:
             raise RecordError(
@@ -264,11 +264,6 @@ class Csv:
             if following and layout.stamps:
                 layout = layout.following(following[0], block[0])
             block = following
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a single-line name that is not a number; see `Format.legal_name`."""
-        plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
-        return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
 
     def _layout(self, text: TextFile) -> Layout:
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,7 +14,6 @@ from jointid.records.formats.csv import Csv
 from jointid.records.formats.parquet import Parquet
 from jointid.records.formats.table import (
     STAMP_NAME,
-    Holds,
     Table,
     join_tables,
     require_file,
@@ -38,7 +37,6 @@ class Folder:
 
     name: ClassVar[str] = "folder of files"
     suffixes: ClassVar[tuple[str, ...]] = ()
-    holds: ClassVar[Holds] = Holds.NOTHING
 
     def fits(self, path: Path) -> bool:
         """Whether a folder holds such a record, and no bag."""
@@ -49,14 +47,6 @@ class Folder:
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
         return _read_data_set(path) if (path / _INFO).is_file() else _read_texts(path)
-
-    def write(self, path: Path, table: Table) -> None:
-        """Refuse: a record is written to one file."""
-        raise RecordError(f"{path.name} would be a folder of several files; name one file, such as {path.name}.csv.")
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name; see `Format.legal_name`."""
-        return name
 
 
 def _find_files(path: Path, *suffixes: str) -> list[Path]:

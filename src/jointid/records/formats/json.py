@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,7 +15,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import short
 from jointid.records.formats.arrays import find_columns
 from jointid.records.formats.stamps import Stamps, is_stamp
-from jointid.records.formats.table import TIME_NAME, WIDEST, Holds, Table, describe_skips
+from jointid.records.formats.table import TIME_NAME, WIDEST, Table, describe_skips
 from jointid.records.formats.text import decode, read_bytes
 
 _LONGEST = 2**28  # bytes of text
@@ -33,7 +32,6 @@ class Json:
 
     name: ClassVar[str] = "JSON"
     suffixes: ClassVar[tuple[str, ...]] = (".json", ".jsonl", ".ndjson")
-    holds: ClassVar[Holds] = Holds.SCALARS | Holds.LENGTHS
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
@@ -51,25 +49,8 @@ class Json:
             )
         return Table(found.columns, found.scalars, path.name, found.units, found.passed, found.clocks())
 
-    def write(self, path: Path, table: Table) -> None:
-        """Write a dictionary of columns on one line, NaN as null."""
-        twice = [name for name in table.scalars if name in table.columns]
-        if twice:
-            raise RecordError(f"{twice[0]!r} names a column and a scalar; a JSON file holds one value per name.")
-        columns = {name: _plain(values) for name, values in table.columns.items()}
-        content = {**columns, **dict(zip(table.scalars, _plain(list(table.scalars.values())), strict=True))}
-        path.write_text(json.dumps(content, ensure_ascii=False) + "\n", encoding="utf-8", newline="\n")
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name as text; see `Format.legal_name`."""
-        return name.encode("utf-8", "replace").decode("utf-8") or "_"
-
 
 _TOO_DEEP = f"holds values within values, more than {_DEEPEST} deep; log records or columns of numbers."
-
-
-def _plain(values: Sequence[float] | FloatArray) -> list[float | None]:
-    return [None if math.isnan(value) else float(value) for value in values]
 
 
 def _parse(path: Path, text: str) -> Any:

@@ -10,31 +10,24 @@ as MATLAB's own files have it; the description that comes with MATLAB says only 
 
 from __future__ import annotations
 
-import io
 import re
-import struct
 import warnings
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
 from jointid.records.formats.arrays import REAL, find_columns, skip_reason
-from jointid.records.formats.hdf5 import PACKING, SIGNATURE, Contents, Member, open_contents, refusal_reason
+from jointid.records.formats.hdf5 import SIGNATURE, Contents, Member, open_contents, refusal_reason
 from jointid.records.formats.table import (
-    PIECES,
-    Block,
-    Holds,
-    NotStreamedError,
     Table,
     describe_skips,
     explain_damage,
     require_unique_names,
-    split_rows,
 )
 
 _VARIABLE = re.compile(r"[A-Za-z]\w{0,62}", re.ASCII)
@@ -46,7 +39,6 @@ _KEYWORD = re.compile(
 
 _NAME_73 = "a MAT file of version 7.3"
 _HEADER_73 = 512  # bytes before the HDF5
-_VERSION_73 = 0x0200
 _NUMERIC_73 = {"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))}
 _CLASSES_73 = {"char": "it holds text", "cell": "a cell array"}
 _ELEMENTS = 10_000  # of an array of structures
@@ -60,29 +52,16 @@ class Matlab:
 
     A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side, and sides of one
     number do not count. What is not a real number (text, cells, objects, complex arrays) is passed over.
-
-    Attributes:
-        version: of what is written, "7" or "7.3"; a file is read whichever it has.
-
-    Raises:
-        RecordError: there is no such version.
     """
-
-    version: Literal["7", "7.3"] = "7"
 
     name: ClassVar[str] = "MAT"
     suffixes: ClassVar[tuple[str, ...]] = (".mat",)
-    holds: ClassVar[Holds] = Holds.SCALARS | Holds.LENGTHS
-
-    def __post_init__(self) -> None:
-        if self.version not in ("7", "7.3"):
-            raise RecordError(f'A MAT file is written in version "7" or "7.3"; got {self.version!r}.')
 
     def read(self, path: Path) -> Table:
         """Read every numeric variable of the file; see `Format.read`."""
         if _is_hdf5(path):
             with open_contents(path, _NAME_73, _scan) as contents:
-                return contents.read(0, contents.rows)
+                return contents.read()
         columns, scalars, passed = dict[str, FloatArray](), dict[str, float](), dict[str, str]()
         with explain_damage(path, "a MAT file", "save it again with -v7 in MATLAB"):
             for name, array in _load_arrays(path):
@@ -116,29 +95,17 @@ class Matlab:
         twice = [n for n in table.scalars if n in table.columns]
         if twice:
             raise RecordError(f"{_quote(twice)} names a column and a scalar; a MAT file holds one variable per name.")
-        if self.version == "7.3":
-            _write_73(path, variables)
-            return
         from scipy.io import savemat
 
         # Compressed variables carry a checksum: a damaged file is noticed, not read as other numbers.
         savemat(path, variables, do_compression=True, oned_as="column")
 
-    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
-        """Yield so many rows after so many, of version 7.3."""
-        if not _is_hdf5(path):
-            raise NotStreamedError(
-                f"{path.name} is a MAT file of version 7 or older, which cannot be read in chunks; save it with -v7.3 "
-                "in MATLAB, or convert it."
-            )
-        with open_contents(path, _NAME_73, _scan, PIECES) as contents:
-            yield from split_rows(contents.rows, rows, contents.read)
 
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a name as that of a variable; see `Format.legal_name`."""
-        plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "column"
-        plain = plain if plain[0].isalpha() and not _KEYWORD.fullmatch(plain) else f"x{plain}"
-        return name if _VARIABLE.fullmatch(name) and not _KEYWORD.fullmatch(name) else plain[:_LONGEST_NAME]
+def variable_name(name: str) -> str:
+    """Return a name as that of a variable of MATLAB."""
+    plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "column"
+    plain = plain if plain[0].isalpha() and not _KEYWORD.fullmatch(plain) else f"x{plain}"
+    return name if _VARIABLE.fullmatch(name) and not _KEYWORD.fullmatch(name) else plain[:_LONGEST_NAME]
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -231,17 +198,3 @@ def _matlab_class(member: Member) -> str:
     if key not in member.attrs or member.attrs.get_id(key).dtype.kind != "S":  # MATLAB's have a fixed length
         return ""
     return bytes(member.attrs[key]).decode("ascii", "replace")
-
-
-def _write_73(path: Path, variables: Mapping[str, Any]) -> None:
-    h5py = extra("h5py", "logs", "Writing MAT files of version 7.3")
-    image = io.BytesIO()  # a disk that is full ends the process inside the library
-    with h5py.File(image, "w", userblock_size=_HEADER_73) as file:
-        for name, values in variables.items():
-            matrix = np.asarray(values, dtype=np.float64).reshape(1, -1)  # n x 1, stored the other way round
-            dataset = file.create_dataset(name, data=matrix, **(PACKING if matrix.size > 1 else {}))
-            dataset.attrs["MATLAB_class"] = np.bytes_("double")
-    text = b"MATLAB 7.3 MAT-file, written by jointid, HDF5 schema 1.00 ."
-    image.seek(0)
-    image.write(text.ljust(116) + bytes(8) + struct.pack("<H", _VERSION_73) + b"IM")
-    path.write_bytes(image.getbuffer())

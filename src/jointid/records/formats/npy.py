@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tokenize import TokenError
@@ -19,7 +19,15 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.records.formats.arrays import skip_reason, to_numbers
-from jointid.records.formats.table import WIDEST, Block, Holds, Table, require_place, require_size, split_rows
+from jointid.records.formats.table import (
+    WIDEST,
+    Block,
+    Table,
+    require_no_scalars,
+    require_one_length,
+    require_size,
+    split_rows,
+)
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
 _HEADER, _REST = 2**16, 2**8  # characters of the header, for more than a thousand columns, and of its other entries
@@ -34,7 +42,6 @@ class Npy:
 
     name: ClassVar[str] = "NPY"
     suffixes: ClassVar[tuple[str, ...]] = (".npy",)
-    holds: ClassVar[Holds] = Holds.NOTHING
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
@@ -44,7 +51,8 @@ class Npy:
 
     def write(self, path: Path, table: Table) -> None:
         """Write a record array of float64 fields; scalars are refused."""
-        require_place(table, self.name, self.holds)
+        require_one_length(table, self.name)
+        require_no_scalars(table, self.name)
         array = np.empty(table.rows, dtype=[(name, "<f8") for name in table.columns])
         if (size := len(repr(array.dtype.descr))) > _HEADER - _REST:
             raise RecordError(
@@ -56,10 +64,6 @@ class Npy:
         with path.open("wb") as file:
             # Into a file NumPy writes by C, and does not hear that the disk was full when the last bytes went out.
             np.save(SimpleNamespace(write=file.write), array, allow_pickle=False)
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return any non-empty name; see `Format.legal_name`."""
-        return name or "_"
 
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many."""

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +16,6 @@ from jointid.records.formats.arrays import find_columns, to_numbers
 from jointid.records.formats.npy import HEADER_ERRORS, read_header
 from jointid.records.formats.table import (
     WIDEST,
-    Holds,
     Table,
     describe_skips,
     explain_damage,
@@ -40,7 +37,6 @@ class Npz:
 
     name: ClassVar[str] = "NPZ"
     suffixes: ClassVar[tuple[str, ...]] = (".npz",)
-    holds: ClassVar[Holds] = Holds.SCALARS | Holds.LENGTHS
 
     def read(self, path: Path) -> Table:
         """Read every array; see `Format.read`."""
@@ -64,24 +60,6 @@ class Npz:
         if not (columns or scalars):
             raise RecordError(f"{path.name} holds no numbers{describe_skips(passed)}; save the signals as arrays.")
         return Table(columns, scalars, path.name, passed=passed)
-
-    def write(self, path: Path, table: Table) -> None:
-        """Write a packed archive of float64 arrays."""
-        refused = [name for name in (*table.columns, *table.scalars) if name != self.legal_name(name)]
-        if refused:
-            raise RecordError(f"{refused[0]!r} cannot name an array of an .npz file; rename the column.")
-        twice = [name for name in table.scalars if name in table.columns]
-        if twice:
-            raise RecordError(f"{twice[0]!r} names a column and a scalar; an .npz file holds one array per name.")
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, values in {**table.columns, **table.scalars}.items():
-                with archive.open(name + _SUFFIX, "w", force_zip64=True) as file:
-                    # As in .npy: what a full disk does is heard only from this file.
-                    np.save(SimpleNamespace(write=file.write), np.asarray(values), allow_pickle=False)
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return any non-empty name without a zero byte; see `Format.legal_name`."""
-        return name.encode("utf-8", "replace").decode("utf-8").replace("\0", "_").replace("\\", "_") or "_"
 
 
 def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any] | str:

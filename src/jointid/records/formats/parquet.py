@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,11 +18,10 @@ from jointid.common.errors import RecordError, extra
 from jointid.records.formats.table import (
     PIECES,
     Block,
-    Holds,
     Table,
     explain_damage,
     join_tables,
-    require_place,
+    require_one_length,
     require_size,
     require_unique_names,
 )
@@ -51,7 +50,6 @@ class Parquet:
 
     name: ClassVar[str] = "Parquet"
     suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq")
-    holds: ClassVar[Holds] = Holds.SCALARS | Holds.UNITS
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
@@ -86,8 +84,10 @@ class Parquet:
 
     def write(self, path: Path, table: Table) -> None:
         """Write float64 columns with checksums; units and scalars are metadata."""
-        require_place(table, self.name, self.holds)
-        refused = [name for name in table.columns if name != self.legal_name(name)]
+        require_one_length(table, self.name)
+        refused = [
+            name for name in table.columns if name != name.encode("utf-8", "replace").decode("utf-8") or not name
+        ]
         if refused:
             raise RecordError(f"{refused[0]!r} cannot name a column of Parquet, which is text; rename it.")
         arrow = extra("pyarrow", "logs", "Writing Parquet")
@@ -104,10 +104,6 @@ class Parquet:
             parquet.write_table(
                 made, file, row_group_size=_GROUP, write_page_checksum=True, use_dictionary=False, compression="zstd"
             )
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name as text; see `Format.legal_name`."""
-        return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
 
 def _to_block(table: Table) -> Block:

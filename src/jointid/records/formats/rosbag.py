@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import sqlite3
-import struct
 import tempfile
 from array import array
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +27,9 @@ from jointid.records.formats.messages import (
     read_messages,
 )
 from jointid.records.formats.table import (
-    Holds,
     Table,
     describe_skips,
     explain_damage,
-    require_place,
     require_size,
     require_unique_names,
 )
@@ -41,15 +38,9 @@ _DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before co
 _WIDEST = 1000  # columns of one topic
 _REMEDY = "record it again, or rebuild it with ros2 bag reindex"
 _DIGITS = re.compile(r"(\d+)")
-_JOINT = re.compile(r"(/.+)/([^/]+)/(position|velocity|effort)")
-_FIELDS = ("position", "velocity", "effort")
 _VERSION = 9  # of the bag's format
-_FLOAT64_HEAD = b"\x00\x01\x00\x00"  # of a message in little-endian CDR
 TRAJECTORY = "/joint_trajectory_controller/joint_trajectory"
 """Topic on which ROS 2 control takes a trajectory."""
-_CLOCKS = ("t", "time")
-_ROUNDING = 1e-14
-_NINE_YEARS = 2.0**28  # seconds; a later stamp is read as a date
 
 Stamps = NDArray[np.int64]
 
@@ -65,7 +56,6 @@ class RosBag:
 
     name: ClassVar[str] = "ROS 2 bag"
     suffixes: ClassVar[tuple[str, ...]] = (".mcap", ".db3")
-    holds: ClassVar[Holds] = Holds.LENGTHS | Holds.CLOCKS
 
     def read(self, path: Path) -> Table:
         """Read every topic of numbers; see `Format.read`."""
@@ -76,43 +66,6 @@ class RosBag:
                 for topic, time, data in read_messages(file):
                     reading.take(topic, time, data)
         return reading.table()
-
-    def write(self, path: Path, table: Table) -> None:
-        """Write a bag: a folder, or one file by its suffix.
-
-        Columns "/topic/joint/position", "velocity" and "effort" beside a "/topic/time" in whole nanoseconds, up to
-        rounding, become joint states. Other columns become topics of std_msgs/Float64, stamped by "column/time" or the
-        table's time.
-        """
-        require_place(table, "A ROS 2 bag", self.holds)
-        rosbag2 = extra("rosbags.rosbag2", "logs", "Writing ROS 2 bags")
-        typesys = extra("rosbags.typesys", "logs", "Writing ROS 2 bags")
-        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        joints = list(_find_joint_states(table))
-        taken = {name for group in joints for name in (*group.columns.values(), f"{group.topic}/time")}
-        clocks = _find_clocks(table, taken)
-        storage = rosbag2.StoragePlugin.SQLITE3 if path.suffix.lower() == ".db3" else rosbag2.StoragePlugin.MCAP
-
-        def fill(folder: Path) -> None:
-            with rosbag2.Writer(folder, version=_VERSION, storage_plugin=storage) as writer:
-                for group in joints:
-                    _write_joints(writer, store, table, group)
-                for name, values in table.columns.items():
-                    if name in taken or name in clocks.values():
-                        continue
-                    link = writer.add_connection(name, "std_msgs/msg/Float64", typestore=store)
-                    clock = table.columns.get(clocks.get(name, ""))
-                    stamps = _to_nanoseconds(clock) if clock is not None else None
-                    for stamp, value in zip(
-                        _common_stamps(table, values.size) if stamps is None else stamps, values, strict=True
-                    ):
-                        writer.write(link, int(stamp), _FLOAT64_HEAD + struct.pack("<d", value))
-
-        _place_file(path, fill)
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return any non-empty name; see `Format.legal_name`."""
-        return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
 
 def write_trajectory(
@@ -283,14 +236,6 @@ class _BagTable:
         return Table(dict(pairs), {}, self.path.name, units, self.passed, clocks)
 
 
-class _Joints(NamedTuple):
-    """A topic of joint states: its clock [ns], and columns by joint and field."""
-
-    topic: str
-    stamps: Stamps
-    columns: dict[tuple[str, str], str]
-
-
 def _place_file(path: Path, fill: Callable[[Path], None]) -> None:
     """Create a bag's folder, or one file for a path with suffix."""
     try:
@@ -303,72 +248,3 @@ def _place_file(path: Path, fill: Callable[[Path], None]) -> None:
             made.replace(path)
     except sqlite3.Error as error:
         raise OSError(str(error)) from error
-
-
-def _find_joint_states(table: Table) -> Iterator[_Joints]:
-    """Yield topics of joint states with columns as long as their clock."""
-    topics: dict[str, dict[tuple[str, str], str]] = {}
-    for name in table.columns:
-        if match := _JOINT.fullmatch(name):
-            topics.setdefault(match[1], {})[match[2], match[3]] = name
-    for topic, columns in topics.items():
-        clock = table.columns.get(f"{topic}/time")
-        alike = clock is not None and all(table.columns[name].size == clock.size for name in columns.values())
-        stamps = _to_nanoseconds(clock) if clock is not None and alike else None
-        if stamps is not None and not any(np.isnan(table.columns[name]).all() for name in columns.values()):
-            yield _Joints(topic, stamps, columns)
-
-
-def _find_clocks(table: Table, taken: set[str]) -> dict[str, str]:
-    """Map columns to their clocks."""
-    clocks = {}
-    for name, values in table.columns.items():
-        clock = f"{name}/time"
-        if name in taken or clock not in table.columns:
-            continue
-        if table.columns[clock].size != values.size or _to_nanoseconds(table.columns[clock]) is None:
-            raise RecordError(
-                f'The column "{clock}" cannot be the clock of "{name}" in a ROS 2 bag, which counts whole nanoseconds '
-                "for every number; rename it."
-            )
-        clocks[name] = clock
-    return clocks
-
-
-def _to_nanoseconds(clock: np.ndarray[Any, Any]) -> Stamps | None:
-    """Convert instants to whole nanoseconds; None if they differ by more than rounding."""
-    if not (np.isfinite(clock).all() and clock.min() >= 0 and clock.max() < _NINE_YEARS):
-        return None
-    stamps = np.round(clock * 1e9).astype(np.int64)
-    return stamps if np.allclose(stamps / 1e9, clock, rtol=_ROUNDING, atol=0.0) else None
-
-
-def _common_stamps(table: Table, size: int) -> Stamps:
-    """The table's time [ns], or consecutive nanoseconds without one."""
-    for name, values in table.columns.items():
-        is_clock = name.partition(" ")[0].lower() in _CLOCKS and values.size == size
-        if is_clock and np.isfinite(values).all() and values.min() >= 0 and values.max() < _NINE_YEARS:
-            stamps = np.round(values * 1e9).astype(np.int64)
-            if np.all(np.diff(stamps) > 0):
-                return stamps
-    return np.arange(size)
-
-
-def _write_joints(writer: Any, store: Any, table: Table, group: _Joints) -> None:
-    """Write a topic of joint states, with NaN for missing fields."""
-    kinds = store.types
-    names = list(dict.fromkeys(joint for joint, _ in group.columns))
-    fields = {}
-    for each in _FIELDS:
-        present = [table.columns[c] if (c := group.columns.get((n, each))) else None for n in names]
-        missing = np.full(group.stamps.size, np.nan)
-        made = [missing if column is None else column for column in present]
-        fields[each] = np.column_stack(made) if any(column is not None for column in present) else None
-    link = writer.add_connection(group.topic, "sensor_msgs/msg/JointState", typestore=store)
-    for row, stamp in enumerate(group.stamps.tolist()):
-        time = kinds["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
-        values = {key: np.empty(0) if matrix is None else matrix[row] for key, matrix in fields.items()}
-        message = kinds["sensor_msgs/msg/JointState"](
-            header=kinds["std_msgs/msg/Header"](stamp=time, frame_id=""), name=names, **values
-        )
-        writer.write(link, stamp, store.serialize_cdr(message, "sensor_msgs/msg/JointState"))

@@ -8,10 +8,9 @@ from __future__ import annotations
 import difflib
 import heapq
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import Field, dataclass, field, replace
-from enum import Flag, auto
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -150,21 +149,15 @@ def join_tables(tables: Sequence[Table]) -> Table:
     return replace(first, columns=joined)
 
 
-class Holds(Flag):
-    """Optional contents of a file beside columns of one length."""
-
-    NOTHING = 0
-    SCALARS = auto()
-    UNITS = auto()
-    LENGTHS = auto()  # columns that differ in length
-    CLOCKS = auto()  # which column is the time of which
-
-
-def require_place(table: Table, target: str, holds: Holds) -> None:
-    """Refuse scalars or unequal columns that `target` cannot hold."""
-    if table.scalars and Holds.SCALARS not in holds:
+def require_no_scalars(table: Table, target: str) -> None:
+    """Refuse scalars, which `target` cannot hold."""
+    if table.scalars:
         raise RecordError(f"{target} has no place for the scalars {', '.join(table.scalars)}; write a .mat file.")
-    if len({values.size for values in table.columns.values()}) != 1 and Holds.LENGTHS not in holds:
+
+
+def require_one_length(table: Table, target: str) -> None:
+    """Refuse unequal columns, which `target` cannot hold."""
+    if len({values.size for values in table.columns.values()}) != 1:
         lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
         raise RecordError(f"{target} has columns of one length; got {lengths or 'no column'}.")
 
@@ -174,12 +167,10 @@ class Format(Protocol):
 
     Attributes:
         suffixes: the endings of its files, in lower case, with the dot.
-        holds: what of a table beside its columns has a place in such a file.
     """
 
     name: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]]
-    holds: ClassVar[Holds]
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     def read(self, path: Path) -> Table:
@@ -190,6 +181,11 @@ class Format(Protocol):
             OSError: the file cannot be opened.
         """
 
+
+@runtime_checkable
+class Written(Protocol):
+    """A format that tables are written in."""
+
     def write(self, path: Path, table: Table) -> None:
         """Write `table` so that `read` restores it exactly, except unsupported units.
 
@@ -197,9 +193,6 @@ class Format(Protocol):
             RecordError: the format cannot hold this table.
             OSError: the file cannot be written.
         """
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the nearest column name that a file can hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +275,7 @@ def require_size(path: Path, numbers: int, limit: int = WHOLE) -> None:
     """Refuse a file that declares too many numbers."""
     if numbers * _NUMBER > limit:
         advice = (
-            "choose columns with jointid data convert --columns, or read it in chunks with jointid identify --window"
+            "log fewer channels, or read it in chunks with jointid identify --window"
             if limit == WHOLE
             else "cut it into shorter files"
         )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
@@ -15,14 +15,10 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
 from jointid.records.formats.arrays import REAL, skip_reason
 from jointid.records.formats.table import (
-    PIECES,
-    Block,
-    Holds,
     Table,
     explain_damage,
     require_size,
     require_unique_names,
-    split_rows,
 )
 
 _READ = REAL + "M"  # kinds of NumPy's types of channels that are read
@@ -31,8 +27,6 @@ _UNITS = ("unit_string", "unit", "units", "Unit")
 _STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
 _UNSET = np.datetime64("1904-01-02")  # LabVIEW counts from the day before; an instant nobody set is that
 _REMEDY = "log or copy it again"
-_SEGMENT = 65536  # rows that are written together
-_SLAB = 2**22  # numbers of all channels that are held: the library reads a segment anew for every part of it
 
 Nptdms: TypeAlias = Any
 """An object of npTDMS, which has no types."""
@@ -49,48 +43,12 @@ class Tdms:
 
     name: ClassVar[str] = "TDMS"
     suffixes: ClassVar[tuple[str, ...]] = (".tdms",)
-    holds: ClassVar[Holds] = Holds.SCALARS | Holds.UNITS | Holds.LENGTHS
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
         with _open(path) as contents:
             require_size(path, sum(channel.rows for channel in contents.channels))
-            return contents.read(0, contents.rows)
-
-    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
-        """Yield so many rows after so many."""
-        with _open(path) as contents:
-            require_size(path, sum(channel.rows for channel in contents.channels), PIECES)
-            yield from split_rows(contents.rows, rows, contents.read)
-
-    def write(self, path: Path, table: Table) -> None:
-        """Write float64 channels; scalars are file properties."""
-        for name in table.columns:
-            if name != self.legal_name(name):
-                raise RecordError(
-                    f'{name!r} cannot name a channel of TDMS: a name is "channel" or "group/channel", and the group '
-                    f'is not "{_NAMELESS}"; rename the column.'
-                )
-        refused = [name for name in table.scalars if not name or name == "name" or "/" in name]
-        if refused:
-            raise RecordError(f"{refused[0]!r} cannot name a property of a TDMS file; rename the scalar.")
-        nptdms = extra("nptdms", "logs", "Writing TDMS")
-        with path.open("wb") as file, nptdms.TdmsWriter(file) as writer:
-            writer.write_segment([nptdms.RootObject(properties=dict(table.scalars))])
-            for first in range(0, table.rows, _SEGMENT):
-                objects = []
-                for name, values in table.columns.items():
-                    group, _, channel = name.rpartition("/")
-                    properties = {"unit_string": table.units[name]} if name in table.units else {}
-                    part = values[first : first + _SEGMENT]
-                    if part.size:
-                        objects.append(nptdms.ChannelObject(group or _NAMELESS, channel, part, properties=properties))
-                writer.write_segment(objects)
-
-    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a name of a channel in a group; see `Format.legal_name`."""
-        parts = [part for part in name.replace("\0", "_").split("/") if part] or ["_"]
-        return "/".join(parts[1:] if parts[0] == _NAMELESS and len(parts) > 1 else parts)
+            return contents.read()
 
 
 class _Channel(NamedTuple):
@@ -104,49 +62,35 @@ class _Channel(NamedTuple):
     is_time: bool = False
     late: float = 0.0
 
-    def values(self, first: int, last: int) -> FloatArray:
+    def values(self) -> FloatArray:
+        """Read every number."""
         if self.is_time:
             step, offset = (float(self.channel.properties.get(key, 0.0)) for key in (_STEP, _OFFSET))
-            return np.asarray(self.late + offset + np.arange(first, last) * step)
-        values = self.channel.read_data(first, last - first)
-        if values.size != last - first:
-            raise ValueError(f"{values.size} numbers where {last - first} are declared")
+            return np.asarray(self.late + offset + np.arange(self.rows) * step)
+        values = self.channel.read_data()
+        if values.size != self.rows:
+            raise ValueError(f"{values.size} numbers where {self.rows} are declared")
         if values.dtype.kind == "M":
-            begin = self.channel.read_data(0, 1)[0]
-            return np.asarray((values - begin) / np.timedelta64(1, "ns") / 1e9 + self.late, dtype=np.float64)
+            return np.asarray((values - values[0]) / np.timedelta64(1, "ns") / 1e9 + self.late, dtype=np.float64)
         return np.asarray(values, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class _Contents:
-    """An open file with cached rows."""
+    """An open file."""
 
     path: Path
     channels: list[_Channel]
     scalars: dict[str, float]
     passed: dict[str, str]
-    slabs: dict[str, tuple[int, FloatArray]] = field(default_factory=dict)
 
-    @property
-    def rows(self) -> int:
-        return max(channel.rows for channel in self.channels)
-
-    def read(self, first: int, count: int) -> Table:
-        """Read `count` rows from `first` on, of sufficiently long columns."""
-        last = first + count
+    def read(self) -> Table:
+        """Read every column."""
         with explain_damage(self.path, Tdms.name, _REMEDY):
-            columns = {c.name: self._values(c, first, min(last, c.rows)) for c in self.channels if c.rows > first}
+            columns = {c.name: c.values() for c in self.channels}
         units = {c.name: c.unit for c in self.channels if c.unit}
         clocks = {c.name: c.clock for c in self.channels if c.clock}
         return Table(columns, self.scalars, self.path.name, units, self.passed, clocks)
-
-    def _values(self, channel: _Channel, first: int, last: int) -> FloatArray:
-        """Read rows of a column, and cache some further ones."""
-        begin, held = self.slabs.get(channel.name, (0, np.empty(0)))
-        if not begin <= first <= last <= begin + held.size:
-            end = min(channel.rows, max(last, first + _SLAB // len(self.channels)))
-            begin, held = self.slabs[channel.name] = first, channel.values(first, end)
-        return held[first - begin : last - begin]
 
 
 @contextmanager

@@ -1,14 +1,14 @@
-"""`jointid data`: files of records, without identifying anything."""
+"""`jointid inspect`: what is in a file of a record."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import Several, deliver, show
+from jointid.apps.cli.console import deliver, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
@@ -53,7 +53,8 @@ def inspect(
     outputs.spare("FILE", file)
     if write is not None and write.exists():
         raise RecordError(f"{write} exists, and may hold what only you know; name another file, or remove it first.")
-    found = look(file, **_reader_options(delimiter, decimal, header))
+    options = {"delimiter": delimiter, "decimal": decimal, "header": header}
+    found = look(file, **{name: value for name, value in options.items() if value is not None})
     text = ""
     if write is not None:  # what it refuses comes before any file
         place = os.path.relpath(file.absolute(), write.absolute().parent)
@@ -62,44 +63,3 @@ def inspect(
     if write is not None:
         write_whole(write, text)
         show(f"Written: {write}")
-
-
-def convert(
-    source: Path,
-    target: Path,
-    /,
-    *,
-    columns: Several = None,
-    delimiter: str | None = None,
-    decimal: Decimal | None = None,
-    header: Header = None,
-    mat_version: Literal["7", "7.3"] | None = None,
-) -> None:
-    """Write the columns of a file in another format.
-
-    What was renamed or had no place is said.
-    Every number is kept to the last bit. The suffix of the target tells its format; a target without a suffix becomes
-    the folder of a ROS 2 bag.
-
-    Args:
-        source: the file that is read, or the folder of a bag.
-        target: the file that is written; one that is there is replaced, but never the source.
-        columns: take this column alone; may be given several times.
-        delimiter: of a text file that is read, where it is not found by itself.
-        decimal: mark of a text file that is read, likewise.
-        header: whether a text file that is read names its columns, likewise.
-        mat_version: of a MAT file that is written; 7.3 is HDF5.
-    """
-    from jointid import convert as turn
-
-    outputs = Outputs({"TARGET": target}) if target.suffix else Outputs(folders={"TARGET": target})
-    if source.is_dir():  # of a single file it is said by what converts it
-        outputs.spare("SOURCE", source)
-    writing = {} if mat_version is None else {"version": mat_version}
-    show(turn(source, target, columns, reading=_reader_options(delimiter, decimal, header), writing=writing))
-
-
-def _reader_options(delimiter: str | None, decimal: str | None, header: bool | None) -> dict[str, Any]:
-    """Return the options of a text file's reader that were given."""
-    options = {"delimiter": delimiter, "decimal": decimal, "header": header}
-    return {name: value for name, value in options.items() if value is not None}
