@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.diagnostics.compare import compare
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
@@ -170,21 +169,6 @@ def test_fixing_the_offset_tells_the_rest() -> None:
     assert cosine.value == pytest.approx(40.0, abs=0.1)
     assert cosine.stderr is not None
     assert cosine.stderr < 0.02
-
-
-def test_every_method_side_by_side() -> None:
-    found = {one.name: one.estimate for one in compare(arm(), ARM).methods}
-    for name in ("DIDIM", "DIDIM asymmetric", "IDIM-LS"):
-        estimate = found[name]
-        assert estimate is not None
-        assert estimate["gravity_cos"].value == pytest.approx(40.0, rel=0.01)
-    lift = ClosedLoop(LIFT.joint.rigid, LIFT.controller) if isinstance(LIFT.joint, FlexibleJoint) else LIFT
-    values = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": 0.0} | {
-        name: LIFT_TRUTH[name] for name in ("gravity_constant", "counterbalance_constant")
-    }
-    reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=10.0)
-    tried = compare(simulated_record(lift, reference, values, sample_time=1e-3), lift).methods
-    assert not any("asymmetric" in one.name for one in tried)
 
 
 def test_a_counterbalance_without_a_spring_is_no_lost_spring() -> None:

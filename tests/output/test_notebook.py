@@ -44,11 +44,6 @@ def tuned() -> Any:
     return ji.tune(results()["estimate"])
 
 
-def comparison() -> Any:
-    record, loop = reports.rigid_record(seed=2, name=reports.EVIL)
-    return ji.compare(record, loop)
-
-
 def change(tmp_path: Any) -> Any:
     path = results()["estimate"].save(tmp_path / "a.json")
     return ji.compare(read_report(path), read_report(path))
@@ -91,7 +86,7 @@ def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
     assert f"<p>{words}" in html or f"<p><strong>{words}" in html  # a title that is the answer is not said again
 
 
-@pytest.mark.parametrize("make", [pytest.param(learned, marks=pytest.mark.slow), tuned, comparison])
+@pytest.mark.parametrize("make", [pytest.param(learned, marks=pytest.mark.slow), tuned])
 def test_a_notebook_shows_what_takes_longer_to_make(make: Callable[[], Any]) -> None:
     made = make()
     html = made._repr_html_()

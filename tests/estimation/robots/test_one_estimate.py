@@ -153,8 +153,8 @@ def test_what_is_for_a_robot_refuses_a_joint_in_a_sentence() -> None:
 def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
     loop, records = logged()
     axis = ji.twin(noise="none")
-    with pytest.raises(MethodError, match=r"Candidates are compared for one joint; received RobotLoop"):
-        ji.compare(axis.record, loop)  # type: ignore[call-overload]
+    with pytest.raises(MethodError, match="are compared in the closed loop"):
+        ji.compare(axis.record, loop, "frictions")  # type: ignore[call-overload]
     with pytest.raises(MethodError, match=r"One record is examined; received tuple"):
         ji.examine(records, axis.loop)  # type: ignore[arg-type]
     with pytest.raises(

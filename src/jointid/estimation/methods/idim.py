@@ -122,12 +122,6 @@ class IDIM(Method):
         """Return torque and motor position, and the load's where the joint is flexible."""
         return idim_channels(model)
 
-    @classmethod
-    def comparison_runs(cls, model: str) -> tuple[tuple[str, Method], ...]:
-        """Return a run for each estimator; the weights change nothing of a rigid joint's one equation."""
-        weighted = (("IDIM-WLS", cls("weighted")),) if model == "flexible" else ()
-        return (("IDIM-LS", cls()), *weighted, ("IDIM-IRLS", cls("robust")), ("IDIM-IV", cls("iv")))
-
     def identify(self, task: Task) -> FitResult:
         """Identify a joint from torque and motor position, and load position where it is flexible.
 

@@ -123,11 +123,6 @@ class Method(Protocol):
             return "torque", "motor_position"
         return ("torque", *(("reference",) if controller is None else controller.channels))
 
-    @classmethod
-    def comparison_runs(cls, model: str) -> tuple[tuple[str, Method], ...]:
-        """Return label and settings of each of its runs in a comparison of methods; the first is the usual one."""
-        return ((cls.title, cls()),) if cls.needs_controller else ()
-
     def require_settings_of(self, system: str) -> None:
         """Refuse a setting that means nothing for a "rigid" or a "flexible" joint, or a "robot".
 
