@@ -268,8 +268,6 @@ def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[s
     assert side in said("identify", geared, "--json", estimate, "--figure", folder / "torque.svg", "-q")
     assert "load side" in (folder / "torque.svg").read_text()
     assert side in said("validate", geared, "--estimate", estimate, "-q")
-    assert side in said("diagnose", "methods", geared, "-q")
-    assert side in said("diagnose", "intervals", geared, "--of", "inertia", "-q")
     assert side in said("simulate", geared, "--estimate", estimate, "--out", folder / "out.csv", "-q")
     written = file_of(folder, GEARED).record(folder / "out.csv")
     np.testing.assert_allclose(values(written, "reference"), values(file_of(folder, GEARED).record(), "reference"))

@@ -235,17 +235,17 @@ def test_the_command_says_by_its_code_whether_something_is_wrong(
     )
     file = str(tmp_path / "joint.toml")
     with pytest.raises(SystemExit) as ended:
-        main(["examine", file, "-q", "--json", str(tmp_path / "answer.json")])
+        main(["diagnose", file, "-q", "--json", str(tmp_path / "answer.json")])
     assert ended.value.code == 0
     assert "Nothing is wrong with good; it determines " in capsys.readouterr().out
     rows = (tmp_path / "good.csv").read_text().splitlines()
     (tmp_path / "missing.csv").write_text("\n".join([*rows[:5000], *rows[5050:]]) + "\n")
     with pytest.raises(SystemExit) as ended:
-        main(["examine", file, "-q", "--record", str(tmp_path / "missing.csv")])
+        main(["diagnose", file, "-q", "--record", str(tmp_path / "missing.csv")])
     assert ended.value.code == 3
     assert "jumps 1 time" in capsys.readouterr().out
     with pytest.raises(SystemExit) as ended:
-        main(["examine", file, "-q", "--record", str(tmp_path / "nowhere.csv")])
+        main(["diagnose", file, "-q", "--record", str(tmp_path / "nowhere.csv")])
     assert ended.value.code == 2
 
 

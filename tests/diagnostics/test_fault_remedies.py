@@ -14,7 +14,7 @@ from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS
 
-GROUPS = ("diagnose", "campaign")
+GROUPS = ("campaign",)
 LAWS = (*SPRINGS, *FRICTIONS)
 UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
 

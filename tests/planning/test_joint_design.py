@@ -119,7 +119,7 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     )
     assert table.reference is not None
     assert table.reference.values == pytest.approx(designed.proposed.reference, abs=1e-12)
-    assert "jointid examine" in (tmp_path / "next" / "how-to-run.md").read_text()
+    assert "jointid diagnose" in (tmp_path / "next" / "how-to-run.md").read_text()
     assert len(designed.chart().panels) == 3
 
 

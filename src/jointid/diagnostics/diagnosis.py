@@ -228,6 +228,11 @@ class Diagnosis(Documented):
         return False if False in seen else None if None in seen else True
 
     @property
+    def finds_nothing(self) -> bool:
+        """True if no fault of loop, log or joint was found, and nothing of the torque is left unexplained."""
+        return self.explained and self.as_declared is not False and not (self._faulty or self.zeros)
+
+    @property
     def reasons(self) -> tuple[Message, ...]:
         """The faults found on all axes, or the tests that found none."""
         return tuple(reason for one in self.axes for reason in one.faults.reasons)

@@ -20,13 +20,17 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import in_words, join, number, pluralise
 from jointid.common.transmission import Transmission
+from jointid.diagnostics.diagnose import FeedForwardName, diagnose
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.record import find_plain_cause, find_standstill
 from jointid.diagnostics.find_causes import find_causes
 from jointid.diagnostics.identify import identify
+from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.models.robots.robot import Robot
@@ -117,6 +121,8 @@ class Examination(Documented):
         logged: its channels, in a sentence.
         answers: to the questions that apply.
         parameters: precision of each; none if no joint could be identified.
+        diagnosis: of the estimate; None where no joint was identified, or its loop is not simulated.
+        laws: comparisons of the laws of springs and frictions, where they were asked for.
         transmission: on whose `side` all numbers are.
     """
 
@@ -124,6 +130,8 @@ class Examination(Documented):
     logged: str
     answers: tuple[Answer, ...]
     parameters: tuple[Determined, ...] = ()
+    diagnosis: Diagnosis | None = None
+    laws: tuple[LawComparison, ...] = ()
     transmission: Transmission | None = None
 
     @property
@@ -135,6 +143,11 @@ class Examination(Documented):
     def faults(self) -> tuple[Answer, ...]:
         """Answers that name a fault."""
         return tuple(one for one in self.answers if one.good is False)
+
+    @property
+    def finds_nothing(self) -> bool:
+        """True if neither the record has a fault nor loop, log and joint differ from what is declared."""
+        return self.healthy and (self.diagnosis is None or self.diagnosis.finds_nothing)
 
     @property
     def sentence(self) -> str:
@@ -149,8 +162,7 @@ class Examination(Documented):
         return f"Nothing is wrong with {self.record}{told if self.parameters else ''}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the answers and the parameters; there are no further details."""
-        del details
+        """Return the answers and the parameters, then the diagnosis and the laws."""
         blocks: list[Block] = []
         if self.logged:
             blocks.append(Paragraph(self.logged))
@@ -164,6 +176,9 @@ class Examination(Documented):
                 (in_words(one.name), number(one.percent, 2), one.remark, one.symbol) for one in self.parameters
             )
             blocks.append(Table(("parameter", "2 sigma %", "known", "symbol"), rows, words=(0, 2, 3)))
+        parts = [] if self.diagnosis is None else [self.diagnosis.to_document(details=details)]
+        for part in (*parts, *(one.to_document() for one in self.laws)):
+            blocks += [Heading(part.title), *part.blocks]
         return Document(self.sentence, tuple(blocks))
 
 
@@ -182,6 +197,8 @@ def examine(
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     shown: Sequence[DriveNumber] = (),
+    controllers: Sequence[Controller | None] = (),
+    feed_forward: FeedForwardName = "none",
     progress: Progress = ignore_progress,
 ) -> Examination:
     """Examine clock, torque, motion and controller of a record, and the precision of the parameters.
@@ -194,6 +211,8 @@ def examine(
         parameters: changes to the joint's parameters.
         shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has it;
             without it they are given in SI.
+        controllers: of each joint of a robot, see `jointid.diagnose`, as for the next.
+        feed_forward: kind of the injected signals of a robot's records.
         progress: called with each step in a sentence.
 
     Example:
@@ -210,8 +229,8 @@ def examine(
     checked += [_check_clock(first), *(replace(one, axis=axis.name) for axis in axes for one in _check_axis(axis))]
     checked.sort(key=lambda one: one.question is not Question.RECORD)
 
-    def conclude(known: Sequence[Determined] = ()) -> Examination:
-        return Examination(first.name, first.sentence, tuple(checked), tuple(known), gear)
+    def conclude(known: Sequence[Determined] = (), diagnosis: Diagnosis | None = None) -> Examination:
+        return Examination(first.name, first.sentence, tuple(checked), tuple(known), diagnosis, transmission=gear)
 
     if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in checked):  # no joint would be right
         return conclude()
@@ -223,9 +242,14 @@ def examine(
         checked.append(_explain(error, first, loop, shown, progress))
         return conclude()
     checked += _check_estimate(estimate)
+    made = estimate.checks.diagnosis
+    diagnosis = made if isinstance(made, Diagnosis) else None
+    if (isinstance(model, Robot | RobotDriveSide) and controllers) or feed_forward != "none":
+        assert isinstance(record, Sequence)
+        diagnosis = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
     if any(one.good is False for one in checked):
-        return conclude()
-    return conclude((*_list_precision(estimate),))
+        return conclude(diagnosis=diagnosis)
+    return conclude((*_list_precision(estimate),), diagnosis)
 
 
 @dataclass(frozen=True, slots=True)

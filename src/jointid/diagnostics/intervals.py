@@ -1,8 +1,8 @@
-"""Intervals of an estimate by profiles of the criterion and by bootstraps over time and over position.
+"""Intervals of an estimate by profiles of the criterion.
 
 The intervals in an estimate's table come from the slopes of the criterion at one point. A profile follows the criterion
-itself, which matters where it is not a parabola, as for a stiffness that is barely identifiable; a bootstrap resamples
-the residual. Both start from an estimate and its record.
+itself, which matters where it is not a parabola, as for a stiffness that is barely identifiable. It starts from an
+estimate and its record.
 """
 
 from __future__ import annotations
@@ -12,19 +12,15 @@ import re
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, Facts, Heading, Listing, common_facts
+from jointid.common.document import Document, Documented, Facts, Listing, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, follow, ignore_progress
-from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.parts import IN_WINDOWS, EstimateParts
-from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.identifiability import Combination
@@ -35,48 +31,33 @@ from jointid.uncertainty.profile import (
     is_parabola,
     profile,
     profile_compliance,
-    refit_with_weights,
 )
-from jointid.uncertainty.resampling import Bootstrap, Bootstrapping, bootstrap_estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals(Documented):
-    """Intervals of an estimate by profiles and bootstraps.
+    """Intervals of an estimate by profiles.
 
     Attributes:
         profiles: of the quantities asked for.
-        over_time: the bootstrap over blocks of time; None where it was not asked for, as the next.
-        over_place: the bootstrap over stretches of position, direction and speed.
         transmission: on whose `side` all numbers are.
         parabolic: quantities that were left out, since the criterion is a parabola out to their intervals' ends.
     """
 
     profiles: tuple[ProfileInterval, ...]
-    over_time: Bootstrap | None
-    over_place: Bootstrap | None
     transmission: Transmission | None = None
     parabolic: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """The first interval that was found."""
-        drawn = self.over_time or self.over_place
-        if self.profiles or drawn is None:
-            return (
-                f"{self.profiles[0]}." if self.profiles else "The criterion is a parabola out to the intervals' ends."
-            )
-        low, high = drawn.intervals[0]
-        first = f"{drawn.parameters[0].symbol} = {number(float(drawn.estimate[0]))}"
-        return f"{first}, {100 * drawn.level:.4g} % bootstrap interval {number(low)} to {number(high)}."
+        return f"{self.profiles[0]}." if self.profiles else "The criterion is a parabola out to the intervals' ends."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return profiles and bootstraps one after the other; there are no further details."""
+        """Return one profile after the other; there are no further details."""
         del details
         blocks = Facts(common_facts(None, self.transmission)), Listing(tuple(map(str, self.profiles[1:])))
-        drawn = [one.to_document() for one in (self.over_time, self.over_place) if one is not None]
-        parts = (block for each in drawn for block in (Heading(each.title), *each.blocks))
-        return Document(self.sentence, (*blocks, *parts))
+        return Document(self.sentence, blocks)
 
 
 def intervals(
@@ -84,27 +65,21 @@ def intervals(
     record: Record,
     quantities: Sequence[str] | None = None,
     *,
-    bootstrap: bool = False,
-    refit: bool = False,
     curved_only: bool = False,
     profiling: Profiling | None = None,
-    bootstrapping: Bootstrapping | None = None,
     progress: Progress = ignore_progress,
 ) -> Intervals:
-    """Return profiles and bootstraps of an estimate by DIDIM.
+    """Return profiles of an estimate by DIDIM.
 
     Args:
         estimate: of the record.
         record: it came from.
         quantities: to profile: names of free parameters, "compliance" for 1/K12, or sums and differences of parameters,
-            "motor_viscous + load_viscous". None without a bootstrap means the stiffness, or the inertia of a rigid
-            joint; where that is fixed, the first free parameter.
-        bootstrap: True to bootstrap as well.
-        refit: True for a whole least-squares fit of every draw; one linear step otherwise.
+            "motor_viscous + load_viscous". None means the stiffness, or the inertia of a rigid joint; where that is
+            fixed, the first free parameter.
         curved_only: True to leave out quantities along which the criterion is a parabola within a tenth: the profile of
             such a one ends where its interval does.
         profiling: see `Profiling`.
-        bootstrapping: see `Bootstrapping`.
         progress: called with each quantity.
 
     Raises:
@@ -114,8 +89,8 @@ def intervals(
     # An estimate that lacks a value refuses to be `identified`.
     if estimate.settings.method != "didim" or estimate.identified.loop is None:
         raise MethodError(
-            f"Profiles and bootstraps are of DIDIM, whose criterion can be followed; this estimate is by "
-            f"{estimate.settings.method.upper()}: identify with the controller known."
+            f"Profiles are of DIDIM, whose criterion can be followed; this estimate is by "
+            f"{estimate.settings.method.upper()}."
         )
     record = take_identified_torque(estimate, record)
     record.require(("torque",), "A profile")
@@ -128,7 +103,7 @@ def intervals(
     where = problem.cells(problem.simulate(x))
     spread = uncertainty(J, J, residual, where, names, problem.torque_unit).covariance
     if quantities is None:
-        quantities = () if bootstrap else ("stiffness",) if "stiffness" in names else names[:1]
+        quantities = ("stiffness",) if "stiffness" in names else names[:1]
     if "compliance" in quantities and "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
     wanted = {name: _parse_combination(problem, name) for name in quantities if name != "compliance"}
@@ -150,15 +125,7 @@ def intervals(
         found = pool.map(profile_of, followed)
         for _ in follow(followed, progress, "profiling", len(followed), "quantities"):
             profiles.append(next(found))
-    over_time = over_place = None
-    if bootstrap:
-        progress("bootstrapping over time and over position")
-        fitted = partial(refit_with_weights, problem, x) if refit else None
-        over_time, over_place = (
-            bootstrap_estimate(problem.free, x, residual, J, labels, bootstrapping, fitted, progress)
-            for labels in (None, where.stretch)
-        )
-    return Intervals(tuple(profiles), over_time, over_place, estimate.settings.joint.transmission, parabolic)
+    return Intervals(tuple(profiles), estimate.settings.joint.transmission, parabolic)
 
 
 def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[ClosedLoopProblem, FloatArray]:
@@ -199,20 +166,6 @@ def take_identified_torque(estimate: EstimateParts, record: Record) -> Record:
             "An estimate from torque and motor position together is not examined again; identify from one of them."
         )
     return compute_controller_torque(record, loop)
-
-
-def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
-    """Raise a `MethodError` for a quantity that no estimate of this loop can have, free or not."""
-    known = [p.name for p in loop.joint.parameters]
-    for quantity in quantities:
-        if quantity == "compliance" and "stiffness" in known:
-            continue
-        for name in weights_of(quantity):
-            if name not in known:
-                try:
-                    surrounding(name, loop.controller)
-                except MethodError:
-                    raise MethodError(_name_quantities(quantity, known)) from None
 
 
 def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:

@@ -59,7 +59,7 @@ class PredictedResidual:
     def verdict(self) -> Verdict:
         """The verdict that the residual follows the motion."""
         clause = f"{number(100 * self.share, 2)} % of the torque follows the motion and is not in the model"
-        words = f"{clause}, as where spring or friction have another law: jointid diagnose springs and friction tell"
+        words = f"{clause}, as where spring or friction have another law: jointid diagnose --laws tells"
         values = {"share": self.share, "gain": self.gain, "std": self.error}
         reason = Message(Reason.RESIDUAL_FOLLOWS_MOTION, words, values, clause)
         return Verdict(Subject.REPEATABLE, Status.FAILED, (reason,))

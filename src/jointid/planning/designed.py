@@ -426,7 +426,7 @@ class Design(Charted, Documented):
             "Begin slowly, with half of the speed" + (" and a tenth of the added signal" if injections else "") + ".",
             *injections,
             "Log torque and reference, and the motor's position where the drive can: it checks the controller, too.",
-            f"Then `jointid examine {kind}.toml --record RECORD`, and `jointid identify {kind}.toml --record RECORD`.",
+            f"Then `jointid diagnose {kind}.toml --record RECORD`, and `jointid identify {kind}.toml --record RECORD`.",
         ]
         numbered = "\n".join(f"{i}. {step}" for i, step in enumerate(steps, 1))
         peak = f"Peak torque {'; '.join(self.peaks)}. {self.description}."

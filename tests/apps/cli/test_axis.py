@@ -79,7 +79,7 @@ def test_commands_of_one_joint(
     answer = json.loads(found.read_text(encoding="utf-8"))["parameters"]
     values = {name: row["value"] for name, row in answer.items()}
     assert {name: values[name] for name in TRUTH} == pytest.approx(TRUTH, rel=1e-6)
-    assert run("examine", robot, *axis) == 0
+    assert run("diagnose", robot, *axis) == 0
     run("learn-controller", robot, *axis)
     printed = capsys.readouterr().out
     assert "position_gain = 20.00000" in printed and "velocity_gain = 1" in printed

@@ -19,6 +19,7 @@ import pytest
 
 import jointid
 from jointid.apps.cli import main
+from jointid.apps.cli.app import _GONE
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.messages import Message
 from jointid.config import JointFile, load
@@ -618,10 +619,10 @@ file = "b.csv"
 """,
         encoding="utf-8",
     )
-    assert run("examine", joint) == 3
+    assert run("diagnose", joint) == 3
     said = capsys.readouterr().out
     assert [said.count(f"{name}: The torque is 0 N m in every sample") for name in ("a", "b")] == [1, 1]
-    assert run("examine", joint, "--json", tmp_path / "found.json") == 2
+    assert run("diagnose", joint, "--json", tmp_path / "found.json") == 2
     assert "--json holds one record" in capsys.readouterr().err
     assert run("design", joint) == 2
     assert "Planned from a.csv, the first of [[records]]; name another by --record." in capsys.readouterr().out
@@ -766,19 +767,6 @@ def test_a_demo_that_is_interrupted_before_its_record_leaves_no_folder(
     assert (tmp_path / "there").is_dir()
 
 
-def test_compare_sets_every_method_of_the_real_axis_side_by_side(
-    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out.json"
-    assert run("diagnose", "methods", EMPS, "--record", emps_path, "--json", out) == 0
-    said = capsys.readouterr()
-    assert "trying" not in said.err
-    assert "IDIM-IV reads torque, reference, motor_position" in said.out
-    answer = json.loads(out.read_text(encoding="utf-8"))
-    assert [method["name"] for method in answer["methods"]][:4] == ["DIDIM", "IDIM-LS", "IDIM-IRLS", "IDIM-IV"]
-    assert {method["estimate"]["schema"] for method in answer["methods"]} == {"jointid.estimate/1"}
-
-
 @pytest.mark.slow
 def test_the_friction_of_the_real_axis(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = friction_of(emps_path, "asymmetric-stribeck", tmp_path / "out.json", capsys)
@@ -797,9 +785,10 @@ def test_nine_seconds_of_it_tell_directions_apart_beside_the_delay(
 
 def friction_of(record: Path, law: str, out: Path, capsys: pytest.CaptureFixture[str]) -> float:
     """Return the force of Stribeck's law that is identified as the comparison of the laws says."""
-    assert run("diagnose", "friction", EMPS, "--record", record, "--json", out, "-q") == 0
+    assert run("diagnose", EMPS, "--laws", "--record", record, "--json", out, "-q") == 3
     assert f'declare the joint with friction = "{law}" to identify it' in " ".join(capsys.readouterr().out.split())
-    assert json.loads(out.read_text(encoding="utf-8"))["shown"] == law
+    (frictions,) = json.loads(out.read_text(encoding="utf-8"))["laws"]
+    assert (frictions["schema"], frictions["shown"]) == ("jointid.frictions/1", law)
     keys = ("--set", f"joint.friction={law}", "--json", out, "-q")
     assert run("identify", EMPS, "--record", record, *keys) == 0
     return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"])
@@ -823,7 +812,7 @@ def test_every_command_and_option_is_documented() -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     documented = {}
     for section in page.split("\n## `jointid ")[1:]:
-        name = re.match(r"(?:data |diagnose |campaign )?[a-z-]+", section)[0]
+        name = re.match(r"(?:data |campaign )?[a-z-]+", section)[0]
         documented[name] = set(re.findall(r"`(--?[a-z-]+)`", section))
     found = commands()
     assert set(documented) == set(found)
@@ -880,3 +869,15 @@ def test_a_report_is_written_whatever_ends_its_tuning(
     loop = SimpleNamespace(controller=SimpleNamespace(limit=1.0))
     estimate = SimpleNamespace(settings=SimpleNamespace(loop=loop))
     assert tune_to_limit(estimate, Drive()) == words  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("gone", _GONE)
+def test_a_command_that_went_says_what_to_use_instead(gone: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*gone.split(), "joint.toml") == 2
+    assert f"jointid {gone} is no longer a command" in capsys.readouterr().err
+
+
+def test_versions_are_those_of_what_computes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    names = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert names == ["jointid", "Python", "numpy", "scipy", "numba"]

@@ -147,8 +147,8 @@ def test_listed_records_alone_are_exported(folder: Path, capsys: pytest.CaptureF
 def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("diagnose", folder / "robot.toml", "--json", tmp_path / "found.json")
     printed = " ".join(capsys.readouterr().out.split())
-    assert printed.startswith("The model explains the torques of all joints but for noise")
-    answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert printed.startswith("Nothing is wrong with ")
+    answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["diagnosis"]
     assert answer["schema"] == "jointid.diagnosis/1" and answer["explained"] and answer["as_declared"] is None
     assert answer["axes"][1]["parameters"]["joint2.viscous"]["known"] == "told"
 
@@ -205,7 +205,7 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
             "bodies behind their gears.*--fixed is for a joint",
         ),
         (("tune", joint), "Tuning takes one joint"),
-        (("diagnose", "methods", joint), "This command takes one joint"),
+        (("diagnose", joint, "--laws"), "A comparison of laws takes one joint"),
     ):
         with pytest.raises(JointidError, match=said):
             run(*words)

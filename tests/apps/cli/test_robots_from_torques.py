@@ -287,7 +287,7 @@ def test_controllers_are_judged_beside_the_feed_forward_that_the_file_computes(t
     joint.write_text(text, encoding="utf-8")
     run("simulate", joint, "--out", one)
     run("diagnose", joint, "--record", one, "--json", tmp_path / "said.json")
-    said = json.loads((tmp_path / "said.json").read_text(encoding="utf-8"))
+    said = json.loads((tmp_path / "said.json").read_text(encoding="utf-8"))["diagnosis"]
     assert said["method"] == "idim" and said["as_declared"] is True
     if kind == "inverse-model":
         return  # of the report one is enough: it draws a page

@@ -262,7 +262,7 @@ def test_the_summary_is_two_printed_pages_and_fits_a_phone(tmp_path: Path) -> No
 
 def test_what_a_method_does_not_have_is_said() -> None:
     text = reports.idim().markdown()
-    assert "Not available: Profiles and bootstraps are of DIDIM" in text
+    assert "Not available: Profiles are of DIDIM" in text
     assert "Not available: A linear regression is solved in one step" in text
     assert "## Controller and log" not in text
     assert "## Controller and log" in reports.rigid().markdown()

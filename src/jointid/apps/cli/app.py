@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import errno
 import gc
 import os
+import platform
 import signal
 import sys
 import traceback
 import warnings
 from collections.abc import Callable
 from functools import partial
+from importlib import metadata
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from cyclopts import App, CycloptsError, Group, UnknownOptionError
@@ -22,15 +25,14 @@ from jointid.apps.cli import campaign as campaigns
 from jointid.apps.cli import console, endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.demo import demo
-from jointid.apps.cli.diagnose import diagnosis, friction, intervals, methods, springs
-from jointid.apps.cli.doctor import doctor
-from jointid.apps.cli.identify import examine, identify, learn_controller, payload, tune
+from jointid.apps.cli.diagnose import diagnose
+from jointid.apps.cli.identify import identify, learn_controller, payload, tune
 from jointid.apps.cli.inspection import inspect
 from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import reproduce, simulate
-from jointid.common.errors import JointidError, RecordError
+from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import remove_rooms
 
 if TYPE_CHECKING:
@@ -39,7 +41,27 @@ if TYPE_CHECKING:
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 
+_GONE = {
+    "examine": "jointid diagnose says it of the record, and of loop, log and joint",
+    "doctor": "jointid --version lists the versions, jointid inspect the channels of a record",
+    "advise": "jointid design plans the next test, and predicts its intervals",
+    "diagnose methods": "give --method to jointid identify for each",
+    "diagnose springs": "give --laws to jointid diagnose",
+    "diagnose friction": "give --laws to jointid diagnose",
+    "diagnose intervals": "jointid.intervals in Python follows the criterion",
+}
+"""What to use instead of a command that is no longer there."""
+
 _ENDING = "Exit codes and --debug: docs/commands.md"
+
+
+def _versions() -> str:
+    """Return a line for each of what computes an answer: this package, Python and the numerical packages."""
+    lines = [f"jointid {__version__}", f"Python {platform.python_version()}"]
+    for name in ("numpy", "scipy", "numba"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            lines.append(f"{name} {metadata.version(name)}")
+    return "\n".join(lines)
 
 
 def _spread(console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
@@ -61,13 +83,12 @@ app = App(
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
     help_epilogue=f"Begin with: jointid demo\n{_ENDING}",
     group_commands=Group("Options", sort_key=9),
-    version=__version__,
+    version=_versions,
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-diagnose = App(name="diagnose", help_format="plaintext")
 campaign = App(name="campaign", help="Many joints and runs, here or on a cluster.", help_format="plaintext")
-_FAMILIES = {"diagnose": diagnose, "campaign": campaign}
+_FAMILIES = {"campaign": campaign}
 
 _START, _IDENTIFY, _ASK, _USE, _MANY = (
     Group(name, sort_key=place, help_formatter=_spread)
@@ -77,21 +98,15 @@ _WITHIN = Group("Commands")
 _EXAMPLES: dict[str, dict[Callable[..., Any], str]] = {
     "": {
         demo: "jointid demo",
-        doctor: "jointid doctor",
         serve: "jointid serve --open",
         reproduce: "jointid reproduce",
     },
     "jointid demo": {
-        examine: "jointid examine joint.toml",
         inspect: "jointid inspect record.csv",
         identify: "jointid identify joint.toml",
         learn_controller: "jointid learn-controller joint.toml --write learned.toml",
         report: "jointid report joint.toml --html report.html",
-        diagnosis: "jointid diagnose joint.toml",
-        methods: "jointid diagnose methods joint.toml",
-        springs: "jointid diagnose springs joint.toml",
-        friction: "jointid diagnose friction joint.toml",
-        intervals: "jointid diagnose intervals joint.toml --of stiffness",
+        diagnose: "jointid diagnose joint.toml",
         validate: "jointid validate joint.toml --estimate estimate.json",
         compare: "jointid compare estimate.json estimate.json",
         tune: "jointid tune joint.toml",
@@ -119,10 +134,9 @@ def _ending(command: Callable[..., Any]) -> str:
 
 
 _ORDER: tuple[tuple[App, Group, tuple[Any, ...]], ...] = (
-    (app, _START, (demo, examine, inspect, serve, reproduce, doctor)),
+    (app, _START, (demo, inspect, serve, reproduce)),
     (app, _IDENTIFY, (identify, learn_controller, report, payload)),
     (app, _ASK, (diagnose, validate, compare)),
-    (diagnose, _WITHIN, (methods, springs, friction, intervals)),
     (app, _USE, (tune, design, simulate, export)),
     (app, _MANY, (campaign,)),
     (campaign, _WITHIN, (campaigns.run, campaigns.work, campaigns.status, campaigns.report, campaigns.export)),
@@ -134,8 +148,6 @@ for parent, group, commands in _ORDER:
             parent.command(command)
         else:
             parent.command(command, group=group, sort_key=place, help_epilogue=_ending(command))
-diagnose.default(diagnosis)
-diagnose.help_epilogue = _ending(diagnosis)
 
 
 def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoReturn:
@@ -169,6 +181,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
 
 def _run(words: list[str], debug: bool) -> int:
     try:
+        _refuse_gone(words)
         code: int | None = app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except (KeyboardInterrupt, endings.EndedError):
         return _end(debug)
@@ -183,6 +196,17 @@ def _run(words: list[str], debug: bool) -> int:
     return code or 0
 
 
+def _refuse_gone(words: list[str]) -> None:
+    """Refuse a command that this program no longer has.
+
+    Raises:
+        MethodError: the words begin with one.
+    """
+    for gone, instead in _GONE.items():
+        if words[: gone.count(" ") + 1] == gone.split():
+            raise MethodError(f"jointid {gone} is no longer a command: {instead}.")
+
+
 def _explain(error: Exception) -> int:
     """Print an error, and return the exit code."""
     if isinstance(error, JointidError):
@@ -194,7 +218,7 @@ def _explain(error: Exception) -> int:
         return _explain(RecordError(f"{error.filename} is longer than the name of a file may be; name another file."))
     return _say(
         f"jointid failed, which is a fault of ours ({type(error).__name__}: {error}); please report it with the "
-        "output of the same command and --debug, and that of jointid doctor.",
+        "output of the same command and --debug, and that of jointid --version.",
         OUR_FAILURE,
     )
 

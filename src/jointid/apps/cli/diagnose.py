@@ -1,127 +1,98 @@
-"""`jointid diagnose`: what an estimate is worth, one question a command."""
+"""`jointid diagnose`: whether a record, its loop and its joint are as they are declared."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from jointid.apps.cli.console import (
-    DEFAULTS,
-    FilteringName,
-    Flag,
-    Inputs,
-    Options,
-    Several,
-    deliver,
-    ready,
-    show,
-)
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready
+from jointid.common.errors import JointidError, MethodError, RecordError
 
 if TYPE_CHECKING:
+    from jointid import Record
     from jointid.config import JointFile
+    from jointid.config.contents import File
+    from jointid.diagnostics.examine_record import Examination
+    from jointid.diagnostics.law_comparison import LawComparison
+
+FAULTY = 3
+"""Exit code where something is wrong with the record, or something is found."""
 
 
-def diagnosis(joint: Path, /, *, options: Options = DEFAULTS) -> None:
-    """Find what is wrong with loop, log and model.
+def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False) -> int:
+    """Find what is wrong with record, loop, log and joint.
 
-    Of each axis: which parameters it determines, what is left of the torque and what that follows, whether the declared
-    controller makes the logged torque, and which faults of loop, log and mechanics the record shows.
+    First the record: its clock, the torque and its limit, the motion, the controller (where the motor's position was
+    logged). Then, of each axis, what is left once it is identified and what that follows, which parameters are known,
+    and which faults of loop, log and mechanics the record shows; of [[records]] of each. Where no joint can be
+    identified the record is still reported on. Exit code 0 where nothing is found, 3 where something is.
 
     Args:
-        joint: a joint file, whose joint is identified by didim; or a robot file, which has the table [robot].
+        joint: the joint file (TOML), or a robot file, which has the table [robot]. A joint whose controller is declared
+            is identified by didim.
         options: those that most commands have.
+        laws: also compare the laws of spring and friction, each by how well it predicts parts of the record that were
+            kept from its fit.
     """
-    from jointid import diagnose
-    from jointid.config import JointFile
+    from jointid.config import JointFile, require_joint
 
     file = options.load(joint, options.outputs)
+    if isinstance(file, JointFile) and file.loop is not None:
+        file = options.load_joint(joint, options.outputs, method="didim")
+    if laws and require_joint(file, "A comparison of laws").loop is None:
+        raise MethodError("Laws are compared in the closed loop; declare the [controller].")
+    several = options.record is None and file.only_lists
+    paths = file.listed if several else [Path(file.record_path(options.record))]
+    if len(paths) > 1 and options.json is not None:
+        raise MethodError(f"--json holds one record, and {joint} lists {len(paths)}; name one of them by --record.")
+    nothing = True
+    for path in paths:
+        found = _diagnose_record(file.of_record(path), path, options, laws)
+        nothing &= found.finds_nothing
+    return 0 if nothing else FAULTY
+
+
+def _diagnose_record(file: File[Any], path: Path, options: Options, laws: bool) -> Examination:
+    """Diagnose one record, print what is found, and write it."""
+    from jointid import examine
+    from jointid.config import JointFile
+    from jointid.diagnostics.examine_record import unreadable
+
+    try:
+        record = file.record(path, judged=True)
+    except RecordError as error:
+        if not path.exists():
+            raise
+        found = unreadable(error, path.stem)
+        deliver(found, options.json)
+        return found
+    ready(options.progress)
     declared: dict[str, Any] = {"controllers": file.controllers, "feed_forward": file.feed_forward}
     if isinstance(file, JointFile):
-        file = options.load_joint(joint, options.outputs, method="didim")
         declared = {"shown": file.declared_numbers}
-    record, made = options.identify(file, checks=False, judged=True)
-    deliver(diagnose(made, record, **declared), options.json)
+    found = examine(
+        record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters,
+        progress=options.progress, **declared,
+    )  # fmt: skip
+    try:
+        if laws and isinstance(file, JointFile):
+            found = replace(found, laws=_compare_laws(file, record, options))
+    except JointidError:
+        deliver(found, options.json)
+        raise
+    deliver(found, options.json)
+    return found
 
 
-def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
-    """Compare the methods of identification on a record.
+def _compare_laws(file: JointFile, record: Record, options: Options) -> tuple[LawComparison, ...]:
+    """Compare the laws of friction, and of a flexible joint those of its spring before."""
+    from jointid import DIDIM, compare
 
-    Those that the record and the joint file allow.
-
-    Args:
-        joint: the joint file (TOML); of its method the settings of didim are used.
-        options: those that most commands have.
-        filtering: of every method, as for identify.
-    """
-    _compare(options.load_joint(joint, options.outputs, filtering=filtering), "methods", options)
-
-
-def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
-    """Find the law of the spring that the record shows.
-
-    Each law is judged by how well it predicts parts of the record that were kept from its fit.
-
-    Args:
-        joint: the joint file (TOML); of its method the settings of didim are used.
-        options: those that most commands have.
-        filtering: of every fit, as for identify.
-    """
-    _compare(options.load_joint(joint, options.outputs, filtering=filtering, method="didim"), "springs", options)
-
-
-def friction(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
-    """Find the law of friction that the record shows.
-
-    Each law is judged by how well it predicts parts of the record that were kept from its fit.
-
-    Args:
-        joint: the joint file (TOML); of its method the settings of didim are used.
-        options: those that most commands have.
-        filtering: of every fit, as for identify.
-    """
-    _compare(options.load_joint(joint, options.outputs, filtering=filtering, method="didim"), "frictions", options)
-
-
-def _compare(file: JointFile, among: Literal["methods", "springs", "frictions"], options: Options) -> None:
-    """Compare methods or laws, and write the result."""
-    from jointid import DIDIM, MethodError, compare
-
-    if file.loop is None and among != "methods":  # before the record is read
-        raise MethodError(f"{among.capitalize()} are compared in the closed loop; declare the [controller].")
-    record, didim = file.record(options.record), file.method
-    ready(options.progress)
-    known = {"filtering": file.filtering, "parameters": file.parameters, "progress": options.progress}
-    model = file.loop or file.joint
-    settings = didim if isinstance(didim, DIDIM) else None
-    deliver(compare(record, model, among, didim=settings, **known), options.json)  # type: ignore[call-overload]
-
-
-def intervals(
-    joint: Path,
-    /,
-    *,
-    options: Inputs = DEFAULTS,
-    of: Several = None,
-    bootstrap: Flag = False,
-    refit: Flag = False,
-) -> None:
-    """Check intervals by profiles and bootstraps.
-
-    The joint is identified by didim first.
-
-    Args:
-        joint: the joint file (TOML).
-        options: those that most commands have.
-        of: a parameter, a sum such as "motor_viscous + load_viscous", or compliance; may be given several times.
-            Without it and without a bootstrap it is the stiffness, or the inertia of a rigid joint.
-        bootstrap: draw over blocks of time, and over stretches of position, direction and speed.
-        refit: every draw is a whole fit, which takes minutes; otherwise it is one linear step.
-    """
-    from jointid import intervals as run
-    from jointid.diagnostics.intervals import require_quantities
-
-    file = options.load_joint(joint, method="didim")
-    if file.loop is not None:
-        require_quantities(of or (), file.loop)
-    logged, estimate = options.identify(file, checks=False)
-    show(run(estimate, logged, of, bootstrap=bootstrap or refit, refit=refit, progress=options.progress))
+    loop, method = file.loop, file.method
+    assert loop is not None and isinstance(method, DIDIM)
+    known: dict[str, Any] = {
+        "filtering": file.filtering, "parameters": file.parameters, "didim": method, "progress": options.progress,
+    }  # fmt: skip
+    frictions = compare(record, loop, "frictions", **known)
+    return (frictions,) if loop.joint.model == "rigid" else (compare(record, loop, "springs", **known), frictions)

@@ -1,4 +1,4 @@
-"""The commands `jointid examine`, `identify`, `controller` and `tune`, on a record."""
+"""The commands `jointid identify`, `learn-controller`, `tune` and `payload`, on a record."""
 
 from __future__ import annotations
 
@@ -24,53 +24,6 @@ from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
     from jointid.config.contents import File
-
-FAULTY = 3
-"""Exit code of `examine` where something is wrong with the record."""
-
-
-def examine(joint: Path, /, *, options: Options = DEFAULTS) -> int:
-    """Check a record before its numbers are used.
-
-    It tells what is wrong with it, what it can tell, and what to change; of [[records]] of each.
-    The clock, the torque and its limit, the motion, the controller (where the motor's position was logged), then what
-    is left once the joint is identified. Exit code 0 where nothing is wrong, 3 where something is.
-
-    Args:
-        joint: the joint file (TOML).
-        options: those that most commands have.
-    """
-    from jointid import RecordError, examine
-    from jointid.diagnostics.examine_record import unreadable
-
-    file = options.load(joint, options.outputs)
-    several = options.record is None and file.only_lists
-    paths = file.listed if several else [Path(file.record_path(options.record))]
-    if len(paths) > 1 and options.json is not None:
-        raise MethodError(f"--json holds one record, and {joint} lists {len(paths)}; name one of them by --record.")
-    healthy = True
-    for path in paths:
-        one: File[Any] = file.of_record(path)
-        try:
-            record = one.record(path)
-        except RecordError as error:
-            if not path.exists():
-                raise
-            found = unreadable(error, path.stem)
-        else:
-            ready(options.progress)
-            found = examine(
-                record,
-                one.setup,
-                one.method,
-                filtering=one.filtering,
-                parameters=one.parameters,
-                shown=one.declared_numbers,
-                progress=options.progress,
-            )
-        deliver(found, options.json)
-        healthy &= found.healthy
-    return 0 if healthy else FAULTY
 
 
 def identify(

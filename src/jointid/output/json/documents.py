@@ -114,7 +114,6 @@ SHAPES: Mapping[str, Shape] = {
         f"name unit position_unit transmission answer=prediction {_ERRORS} tracking_rms autocorrelation white_band "
         "outside_band_percent=100*outside_band"
     ),
-    "MethodComparison": document_shape("jointid.comparison/1", "record model methods disagreements"),
     "SpringComparison": document_shape(
         "jointid.springs/1", "record transmission declared shown=shown.name answer springs=laws"
     ),
@@ -134,7 +133,8 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "PredictedTest": keys("name values std units covariance.correlation"),
     "Examination": document_shape(
-        "jointid.examination/1", "record healthy sentence logged transmission questions=answers parameters"
+        "jointid.examination/1",
+        "record healthy sentence logged transmission questions=answers parameters diagnosis laws",
     ),
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
     "Diagnosis": document_shape(
