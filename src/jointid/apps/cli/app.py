@@ -44,6 +44,8 @@ USERS_MISTAKE, OUR_FAILURE = 2, 1
 _GONE = {
     "examine": "jointid diagnose says it of the record, and of loop, log and joint",
     "doctor": "jointid --version lists the versions, jointid inspect the channels of a record",
+    "data inspect": "jointid inspect lists what is in a file",
+    "data convert": "jointid.write in Python writes a record as CSV, MAT, NPY or Parquet",
     "advise": "jointid design plans the next test, and predicts its intervals",
     "diagnose methods": "give --method to jointid identify for each",
     "diagnose springs": "give --laws to jointid diagnose",
