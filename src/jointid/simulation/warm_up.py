@@ -25,24 +25,21 @@ _SAMPLES = 10
 
 
 def warm_up(*, derivatives: bool = True, wait: bool = False) -> None:
-    """Compile the simulation of a joint, or load it from the cache.
+    """Compile the simulation of a joint of straight lines, or load it from the cache.
+
+    Kernels of smooth laws are compiled by the first joint that has one.
 
     Args:
         derivatives: also compile the derivatives, in another process if there is a second core.
         wait: return once all is compiled; otherwise a call waits for its kernels.
     """
-    from jointid.simulation.kernels import drive_sensitivities, stepped_drive
+    from jointid.simulation.kernels import drive_sensitivities
 
-    needed = derivatives and not (has_cache(drive_sensitivities.follow) and has_cache(stepped_drive.run))
-    beside = Aside(_compile_derivatives) if needed else None
+    needed = derivatives and not has_cache(drive_sensitivities.follow)
+    beside = Aside(compile_derivatives) if needed else None
     compile_drive()
     if beside is not None and (wait or not beside.is_apart):
         beside.result()
-
-
-def _compile_derivatives() -> None:
-    for part in ("derivatives", "smooth laws"):
-        PARTS[part]()
 
 
 def compile_drive() -> None:
