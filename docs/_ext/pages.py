@@ -57,7 +57,6 @@ BY_MODULE = (
     "records.record.Timing",
     "records.resampling.Resampling",
     "simulation.closed_loop.Initial",
-    "simulation.closed_loop.simulate_many",
     "simulation.loop_input.prepare",
 )
 """Names that fewer programs need: they are imported from their module, and stand on its folder's page."""

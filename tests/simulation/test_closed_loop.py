@@ -12,10 +12,9 @@ import pytest
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.models.controllers import PD, Cascade, DigitalFilter, StateSpaceController
-from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_many, simulate_torque
+from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulated import require_success
@@ -307,19 +306,6 @@ def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
             require_success(run)
     negative = simulate(loop, experiment, RIGID | {"viscous": -30.0})  # odd, but it can be simulated
     assert negative.outcome is Outcome.FINISHED
-
-
-def test_a_batch_equals_its_members() -> None:
-    random = np.random.default_rng(0)
-    loop = ClosedLoop(FlexibleJoint("prismatic", friction=AsymmetricFriction()), EMPS)
-    names = [p.name for p in loop.joint.parameters]
-    base = {name: FLEXIBLE.get(name.replace("_forwards", "").replace("_backwards", ""), 0.0) for name in names}
-    candidates = [{n: v * random.uniform(0.6, 1.6) for n, v in base.items()} for _ in range(24)]
-    experiment = prepare(loop, record())
-    batch = simulate_many(loop, experiment, candidates)
-    for values, response in zip(candidates, batch, strict=True):
-        assert np.array_equal(response.torque, simulate_torque(loop, experiment, values).torque)
-        assert np.array_equal(response.torque, simulate(loop, experiment, values).torque)
 
 
 def test_units_of_mass_length_and_time_do_not_matter() -> None:

@@ -1,9 +1,9 @@
-"""Closed-loop simulation: `simulate` one candidate, `simulate_many` in parallel."""
+"""Closed-loop simulation of one candidate."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
-from jointid.common.parallel import in_threads
 from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
@@ -420,13 +419,3 @@ def _acceleration(
     push /= drive[side]
     push[still[moving[still] == 0]] = 0.0
     return np.asarray(push)
-
-
-def simulate_many(
-    loop: ClosedLoop,
-    experiment: LoopInput,
-    candidates: Sequence[Mapping[str, float]],
-    workers: int | None = None,
-) -> list[Response]:
-    """Simulate many candidates in parallel threads, in order."""
-    return in_threads(lambda values: simulate_torque(loop, experiment, values), candidates, workers)
