@@ -208,11 +208,9 @@ def torque() -> Drawing:
     d.text(186, 108, 'injected, at = "before_limit"', small=True)
     d.wire((186, 114), (186, y - _RADIUS))
     d.wire((196, y), (216, y))
-    d.block(216, 328, y, "`torque_filters`", "before the limit")
-    d.wire((328, y), (350, y))
-    d.block(350, 406, y, "`limit`")
-    d.wire((406, y), (436, y))
-    d.block(436, 548, y, "`torque_filters`", "after the limit")
+    d.block(216, 328, y, "`torque_filters`")
+    d.wire((328, y), (436, y))
+    d.block(436, 548, y, "`limit`")
     d.wire((548, y), (578, y))
     d.block(578, 632, y, "`delay`")
     d.wire((632, y), (656, y))
@@ -221,11 +219,10 @@ def torque() -> Drawing:
     d.wire((666, 114), (666, y - _RADIUS))
     d.wire((676, y), (748, y))
     d.text(730, y - 8, "acts")
-    for x, tap in ((418, "command"), (560, "filtered"), (700, "measured")):
+    for x, tap in ((560, "command"), (700, "measured")):
         d.dot(x, y)
         d.wire((x, y), (x, 200), tip=False, dashed=True)
         d.text(x, 216, f'tap = "{tap}"', small=True)
-    d.text(380, 246, "filters_at chooses one of both places for the filters", small=True)
     return d
 
 

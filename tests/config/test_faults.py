@@ -29,7 +29,7 @@ FAULTS = [
     (
         SMALLEST + "position_gian = 3",
         "controller.position_gian is not a known key; expected one of law, side, gain, limit, period, delay, "
-        "interpolation, reference_average, reference_delay, velocity_filter, torque_filters, filters_at, "
+        "interpolation, reference_average, reference_delay, velocity_filter, torque_filters, "
         "acceleration_feedforward, viscous_feedforward, coulomb_feedforward, constant_feedforward, "
         "torque_feedforward_delay, undeclared, "
         "position_gain, velocity_gain, integral_gain, anti_windup, velocity_feedforward, "
@@ -42,7 +42,7 @@ FAULTS = [
         ),
         "controller.integral_gain is not a known key; expected one of law, side, gain, limit, period, delay, "
         "interpolation, reference_average, "
-        "reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, viscous_feedforward, "
+        "reference_delay, velocity_filter, torque_filters, acceleration_feedforward, viscous_feedforward, "
         "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, undeclared, position_gain, "
         "derivative_gain, reference_velocity, derivative_time: leave it out.",
     ),

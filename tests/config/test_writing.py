@@ -84,7 +84,6 @@ law = {
     "position_gain": positive,
     "velocity_filter": row | filters,
     "torque_filters": st.lists(filters, max_size=3).map(tuple),
-    "filters_at": st.sampled_from(("before_limit", "after_limit")),
     "acceleration_feedforward": none_or_more,
     "viscous_feedforward": none_or_more,
     "coulomb_feedforward": none_or_more,

@@ -130,8 +130,8 @@ class Written:
             self.parts[f"f{i}"] = Recurrence(one, T, 0.0)
         self.last = {"q": self.q, "r": r, "rho": [r] * self.n, "s": r, "ds": 0.0}
 
-    def __call__(self, now: Sample, q: float) -> tuple[float, float]:
-        """The torque that acts and the one behind the limit, of a period."""
+    def __call__(self, now: Sample, q: float) -> float:
+        """The torque of a period."""
         law, T, parts, last = self.law, self.T, self.parts, self.last
         r = parts["r"](now.reference)
         v = parts["v"]((q - last["q"]) / T)
@@ -144,15 +144,13 @@ class Written:
             u, into = law.position_gain * (r - q) + law.derivative_gain * (wanted - v), T * (r - q)
             u += law.integral_gain * self.I if isinstance(law, PID) else 0.0
         last["q"], last["r"] = q, r
-        m = law.gain * (u + self._fed(now)) + now.injected
-        if law.filters_at == "before_limit":
-            m = self._filtered(m)
+        m = self._filtered(law.gain * (u + self._fed(now)) + now.injected)
         limit = math.inf if self.free else law.limit * law.gain
         y = min(max(m, -limit), limit)
         if not self.free and getattr(law, "integral_gain", 0.0):
             self._integrate(into, m, y)
         self.k += 1
-        return (self._filtered(y) if law.filters_at == "after_limit" else y), y
+        return y
 
     def _cascade(self, r: float, rv: float, v: float, q: float) -> tuple[float, float]:
         law = self.law
@@ -206,7 +204,7 @@ def begun(
         made.free = False
         trial = copy.deepcopy(made)
         trial.free = True
-        return made, trial(first, q)[0]
+        return made, trial(first, q)
 
     made, out = after(0.0)
     if torque is None:

@@ -95,7 +95,6 @@ def run(
         np.array([-1]),
         np.zeros((0, nz)),
         0,
-        0,
     )
     loop = kernels.SampledLoop(
         np.array(lengths),
@@ -107,7 +106,7 @@ def run(
     z = np.array(law.z0, dtype=float).reshape(nz).copy()
     modes, pushed = np.empty(len(states), dtype=np.int16), np.empty((len(states), 2))
     tape = np.empty((0, kernels.TAPE if laws is None else stepped_drive.STEP_TAPE))
-    trace = kernels.Trace(u, np.empty(0), np.empty((0, 1)), states, modes, pushed, tape, counts)
+    trace = kernels.Trace(u, np.empty((0, 1)), states, modes, pushed, tape, counts)
     if laws is not None:
         places = np.zeros((0, 5)) if places is None else places
         status = stepped_drive.run(

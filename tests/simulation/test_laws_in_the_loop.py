@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, shift_start
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.record import Channel, Injection, Record, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
@@ -40,9 +40,6 @@ LAWS: dict[str, Cascade | PD] = {
         P_PI, limit=60.0, velocity_limit=0.11, anti_windup="track", delay=0.0, torque_filters=(),
         acceleration_feedforward=3.0,
     ),
-    "P-PI, filters after the limit": replace(P_PI, limit=60.0, filters_at="after_limit"),
-    "P-PI, after, track": replace(P_PI, limit=60.0, filters_at="after_limit", anti_windup="track", gain=0.5,
-    velocity_gain=12e3),
     "P-P": replace(P_PI, integral_gain=0.0),
     "P-P, averaged": replace(P_PI, integral_gain=0.0, interpolation="hold", reference_average=42.3 * FAST),
     "PID": PID(
@@ -121,7 +118,6 @@ class Driven:
 
     command: float
     samples: int
-    tap: Tap = Tap.FILTERED
 
     @property
     def values(self) -> np.ndarray:
@@ -135,7 +131,6 @@ class Driven:
         torque = np.zeros(round(self.samples * self.command / LOG))
         return Record(
             torque=Channel(torque, "N", LOG, Timing.HELD),
-            tap=self.tap,
             reference=Channel(self.values, "m", self.command),
             injected=Injection(Channel(self.pushed, "N", FAST), "before_limit"),  # type: ignore[arg-type]
         )
@@ -169,14 +164,14 @@ def expected(
     part = 0.0 if part < 1e-9 else part
     acts, rows = [before] * (whole + 1), []
     for k, sample in enumerate(samples):
-        acting, tapped = written(sample, drive.q)
-        rows.append((acting, tapped, drive.q))
+        acting = written(sample, drive.q)
+        rows.append((acting, drive.q))
         acts.append(acting)
         if part:
             drive.move(k * FAST, part * FAST, acts[k])
         drive.move((k + part) * FAST, (1 - part) * FAST, acts[k + 1])
     found = np.array(rows)[:: round(LOG / FAST)]
-    return found[:, 1 if driven.tap is Tap.COMMAND else 0], found[:, 2]
+    return found[:, 0], found[:, 1]
 
 
 def check(
@@ -208,15 +203,14 @@ def check(
 def test_a_loop_without_coulomb_friction_is_its_matrix_exponentials(name: str, joint: Joint) -> None:
     law, values = LAWS[name], RIGID if joint.model == "rigid" else FLEXIBLE
     smooth = {key: 0.0 if "coulomb" in key else value for key, value in values.items()}
-    tap = Tap.COMMAND if "after" in name else Tap.FILTERED
     torque = 12.0 if law.law(FAST).integrates else None
-    limited = check(law, joint, smooth, Driven(4e-3, 100, tap), torque, 1e-9)
+    limited = check(law, joint, smooth, Driven(4e-3, 100), torque, 1e-9)
     assert (limited > 0.02) == (law.limit < math.inf)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")], ids=["rigid", "flexible"])
-@pytest.mark.parametrize("name", ["P-PI, limits, hold", "P-PI, after, track"])
+@pytest.mark.parametrize("name", ["P-PI, limits, hold", "P-PI, limits, track"])
 def test_a_loop_that_sticks_is_the_event_driven_one(name: str, joint: Joint) -> None:
     check(LAWS[name], joint, RIGID if joint.model == "rigid" else FLEXIBLE, Driven(2e-3, 130), None, 1e-9)
 

@@ -12,7 +12,7 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.closed_loop import Initial, Outcome
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
@@ -54,26 +54,26 @@ LIMITS = (
 )
 
 
-def driven(tap: Tap) -> Record:
+def driven() -> Record:
     samples = round(REFERENCE.size * COMMAND / LOG)
     torque = Channel(np.zeros(samples), "N", LOG, Timing.HELD)
-    return Record(torque=torque, tap=tap, reference=Channel(REFERENCE, "m", COMMAND))
+    return Record(torque=torque, reference=Channel(REFERENCE, "m", COMMAND))
 
 
 SIZES = {"constant_feedforward": 10.0, "initial_torque": 10.0, "initial_position": 0.01, "initial_velocity": 0.05}
 
 
-def check(law: Any, joint: Joint, names: tuple[str, ...], tap: Tap) -> tuple[float, np.ndarray]:
+def check(law: Any, joint: Joint, names: tuple[str, ...]) -> tuple[float, np.ndarray]:
     """Assert that the derivatives are the differences; return how often the law is limited, and the former."""
     values = RIGID if joint.model == "rigid" else FLEXIBLE
     loop, start = ClosedLoop(joint, law), Initial(1e-4, 0.005, 15.0)
     wanted = (*values, *names)[:40]
-    found = simulate_sensitivities(loop, prepare(loop, driven(tap)), values, wanted, start)
+    found = simulate_sensitivities(loop, prepare(loop, driven()), values, wanted, start)
     assert found.response.outcome is Outcome.FINISHED
     for j, name in enumerate(wanted):
         size = SIZES.get(name) or values.get(name) or number(law, name)
         steps = tuple(share * size for share in (1e-6, 1e-5, 1e-4))
-        error = error_beside_differences((found.torque[:, j],), loop, driven(tap), values, name, steps, start)
+        error = error_beside_differences((found.torque[:, j],), loop, driven(), values, name, steps, start)
         assert error < (1e-3 if name == "damping" else 2e-4), name
     return found.response.at_limit, found.torque
 
@@ -84,30 +84,20 @@ def check(law: Any, joint: Joint, names: tuple[str, ...], tap: Tap) -> tuple[flo
     ids=["rigid", "flexible"],
 )
 def test_every_number_of_a_cascade_at_two_rates(joint: Joint) -> None:
-    check(BASE, joint, NUMBERS, Tap.FILTERED)
+    check(BASE, joint, NUMBERS)
     # An integral that begins with a given torque makes good what is constant.
-    check(replace(BASE, integral_gain=0.0), joint, ("position_gain", "constant_feedforward"), Tap.FILTERED)
+    check(replace(BASE, integral_gain=0.0), joint, ("position_gain", "constant_feedforward"))
 
 
 @pytest.mark.parametrize(
-    ("windup", "tap", "at"),
-    [
-        ("hold", Tap.COMMAND, "after_limit"),
-        ("hold", Tap.FILTERED, "before_limit"),
-        ("track", Tap.FILTERED, "after_limit"),
-        ("none", Tap.FILTERED, "before_limit"),
-        pytest.param("hold", Tap.COMMAND, "before_limit", marks=pytest.mark.slow),
-        pytest.param("hold", Tap.FILTERED, "after_limit", marks=pytest.mark.slow),
-        pytest.param("track", Tap.FILTERED, "before_limit", marks=pytest.mark.slow),
-        pytest.param("none", Tap.FILTERED, "after_limit", marks=pytest.mark.slow),
-    ],
+    "windup", ["hold", pytest.param("track", marks=pytest.mark.slow), pytest.param("none", marks=pytest.mark.slow)]
 )
-def test_limits_that_act(windup: Any, at: Any, tap: Tap) -> None:
-    law = replace(BASE, limit=70.0, velocity_limit=0.07, anti_windup=windup, filters_at=at)
-    if (windup, at) == ("track", "before_limit"):  # what is tracked must not lag, or it swings
+def test_limits_that_act(windup: Any) -> None:
+    law = replace(BASE, limit=70.0, velocity_limit=0.07, anti_windup=windup)
+    if windup == "track":  # what is tracked must not lag, or it swings
         law = replace(law, torque_filters=(Notch(80.0, 20.0, 0.9),))
     names = tuple(name.replace("filters.1", f"filters.{len(law.torque_filters) - 1}") for name in LIMITS)
-    limited, slopes = check(law, FlexibleJoint("prismatic"), names, tap)
+    limited, slopes = check(law, FlexibleJoint("prismatic"), names)
     assert 0.03 < limited < 0.9
     assert np.any(slopes[:, 9] != 0.0)
     assert np.any(slopes[:, 10] != 0.0)
@@ -133,7 +123,7 @@ def test_a_pid_at_its_limit(windup: Any) -> None:
         "velocity_filter.time_constant",
         "initial_torque",
     )
-    limited, _ = check(law, RigidJoint("prismatic"), names, Tap.COMMAND)
+    limited, _ = check(law, RigidJoint("prismatic"), names)
     assert 0.01 < limited < 0.9
 
 
@@ -150,10 +140,10 @@ def test_what_is_0_has_a_slope_all_the_same() -> None:
     loop, start = ClosedLoop(RigidJoint("prismatic"), law), Initial(1e-4, 0.005)
     names = ("acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward", "constant_feedforward",
              "reference_delay", "velocity_feedforward_delay", "torque_filters.0.depth")  # fmt: skip
-    found = simulate_sensitivities(loop, prepare(loop, driven(Tap.COMMAND)), RIGID, names, start)
+    found = simulate_sensitivities(loop, prepare(loop, driven()), RIGID, names, start)
     for j, name in enumerate(names):
         steps = (1e-9, 1e-8, 1e-7) if name.endswith("delay") else (1e-5, 1e-3, 1e-1)
-        own, record = (found.torque[:, j],), driven(Tap.COMMAND)
+        own, record = (found.torque[:, j],), driven()
         assert error_beside_differences(own, loop, record, RIGID, name, steps, start, back=0.0) < 3e-4, name
 
 
@@ -161,7 +151,7 @@ def test_what_is_not_there_has_no_slope() -> None:
     for limit in (50.0, math.inf):
         law = replace(BASE, integral_gain=0.0, limit=limit)
         loop, values = ClosedLoop(RigidJoint("prismatic"), law), RIGID
-        experiment = prepare(loop, driven(Tap.COMMAND))
+        experiment = prepare(loop, driven())
         with pytest.raises(
             MethodError, match="The integral_gain of this controller is 0, and what it belongs to is not there"
         ):

@@ -124,8 +124,7 @@ class LoopRecord:
         integral = law.integral()
         if integral is not None:
             state = state + integral * content
-        ran = run(law, inputs, state)
-        output = ran.tapped if self.record.tap is Tap.COMMAND else ran.output
+        output = run(law, inputs, state).output
         shown = self.to_log(output[:, np.newaxis], rate)[:, 0]
         late = round(law.delay / self.period)
         # What was added behind the limit is as late in the log as the output it was added to.

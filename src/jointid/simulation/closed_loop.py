@@ -117,7 +117,7 @@ class ClosedLoopRun:
         laws: numbers of smooth laws, with which it was simulated in steps; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         sliding: direction of a motion that began before it; 0 of none.
-        command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
+        command: (periods,) the controller's output.
         excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
         states, modes, tape: see `kernels.run`; empty when they were not kept. In steps there are no
             modes, and the tape is that of `kernels.stepped_drive`.
@@ -139,7 +139,6 @@ class ClosedLoopRun:
     sliding: float
     before: float
     command: FloatArray
-    tapped: FloatArray
     excess: FloatArray
     states: FloatArray
     modes: NDArray[np.int16]
@@ -153,9 +152,7 @@ class ClosedLoopRun:
         """The kernels' output arrays."""
         from jointid.simulation.kernels.drive import Trace
 
-        return Trace(
-            self.command, self.tapped, self.excess, self.states, self.modes, self.accelerations, self.tape, self.counts
-        )
+        return Trace(self.command, self.excess, self.states, self.modes, self.accelerations, self.tape, self.counts)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the first state of such a run, (4,): `start_state`."""
@@ -163,7 +160,7 @@ class ClosedLoopRun:
 
     def response(self) -> Response:
         """Signals for an estimator."""
-        torque = to_log(self.experiment, seen_torque(self.experiment, self.command, self.tapped))
+        torque = to_log(self.experiment, seen_torque(self.experiment, self.command))
         events, _, done, clipped = self.counts.tolist()
         return Response(torque, self.outcome, done / self.command.size, events, clipped / max(done, 1))
 
@@ -230,8 +227,7 @@ def run(
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
     periods, parts, elements = experiment.periods, experiment.lengths.size, law.limits.size
-    # Never in a room: an answer may be one of these.
-    command, tapped = np.empty(periods), np.empty(periods if law.tap != law.output else 0)
+    command = np.empty(periods)  # never in a room: it may be an answer
     kept = periods * parts if keep else 0
     array = (room or _FRESH).array
     states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
@@ -251,7 +247,7 @@ def run(
         sliding = wound_up(experiment, velocity) if initial.wound_up is None else initial.wound_up
         start = start_state(loop, values, position, velocity, sliding)
         sampled, far = experiment.sampled, experiment.far + abs(position)
-        trace = kernels.Trace(command, tapped, excess, states, modes, accelerations, tape, counts)
+        trace = kernels.Trace(command, excess, states, modes, accelerations, tape, counts)
         if laws is None:
             status = kernels.run(
                 drive, sampled, before, state, start, far, trace,
@@ -262,18 +258,16 @@ def run(
             status = stepped_drive.run(drive, laws, places, sampled, before, state, start, sliding, far, trace)
         outcome = _OUTCOMES[status]
     done = int(counts[2])
-    for output in (command, tapped):
-        output[done:] = output[done - 1] if done and output.size else 0.0
+    command[done:] = command[done - 1] if done else 0.0
     excess[done:] = 0.0
     states[done * parts :] = states[done * parts - 1] if done and keep else 0.0
     accelerations[done * parts :] = 0.0
     if outcome is Outcome.DIVERGED:  # divergence may overflow
-        for signal in (command, tapped, excess, states, accelerations):
+        for signal in (command, excess, states, accelerations):
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    shown = tapped if tapped.size else command
     return ClosedLoopRun(
         loop, experiment, values, drive, gravity, segments, laws, position, velocity, initial.torque, sliding, before,
-        command, shown, excess, states, modes, tape, accelerations, outcome, counts,
+        command, excess, states, modes, tape, accelerations, outcome, counts,
     )  # fmt: skip
 
 

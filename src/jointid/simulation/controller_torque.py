@@ -77,7 +77,7 @@ def law_outputs(position: Channel, experiment: LoopInput) -> FloatArray:
     law, inputs = experiment.law, experiment.inputs.copy()
     inputs[:, POSITION] = position_at_period(position, law.period, experiment.periods)
     start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
-    output = run(law, inputs, start).tapped + experiment.shown
+    output = run(law, inputs, start).output + experiment.shown
     integral, columns = law.integral(), [output]
     if integral is not None:
         columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])

@@ -197,7 +197,7 @@ def _build_input(
     far = _far(law, feedforward[law.output], after_limit)
     B, D = np.ascontiguousarray(feedback.B[:, :, POSITION]), np.ascontiguousarray(feedback.D[:, :, POSITION])
     A, F, C, E = (np.ascontiguousarray(one) for one in (feedback.A, feedback.F, feedback.C, feedback.E))
-    kernel = Feedback(A, B, F, C, D, E, law.limits, law.gates, driven, law.output, law.tap)
+    kernel = Feedback(A, B, F, C, D, E, law.limits, law.gates, driven, law.output)
     memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
     return LoopInput(
         law, feedback, kernel, memory, feedback.integral(), inputs, after_limit, logged,
@@ -260,17 +260,16 @@ def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> f
     return float(np.max(np.abs(asked))) + _FAR * travel + 1e-9
 
 
-def seen_torque(experiment: LoopInput, command: FloatArray, tapped: FloatArray) -> FloatArray:
-    """Torque at the log's tap, (periods,): output, or behind its limit."""
-    behind = tapped if experiment.tap is Tap.COMMAND else command
-    return behind + experiment.shown if experiment.shows else behind
+def seen_torque(experiment: LoopInput, command: FloatArray) -> FloatArray:
+    """Torque at the log's tap, (periods,), of the controller's output."""
+    return command + experiment.shown if experiment.shows else command
 
 
 def to_log(experiment: LoopInput, signal: FloatArray) -> FloatArray:
     """Convert a controller signal to the log's torque channel; linear.
 
-    The signal, (periods,) or (periods, columns), is the output, or behind the limit the torque before the delay:
-    piecewise constant over periods, or parts of periods.
+    The signal, (periods,) or (periods, columns), is the torque before the delay: piecewise constant over periods, or
+    parts of periods.
     """
     if experiment.timing is not Timing.AVERAGED:
         return np.asarray(signal[_sources(experiment, len(signal))[experiment.log_index]])

@@ -241,7 +241,7 @@ class _Load:
         while True:
             states, modes, tape = np.empty((n, 4)), np.empty(n, dtype=np.int16), np.empty((rows, kernels.TAPE))
             trace = kernels.Trace(
-                np.empty(n), none, np.empty((0, 1)), states, modes, np.empty((0, 2)), tape, np.zeros(4, dtype=np.int64)
+                np.empty(n), np.empty((0, 1)), states, modes, np.empty((0, 2)), tape, np.zeros(4, dtype=np.int64)
             )
             status = kernels.run(
                 drive, _sampled_loop(motion.step, push), float(push[0]), none, _start(joint, motion, values), math.inf,
@@ -304,10 +304,10 @@ class _Load:
             explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start, np.zeros((0, width))
         )
         trace = kernels.Trace(
-            self.push, np.zeros(0), np.empty((0, 1)), self.states, self.modes, np.empty((0, 2)), self.tape,
+            self.push, np.empty((0, 1)), self.states, self.modes, np.empty((0, 2)), self.tape,
             np.zeros(4, dtype=np.int64),
         )  # fmt: skip
-        slopes = sensitivity_kernels.Slopes(np.empty((width, n)), np.empty((width, 0)), states)
+        slopes = sensitivity_kernels.Slopes(np.empty((width, n)), states)
         sensitivity_kernels.follow(
             _sampled_loop(self.motion.step, self.push), float(self.push[0]), trace, self.taped, self.drive, seeds,
             columns, slopes, kernels.NO_GRAVITY if self.gravity is None else self.gravity, weights, kernels.NO_SEGMENTS,

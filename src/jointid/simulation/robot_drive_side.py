@@ -166,7 +166,7 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers) -> RobotDrive
         asked = _HEAVY * np.vstack([prescribed.held, prescribed.held[-1:]]).T[:, np.newaxis]
         command, counts = np.zeros((n, parts + 1)), np.zeros(3, dtype=np.int64)
         driven = Driven(np.ascontiguousarray(asked), np.zeros((n, parts + 1)), np.zeros(n), np.full(n, np.inf))
-        seen = Seen(command, np.zeros_like(command), np.zeros((n, 0, 0), dtype=np.bool_))
+        seen = Seen(command, np.zeros((n, 0, 0), dtype=np.bool_))
         status = robot_loop.run(
             prescribed.tree, moved.bodies, _timing(n, prescribed.step), taken, _passing(n), driven, np.zeros((n, 0)),
             places, speeds, seen, tape, counts,
@@ -208,7 +208,7 @@ def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlac
     at_start = kernels.Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, count)))
     kernels.differentiate_run(
         prescribed.tree, numbers.bodies, _timing(n, prescribed.step), _passing(n), np.zeros((n, 0, 0), dtype=np.bool_),
-        tape, rows, seeds_of(numbers, places), at_start, np.zeros((n, parts + 1, 0)), np.zeros((n, 0, 0)), found,
+        tape, rows, seeds_of(numbers, places), at_start, np.zeros((n, parts + 1, 0)), found,
     )  # fmt: skip
     return found[:, :parts].transpose(1, 0, 2)
 
@@ -238,7 +238,6 @@ def _passing(n: int) -> Controllers:
         gates=np.full((n, 1), -1),
         driven=np.zeros((n, 0, 0)),
         outputs=first,
-        taps=first,
     )
 
 

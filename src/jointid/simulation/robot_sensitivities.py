@@ -99,7 +99,7 @@ def respond_to_laws(
         late = (other.law.delay - own.law.delay) / own.law.period
         acts = (1.0 - late) * after.output + late * np.append(after.output[0], after.output[:-1])
         push[:] = clock.repeat(j, acts - before.output)
-        shown = (to_log(one, seen_torque(one, of.output, of.tapped)) for one, of in ((own, before), (other, after)))
+        shown = (to_log(one, seen_torque(one, of.output)) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
     places = tuple(NumberPlace(NumberOf.PUSH, j, i) for i, (j, _) in enumerate(changes))
     still, states = np.zeros((len(run.numbers.masses), count)), run.experiment.laws.A.shape[-1]
@@ -124,30 +124,25 @@ def _follow(
     from jointid.simulation.kernels import robot_sensitivities as kernels
 
     experiment, clock, laws = run.experiment, run.experiment.clock, run.experiment.laws
-    through = any(each.tap is Tap.COMMAND for each in experiment.experiments) and bool(
-        np.any(laws.outputs != laws.taps)
-    )
     rows = np.array([(place.of, place.row, place.column) for place in places], dtype=np.int64).reshape(-1, 3)
     command = np.zeros((len(experiment.experiments), clock.steps, len(rows)))
-    tapped = np.zeros(command.shape if through else (len(command), 0, 0))
     seeds = seeds_of(run.numbers, places)
     seeds = seeds if pushes is None else seeds._replace(pushes=pushes)
     kernels.differentiate_run(
         experiment.tree, experiment.carrying(run.numbers).bodies, clock.timing, laws, run.cuts, run.tape,
-        rows, seeds, moved, command, tapped, np.zeros((len(command), 0, 0)),
+        rows, seeds, moved, command, np.zeros((len(command), 0, 0)),
     )  # fmt: skip
     for c, (kind, j, push) in enumerate(rows):
         if kind == NumberOf.PUSH:
             command[j, :, c] -= seeds.pushes[push]
     found = []
     for j, each in enumerate(experiment.experiments):
-        seen = tapped[j] if through and each.tap is Tap.COMMAND else command[j]
-        logged = to_log(each, clock.own(j, seen, each.periods))
+        logged = to_log(each, clock.own(j, command[j], each.periods))
         late = np.flatnonzero((rows[:, 0] == NumberOf.DELAY) & (rows[:, 1] == j))
         if late.size and each.tap is Tap.MEASURED and each.timing is Timing.AVERAGED:
             # An edge that moves takes its height from the mean over the sample time it stands in.
-            shown = (clock.own(j, signal[j], each.periods) for signal in (run.command, run.tapped))
-            edges = -np.diff(torque := acting(each, seen_torque(each, *shown)), prepend=torque[0])
+            torque = acting(each, seen_torque(each, clock.own(j, run.command[j], each.periods)))
+            edges = -np.diff(torque, prepend=torque[0])
             logged[:, late] += averages(each, edges)[:, np.newaxis]
         found.append(logged[: clock.samples])
     return found

@@ -179,7 +179,7 @@ class RobotRun:
     Attributes:
         experiment: it was driven with. numbers: of the candidate.
         outcome: how it ended. finished: share of the experiment that was simulated. events: that were located.
-        command, tapped: (n, clock) the torque that acts, and the controllers' output behind their limits.
+        command: (n, clock) the torque that acts.
         start: (masses,) positions at the beginning.
         cuts: (n, periods, elements) where limits and gates act; tape: its pieces. Both are empty unless they were kept.
     """
@@ -190,7 +190,6 @@ class RobotRun:
     finished: float
     events: int
     command: FloatArray
-    tapped: FloatArray
     start: FloatArray
     cuts: Bools
     tape: RobotTape
@@ -200,8 +199,8 @@ class RobotRun:
         """The torques as the log shows them, (samples, n)."""
         experiment, found = self.experiment, []
         for j, each in enumerate(experiment.experiments):
-            seen = (experiment.clock.own(j, signal[j], each.periods) for signal in (self.command, self.tapped))
-            found.append(to_log(each, seen_torque(each, *seen))[: experiment.clock.samples])
+            command = experiment.clock.own(j, self.command[j], each.periods)
+            found.append(to_log(each, seen_torque(each, command))[: experiment.clock.samples])
         return np.column_stack(found)
 
 
@@ -277,8 +276,7 @@ def run_robot(
     carried = experiment.carrying(numbers)
     parts, (_, elements, periods) = clock.lengths.size, experiment.feedforward.shape
     laws, states = experiment.laws, experiment.laws.A.shape[-1]
-    command, tapped = np.zeros((n, clock.steps)), np.zeros((n, clock.steps))
-    counts = np.zeros(3, dtype=np.int64)
+    command, counts = np.zeros((n, clock.steps)), np.zeros(3, dtype=np.int64)
     cuts = np.zeros((n, periods if keep else 0, elements if keep else 0), dtype=np.bool_)
     start, outcome = np.zeros(masses), RobotOutcome.INVALID
     taken = 1 if steps is None else steps
@@ -302,17 +300,14 @@ def run_robot(
         driven = Driven(experiment.feedforward, experiment.after_limit, before, far)
         status = robot_loop.run(
             experiment.tree, bodies, clock.timing, taken, laws, driven, state, start.copy(), began.speeds,
-            Seen(command, tapped, cuts), tape, counts,
+            Seen(command, cuts), tape, counts,
         )  # fmt: skip
         outcome = outcome_of(status)
     done = int(counts[2])
-    for signal in (command, tapped):
-        signal[:, done:] = signal[:, done - 1 : done] if done else 0.0
-        np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    command[:, done:] = command[:, done - 1 : done] if done else 0.0
+    np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     kept = tape.until(done * parts, int(counts[1]))
-    return RobotRun(
-        experiment, numbers, outcome, done / clock.steps, int(counts[0]), command, tapped, start, cuts, kept
-    )  # fmt: skip
+    return RobotRun(experiment, numbers, outcome, done / clock.steps, int(counts[0]), command, start, cuts, kept)
 
 
 def simulation_of(run: RobotRun) -> RobotSimulation:
@@ -573,5 +568,5 @@ def pack_laws(alone: Sequence[LoopInput]) -> tuple[Controllers, FloatArray]:
             into[j, : each.periods, : kernel.driven.shape[1]] = kernel.driven
     shapes = {"A": "zz", "Bq": "z", "F": "ze", "C": "ez", "D": "e", "E": "ee"}
     A, Bq, F, C, D, E = (pack(name, axes) for name, axes in shapes.items())
-    outputs, taps = np.array([kernel.output for kernel in kernels]), np.array([kernel.tap for kernel in kernels])
-    return Controllers(A, Bq, F, C, D, E, limits, gates, into, outputs, taps), feedforward
+    outputs = np.array([kernel.output for kernel in kernels])
+    return Controllers(A, Bq, F, C, D, E, limits, gates, into, outputs), feedforward

@@ -140,23 +140,19 @@ def _differentiate(out: ClosedLoopRun, names: Sequence[str], positions: bool) ->
     # The law's own columns come last in a block.
     own = _seeds(out.loop.joint)
     order = sorted(range(len(names)), key=lambda i: _is_of_law(own, names[i]))
-    # The log's tap sees the output, or what is behind the torque's limit where that is another.
-    seen = int(experiment.tap is Tap.COMMAND and experiment.law.tap != experiment.law.output)
     commands, moved = [], []
     for begin in range(0, max(len(names), 1), LANES):
         block = [names[i] for i in order[begin : begin + LANES]]
-        followed = _propagate(out, block, positions)
-        commands.append(followed[seen][:, : len(block)])
-        moved.append(
-            followed[2][experiment.log_index, ::2, : len(block)] if positions else np.empty((0, 2, len(block)))
-        )
+        output, motion = _propagate(out, block, positions)
+        commands.append(output[:, : len(block)])
+        moved.append(motion[experiment.log_index, ::2, : len(block)] if positions else np.empty((0, 2, len(block))))
     command, states = _join(commands, order), _join(moved, order)
     torque = to_log(experiment, command)
     if torque.size and not (-_ASTRAY < torque.min() <= torque.max() < _ASTRAY):  # nor a NaN
         return zero_sensitivities(response, len(names), positions, flexible)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
-        edges = -np.diff(acting(experiment, seen_torque(experiment, out.command, out.tapped)), prepend=out.before)
+        edges = -np.diff(acting(experiment, seen_torque(experiment, out.command)), prepend=out.before)
         torque[:, list(names).index("delay")] += averages(experiment, edges)
     return Sensitivities(
         response,
@@ -176,8 +172,8 @@ def _is_of_law(own: Container[str], name: str) -> bool:
     return name not in _INITIAL and name != "delay" and name not in own
 
 
-def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Derivatives of output, limited output if distinct, and states.
+def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of output and states.
 
     Shapes: (periods, lanes) and (periods * parts, 4, lanes).
     """
@@ -222,11 +218,10 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
             explicit.append(column)
     periods, elements = len(out.command), law.limits.size
     command = _FRESH.array("slopes", (width, periods))
-    tapped = _FRESH.array("tapped", (width, periods if law.tap != law.output else 0))
     states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     columns = sensitivity_kernels.Columns(explained, len(names) - len(explicit), delay, limits, start, memory)
-    slopes, rows = sensitivity_kernels.Slopes(command, tapped, states), int(out.counts[1])
+    slopes, rows = sensitivity_kernels.Slopes(command, states), int(out.counts[1])
     if out.laws is None:
         sensitivity_kernels.follow(
             experiment.sampled, out.before, out.trace, rows, out.drive, seeds, columns, slopes,
@@ -238,7 +233,7 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
         stepped_sensitivities.follow_steps(
             experiment.sampled, out.before, trace, out.drive, seeds, out.laws, dlaws, places, dplaces, columns, slopes
         )
-    return command.T, tapped.T, states
+    return command.T, states
 
 
 def taped_rows(samples: int) -> int:

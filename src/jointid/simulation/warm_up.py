@@ -57,13 +57,13 @@ def compile_derivatives() -> None:
     counts = np.zeros(4, dtype=np.int64)
     loop = drive.SampledLoop(np.ones(1), counts[:1], law, np.zeros((1, 0)), none)
     trace = drive.Trace(
-        none, none, np.zeros((0, 1)), np.zeros((0, 4)), np.zeros(0, dtype=np.int16), np.zeros((0, 2)),
+        none, np.zeros((0, 1)), np.zeros((0, 4)), np.zeros(0, dtype=np.int16), np.zeros((0, 2)),
         np.zeros((0, drive.TAPE)), counts,
     )  # fmt: skip
     columns = drive_sensitivities.Columns(
         np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), np.zeros((4, lanes)), np.zeros((0, lanes))
     )
-    slopes = drive_sensitivities.Slopes(np.zeros((lanes, 0)), np.zeros((lanes, 0)), np.zeros((0, 4, lanes)))
+    slopes = drive_sensitivities.Slopes(np.zeros((lanes, 0)), np.zeros((0, 4, lanes)))
     drive_sensitivities.follow(
         loop, 0.0, trace, 0, np.ones(14), np.zeros((14, lanes)), columns, slopes, drive.NO_GRAVITY,
         np.zeros((3, lanes)), drive.NO_SEGMENTS, np.zeros((0, drive.SEGMENT, lanes)),

@@ -33,7 +33,6 @@ def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
     command = command_of(problem)
     if experiment.every > 1:  # the log shows some of the periods: between them the torque is taken as a straight line
         command = np.interp(np.arange(experiment.periods) / experiment.every, np.arange(command.size), command)
-    element = law.tap if experiment.tap is Tap.COMMAND else law.output
     slope = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
     # The inverse of a slow position loop forgets a wrong first position as slowly: a motor that moves lags behind.
     home = beginning_position(problem, slope)
@@ -43,7 +42,7 @@ def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
         there = inputs[0] + home * (np.arange(inputs.shape[1]) == POSITION)
         first = law.C[0, law.output] @ state + law.D[0, law.output] @ there
         state = state + integral * (command[0] - first)
-    return invert(law, command, inputs, state, element)[:: experiment.every][: experiment.samples]
+    return invert(law, command, inputs, state)[:: experiment.every][: experiment.samples]
 
 
 def command_of(problem: ClosedLoopProblem) -> FloatArray:

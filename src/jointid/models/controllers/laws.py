@@ -116,7 +116,7 @@ class Cascade(DiagramController):
         if self.integral_gain:
             state, integral = diagram.state()
             controlled = controlled + integral * (self.velocity_gain * self.integral_gain)
-        output, limit = self._torque(diagram, controlled)
+        limit = self._torque(diagram, controlled)
         if self.integral_gain:
             into = slip * diagram.period
             if self.limit < math.inf:
@@ -124,7 +124,7 @@ class Cascade(DiagramController):
                     diagram, into, limit, self.anti_windup, self.velocity_gain * self.integral_gain * self.gain
                 )
             diagram.follow(state, integral + into)
-        return self._lower(diagram, output, limit)
+        return self._lower(diagram, limit)
 
     def _feed_forward(self, diagram: Diagram) -> BlockSignal:
         if not self.velocity_feedforward:
@@ -160,8 +160,7 @@ class PD(DiagramController):
         """Return the state-space form."""
         diagram = Diagram(self.period or sample_time)
         _, controlled = self._draw_feedback(diagram)
-        output, limit = self._torque(diagram, controlled)
-        return self._lower(diagram, output, limit)
+        return self._lower(diagram, self._torque(diagram, controlled))
 
     def _draw_feedback(self, diagram: Diagram) -> tuple[BlockSignal, BlockSignal]:
         """Position error and output without an integral."""
@@ -189,14 +188,14 @@ class PID(PD):
         diagram = Diagram(self.period or sample_time)
         error, controlled = self._draw_feedback(diagram)
         if not self.integral_gain:
-            return self._lower(diagram, *self._torque(diagram, controlled))
+            return self._lower(diagram, self._torque(diagram, controlled))
         state, integral = diagram.state()
-        output, limit = self._torque(diagram, controlled + integral * self.integral_gain)
+        limit = self._torque(diagram, controlled + integral * self.integral_gain)
         into = error * diagram.period
         if self.limit < math.inf:
             into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.integral_gain * self.gain)
         diagram.follow(state, integral + into)
-        return self._lower(diagram, output, limit)
+        return self._lower(diagram, limit)
 
 
 def shift_start(controller: Controller, seconds: float) -> Controller:
@@ -297,7 +296,7 @@ class StateSpaceController(ServoController):
         F = np.reshape(np.array(self.B.get("excess", np.zeros(order)), dtype=np.float64), (1, order, 1)) / self.gain
         law = SampledLaw(
             np.reshape(np.array(self.A, dtype=np.float64), (1, order, order)), B, C, D, np.zeros((1, 1, 1)), F,
-            np.array([self.limit * self.gain]), np.array([LIMIT]), np.array([True]), 0, 0,
+            np.array([self.limit * self.gain]), np.array([LIMIT]), np.array([True]), 0,
             self.period or sample_time, self.delay,
         )  # fmt: skip
         return refer(law, self.ratio)

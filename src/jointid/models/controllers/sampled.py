@@ -47,7 +47,7 @@ class SampledLaw:
         limits: (elements,) of the elements that are limits; infinite for one that only has a value.
         gates: (elements,) the place of the limit that a gate watches; LIMIT for a limit.
         scales: (elements,) whether an element is in units of torque.
-        output: which element's value acts. tap: which one's is logged at the tap "command", behind the torque's limit.
+        output: which element's value acts: the torque's limit.
         period: seconds between evaluations.
         delay: seconds from the evaluation's instant to the instant the torque acts.
     """
@@ -62,7 +62,6 @@ class SampledLaw:
     gates: NDArray[np.int64]
     scales: NDArray[np.bool_]
     output: int
-    tap: int
     period: float
     delay: float = 0.0
 
@@ -79,12 +78,12 @@ class SampledLaw:
     @property
     def limit(self) -> float:
         """Torque limit, possibly infinite."""
-        return float(self.limits[self.tap])
+        return float(self.limits[self.output])
 
     def with_limit(self, level: float) -> SampledLaw:
         """Replace the torque limit."""
         limits = self.limits.copy()
-        limits[self.tap] = level
+        limits[self.output] = level
         return replace(self, limits=limits)
 
     def memory(self, column: int, value: float, slope: float) -> FloatArray:
@@ -301,13 +300,12 @@ class LawRun:
 
     Attributes:
         raw: (periods, elements) before limits and gates. excess: (periods, elements) what these took away or added.
-        output: (periods,) the torque that acts. tapped: (periods,) the one behind the torque's limit.
+        output: (periods,) the torque that acts.
     """
 
     raw: FloatArray
     excess: FloatArray
     output: FloatArray
-    tapped: FloatArray
 
 
 def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> LawRun:
@@ -320,8 +318,7 @@ def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> LawRun:
     """
     excess = np.zeros((len(inputs), law.limits.size))
     raw = _respond(law, inputs, state, excess, True)
-    values = raw + excess
-    return LawRun(raw, excess, values[:, law.output], values[:, law.tap])
+    return LawRun(raw, excess, raw[:, law.output] + excess[:, law.output])
 
 
 def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray | None = None) -> FloatArray:
@@ -356,9 +353,7 @@ def _respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: Flo
     return raw
 
 
-def invert(
-    law: SampledLaw, torque: FloatArray, inputs: FloatArray, state: FloatArray, element: int | None = None
-) -> FloatArray:
+def invert(law: SampledLaw, torque: FloatArray, inputs: FloatArray, state: FloatArray) -> FloatArray:
     """Motor position at which the law outputs `torque`, (periods,).
 
     ``position = reference - C^-1(torque)``, exact while no limit acts. Torque noise dT becomes position noise dT / |D|
@@ -366,20 +361,18 @@ def invert(
 
     Args:
         law: with a direct gain from position.
-        torque: (periods,) an element's value, before the law's delay, at its period.
+        torque: (periods,) before the law's delay, at its period.
         inputs: (periods, INPUTS) as for `run`; the position column is ignored.
         state: (states,) at the first period.
-        element: of the torque; the one behind the torque's limit when None.
     """
-    element = law.tap if element is None else element
-    gain = law.D[:, element, POSITION]
+    gain = law.D[:, law.output, POSITION]
     if np.any(gain == 0.0):
         raise MethodError(
             "This law does not react to the position within its period, so it cannot be inverted; "
             'choose start = "regular".'
         )
-    back, out = law.B[:, :, POSITION] / gain[:, np.newaxis], law.C[:, element]
-    direct = law.D[:, element]
+    back, out = law.B[:, :, POSITION] / gain[:, np.newaxis], law.C[:, law.output]
+    direct = law.D[:, law.output]
     A = law.A - back[:, :, np.newaxis] * out[:, np.newaxis]
     if law.order and np.max(np.abs(np.linalg.eigvals(_over_cycle(A)))) >= 1.0 + 1e-9:
         raise MethodError('The inverse of this law is unstable, so it gives no start; choose start = "regular".')
@@ -390,7 +383,7 @@ def invert(
     none = np.zeros((law.phases, 1, 1))
     turned = SampledLaw(
         A, B, -out[:, np.newaxis] / gain[:, np.newaxis, np.newaxis], D[:, np.newaxis], none,
-        np.zeros((law.phases, law.order, 1)), np.array([np.inf]), np.array([LIMIT]), np.array([True]), 0, 0, law.period,
+        np.zeros((law.phases, law.order, 1)), np.array([np.inf]), np.array([LIMIT]), np.array([True]), 0, law.period,
     )  # fmt: skip
     columns = inputs.copy()
     columns[:, POSITION] = torque

@@ -4,8 +4,8 @@ A law is drawn of signals, filters, delays, limits and slower loops, and lowered
 a weighted sum of inputs, states and excesses, with weights for each phase of the cycle; a `Diagram` makes other blocks.
 
 A law's output is followed by feed-forward, ``acceleration_feedforward d2r/dt2 + viscous_feedforward dr/dt +
-coulomb_feedforward sign(dr/dt) + constant_feedforward``, injection before the limit, and torque filters before or after
-the limit. Differences are backward.
+coulomb_feedforward sign(dr/dt) + constant_feedforward``, injection before the limit, torque filters and the limit.
+Differences are backward.
 
 Numbers of a controller can be freed, differentiated by, and written to a file. Those of parts have dotted names:
 ``velocity_filter.time_constant``, ``torque_filters.0.frequency``.
@@ -187,8 +187,8 @@ class Diagram:
         number = len(self._elements) - 1
         return signal + self.excess(number), number
 
-    def law(self, *, output: int, tap: int, delay: float) -> SampledLaw:
-        """Build the law with given output and tap elements."""
+    def law(self, *, output: int, delay: float) -> SampledLaw:
+        """Build the law with the element that is its output."""
         raws, gates = [e.raw for e in self._elements], [e.gate for e in self._elements]
         A, B, F = self._matrices(self._next)
         C, D, E = self._matrices(raws)
@@ -197,7 +197,7 @@ class Diagram:
             np.array([e.limit for e in self._elements], dtype=np.float64),
             np.array(gates, dtype=np.int64),
             np.array([e.of_torque for e in self._elements], dtype=np.bool_),
-            output, tap, self.period, delay,
+            output, self.period, delay,
         )  # fmt: skip
 
     def _matrices(self, signals: Sequence[BlockSignal]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -281,10 +281,7 @@ class DiagramController(ServoController):
         "of two samples",
     )
     torque_filters: tuple[Filter, ...] = setting(
-        (), "filters of the torque, one after the other, evaluated every period"
-    )
-    filters_at: Literal["before_limit", "after_limit"] = setting(
-        "before_limit", "on which side of the torque's limit its filters stand"
+        (), "filters of the torque before its limit, one after the other, evaluated every period"
     )
     acceleration_feedforward: float = setting(
         0.0, "times the reference's acceleration", unit="controller units per m/s2 or rad/s2", at_least=0
@@ -318,25 +315,16 @@ class DiagramController(ServoController):
     def _reference(self, diagram: Diagram) -> BlockSignal:
         return diagram.delay(diagram.input(REFERENCE), self.reference_delay)
 
-    def _torque(self, diagram: Diagram, controlled: BlockSignal) -> tuple[int, int]:
-        """Draw the output stages; return the acting and the limit's element."""
+    def _torque(self, diagram: Diagram, controlled: BlockSignal) -> int:
+        """Draw the output stages; return the limit's element."""
         torque = (controlled + self._feedforward(diagram)) * self.gain + diagram.input(INJECTED)
-        late = self.filters_at == "after_limit"
-        if not late:
-            torque = self._filter_torque(diagram, torque)
-        torque, limit = diagram.limit(torque, self.limit * self.gain, of_torque=True)
-        if not (late and self.torque_filters):
-            return limit, limit
-        return diagram.limit(self._filter_torque(diagram, torque), of_torque=True)[1], limit
-
-    def _lower(self, diagram: Diagram, output: int, limit: int) -> SampledLaw:
-        """Build the law with the elements of `_torque`, referred to the joint."""
-        return refer(diagram.law(output=output, tap=limit, delay=self.delay), self.ratio)
-
-    def _filter_torque(self, diagram: Diagram, torque: BlockSignal) -> BlockSignal:
         for one in self.torque_filters:
             torque = diagram.filter(torque, *one.coefficients(diagram.period))
-        return torque
+        return diagram.limit(torque, self.limit * self.gain, of_torque=True)[1]
+
+    def _lower(self, diagram: Diagram, limit: int) -> SampledLaw:
+        """Build the law with the element of `_torque` as output, referred to the joint."""
+        return refer(diagram.law(output=limit, delay=self.delay), self.ratio)
 
     def _feedforward(self, diagram: Diagram) -> BlockSignal:
         total = diagram.input(CONSTANT) * self.constant_feedforward if self.constant_feedforward else BlockSignal({})

@@ -146,7 +146,7 @@ class Feedback(NamedTuple):
     nz, elements) from what limits and gates take away, C (phases, elements, nz), D (phases, elements) from the
     position, E (phases, elements, elements); limits and gates are (elements,), of all phases. `driven` (periods, nz) is
     what else goes into the states; (0, nz) where the responses `w` hold it. `output` is the element whose value acts,
-    `tap` the one that is the torque's limit.
+    the torque's limit.
     """
 
     A: FloatArray
@@ -159,12 +159,11 @@ class Feedback(NamedTuple):
     gates: IntArray
     driven: FloatArray
     output: int
-    tap: int
 
 
 NO_FEEDBACK = Feedback(
     np.zeros((1, 0, 0)), np.zeros((1, 0)), np.zeros((1, 0, 1)), np.zeros((1, 1, 0)), np.zeros((1, 1)),
-    np.zeros((1, 1, 1)), np.full(1, np.inf), np.full(1, -1, dtype=np.int64), np.zeros((0, 0)), 0, 0,
+    np.zeros((1, 1, 1)), np.full(1, np.inf), np.full(1, -1, dtype=np.int64), np.zeros((0, 0)), 0,
 )  # fmt: skip
 """That of a torque which is prescribed: its response is all there is."""
 
@@ -192,7 +191,6 @@ class Trace(NamedTuple):
 
     Attributes:
         u: (periods,) the torque that acts.
-        tapped: (periods,) the controller's output behind its limit, where that is another; else (0,).
         excess: (periods, elements) what limits and gates took away; or (0, elements). Not of a law of one limit, at
             most two states and one phase, where `u` says it.
         states: (periods * parts, 4) states at the start of every part; or (0, 4).
@@ -205,7 +203,6 @@ class Trace(NamedTuple):
     """
 
     u: FloatArray
-    tapped: FloatArray
     excess: FloatArray
     states: FloatArray
     modes: NDArray[np.int16]
@@ -824,7 +821,7 @@ def run(
             beside gravity.
     """
     w, post, lengths, lags, feedback = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback
-    u, tapped, excess, counts = trace.u, trace.tapped, trace.excess, trace.counts
+    u, excess, counts = trace.u, trace.excess, trace.counts
     states, modes, tape = trace.states, trace.modes, trace.tape
     n, parts, nz = w.shape[1], lengths.size, z.size
     p = drive_of(drive)
@@ -895,11 +892,9 @@ def run(
         else:
             control_any(feedback, w, k, x0, z, new, out, cut)
             u[k] = out[feedback.output]
-            if tapped.size > 0:
-                tapped[k] = out[feedback.tap]
             if excess.shape[0] > 0:
                 assign(excess[k], cut)
-            if cut[feedback.tap] != 0.0:
+            if cut[feedback.output] != 0.0:
                 clipped += 1
         if not (abs(x0) <= far and abs(u[k]) < np.inf):
             status = DIVERGED

@@ -59,12 +59,10 @@ class Slopes(NamedTuple):
 
     Attributes:
         u: (columns, periods) of the torque that acts.
-        tapped: (columns, periods) of the output behind the torque's limit where that is another; else (columns, 0).
         states: (periods * parts, 4, columns) at the start of every part; or (0, 4, columns).
     """
 
     u: FloatArray
-    tapped: FloatArray
     states: FloatArray
 
 
@@ -430,7 +428,7 @@ def control_small(
 @compile_kernel
 def control_slopes(
     q: FloatArray, z: FloatArray, e: FloatArray, feedback: Feedback, excess: FloatArray, explicit: FloatArray,
-    first_explicit: int, dlimits: FloatArray, at: int, du: FloatArray, dtapped: FloatArray,
+    first_explicit: int, dlimits: FloatArray, at: int, du: FloatArray,
 ) -> None:  # fmt: skip
     """Do the same for any law; `z` are its states' derivatives, with their next values below, `e` its excesses'.
 
@@ -456,8 +454,6 @@ def control_slopes(
             q[_OUT + j] = q[_W + j] + e[i, j]
         if i == feedback.output:
             assign(du[:, at], q[_OUT : _OUT + LANES])
-        if i == feedback.tap and dtapped.shape[1] > 0:
-            assign(dtapped[:, at], q[_OUT : _OUT + LANES])
     for i in range(nz):
         for j in range(LANES):
             z[nz + i, j] = feedback.Bq[phase, i] * q[_S + j]
@@ -560,7 +556,7 @@ def follow(
     lengths, lags, feedback, post = loop.lengths, loop.lags, loop.feedback, loop.post
     u, excess, states, modes, tape = trace.u, trace.excess, trace.states, trace.modes, trace.tape
     explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
-    S, Z, du, dtapped, dstates = columns.start, columns.memory, slopes.u, slopes.tapped, slopes.states
+    S, Z, du, dstates = columns.start, columns.memory, slopes.u, slopes.states
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
     hanging, pieces = gravity.size > 0, segments.shape[0] > 0
@@ -630,7 +626,7 @@ def follow(
         if small:
             control_small(q, law, u[k], limit, explicit, first_explicit, k, du)
         else:
-            control_slopes(q, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du, dtapped)
+            control_slopes(q, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du)
         for part in range(parts):
             at = k * parts + part
             x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]

@@ -120,7 +120,6 @@ class Controllers(NamedTuple):
     gates: IntArray
     driven: FloatArray
     outputs: IntArray
-    taps: IntArray
 
 
 class Driven(NamedTuple):
@@ -144,12 +143,10 @@ class Seen(NamedTuple):
 
     Attributes:
         command: (n, clock) the torque that acts, held between periods.
-        tapped: (n, clock) the output behind its limit.
         cuts: (n, periods, elements) where limits and gates act; or (n, 0, 0).
     """
 
     command: FloatArray
-    tapped: FloatArray
     cuts: NDArray[np.bool_]
 
 
@@ -756,7 +753,7 @@ def run(
     """
     n, nd, parts = bodies.rotors.size, q.size, clock.lengths.size
     rotors, every, lags, w = bodies.rotors, clock.every, clock.lags, driven.w
-    command, tapped, cuts = seen.command, seen.tapped, seen.cuts
+    command, cuts = seen.command, seen.cuts
     torque, modes = np.empty(n), np.empty(nd)
     M, L, order = np.empty((n, n)), np.empty((n, n)), np.empty((2, n), dtype=np.int64)
     room = Room(np.zeros(n), np.empty((n, ROOM)), M, L, np.empty(n), np.empty(nd), order, np.empty((2, nd)))
@@ -787,17 +784,15 @@ def run(
     for k in range(command.shape[1]):
         for j in range(n):
             if k % every[j] != 0:  # this controller holds
-                command[j, k], tapped[j, k] = command[j, k - 1], tapped[j, k - 1]
+                command[j, k] = command[j, k - 1]
                 continue
             own, position = k // every[j], q[rotors[j]]
             c = controllers
             law = Feedback(
                 c.A[j], c.Bq[j], c.F[j], c.C[j], c.D[j], c.E[j], c.limits[j], c.gates[j], c.driven[j], c.outputs[j],
-                c.taps[j],
             )  # fmt: skip
             control_any(law, w[j], own, position, z[j], new, out, cut)
             command[j, k] = out[controllers.outputs[j]]
-            tapped[j, k] = out[controllers.taps[j]]
             if cuts.shape[1] > 0:
                 for i in range(elements):
                     cuts[j, own, i] = cut[i] != 0.0

@@ -140,12 +140,11 @@ def _solve(A: FloatArray, rows: FloatArray) -> None:
 @inline_kernel
 def _control(
     laws: Controllers, j: int, phase: int, cut: NDArray[np.bool_], moved: FloatArray, dz: FloatArray,
-    fresh: FloatArray, raw: FloatArray, command: FloatArray, tapped: FloatArray,
+    fresh: FloatArray, raw: FloatArray, command: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the change of a controller's output and of the one behind its limit, and move the changes of its states."""
+    """Fill the change of a controller's output, and move the changes of its states."""
     A, Bq, F, C, D, E = laws.A[j], laws.Bq[j], laws.F[j], laws.C[j], laws.D[j], laws.E[j]
-    output, tap = laws.outputs[j], laws.taps[j]
-    elements, states, count = cut.size, len(dz), moved.size
+    output, elements, states, count = laws.outputs[j], cut.size, len(dz), moved.size
     for e in range(elements):
         for c in range(count):
             raw[e, c] = D[phase, e] * moved[c]
@@ -175,7 +174,6 @@ def _control(
             dz[s, c] = fresh[s, c]
     for c in range(count):
         command[c] = 0.0 if cut[output] else raw[output, c]
-        tapped[c] = 0.0 if cut[tap] else raw[tap, c]
 
 
 @inline_kernel
@@ -361,7 +359,7 @@ def _add_moved_links(
 @compile_kernel
 def differentiate_run(
     tree: Tree, bodies: Bodies, clock: Clock, controllers: Controllers, cuts: NDArray[np.bool_], tape: RobotTape,
-    parameters: IntArray, seeds: Seeds, moved: Moved, command: FloatArray, tapped: FloatArray, moved_links: FloatArray,
+    parameters: IntArray, seeds: Seeds, moved: Moved, command: FloatArray, moved_links: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the derivatives of the torques, step of the clock by step.
 
@@ -376,7 +374,6 @@ def differentiate_run(
         seeds: how the numbers of that row depend on it.
         moved: derivatives at the beginning, overwritten.
         command: (n, clock, parameters) out; or (n, clock, 0) of motors that are moved, whatever it takes.
-        tapped: the same as command, or (n, 0, 0) where it is the same.
         moved_links: (n, parts of all steps, parameters) out, mean over each: what the links' change of motion adds to
             the torque that a prescribed motion takes of a motor; or (n, 0, 0).
     """
@@ -393,7 +390,6 @@ def differentiate_run(
     dtau, rows, other = np.zeros((n, count)), np.zeros((n, count)), np.zeros((nd, count))
     controlled, prescribed, gained = command.shape[2] > 0, moved_links.shape[1] > 0, np.zeros((n, count))
     turned, fresh, raw = np.zeros(count), np.zeros((dz.shape[1], count)), np.zeros((cuts.shape[2], count))
-    nothing = np.zeros(count)
     q, v, a = np.zeros(nd), np.zeros(nd), np.zeros(nd)
     place, speed, turn, room, coupled = q[:n], v[:n], a[:n], np.empty((n, ROOM)), joints.shape[0] > 0  # of the links
     M, K, Cv, left, Y = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, 10 * n))
@@ -425,14 +421,11 @@ def differentiate_run(
                 break
             if k % every[j] != 0:  # this controller holds
                 command[j, k] = command[j, k - 1]
-                if tapped.shape[1] > 0:
-                    tapped[j, k] = tapped[j, k - 1]
                 continue
             for c in range(count):
                 turned[c] = dq[rotors[j], c]
             _control(
                 controllers, j, own % controllers.A.shape[1], cuts[j, own], turned, dz[j], fresh, raw, command[j, k],
-                tapped[j, k] if tapped.shape[1] > 0 else nothing,
             )  # fmt: skip
             for c in range(count):
                 if parameters[c, 0] == OF_PUSH and parameters[c, 1] == j:

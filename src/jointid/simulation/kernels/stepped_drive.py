@@ -346,7 +346,7 @@ def run(
         trace: out; its tape is (rows, STEP_TAPE), of as many steps as it holds.
     """
     w, post, lengths, lags, feedback = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback
-    u, tapped, excess, counts = trace.u, trace.tapped, trace.excess, trace.counts
+    u, excess, counts = trace.u, trace.excess, trace.counts
     states, accelerations, tape = trace.states, trace.accelerations, trace.tape
     n, parts = w.shape[1], lengths.size
     p = under_torque(drive, b, before)
@@ -370,11 +370,9 @@ def run(
     while i < n and status == FINISHED:
         control_any(feedback, w, i, y[0], z, fresh, out, cut)
         u[i] = out[feedback.output]
-        if tapped.size > 0:
-            tapped[i] = out[feedback.tap]
         if excess.shape[0] > 0:
             assign(excess[i], cut)
-        if cut[feedback.tap] != 0.0:
+        if cut[feedback.output] != 0.0:
             clipped += 1
         if not (abs(y[0]) <= far and abs(u[i]) < np.inf):
             status = DIVERGED

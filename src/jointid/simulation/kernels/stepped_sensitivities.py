@@ -357,7 +357,7 @@ def follow_steps(
     lengths, lags, feedback, post = loop.lengths, loop.lags, loop.feedback, loop.post
     u, excess, tape = trace.u, trace.excess, trace.tape
     explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
-    S, Z, du, dtapped, dstates = columns.start, columns.memory, slopes.u, slopes.tapped, slopes.states
+    S, Z, du, dstates = columns.start, columns.memory, slopes.u, slopes.states
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
     p = under_torque(drive, b, before)
@@ -395,7 +395,7 @@ def follow_steps(
         if small:
             control_small(scratch, law, u[k], feedback.limits[0], explicit, first_explicit, k, du)
         else:
-            control_slopes(scratch, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du, dtapped)
+            control_slopes(scratch, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du)
         time = k * period
         for part in range(parts):
             at, source = k * parts + part, k - lags[part]
