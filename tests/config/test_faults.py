@@ -31,9 +31,9 @@ FAULTS = [
         "controller.position_gian is not a known key; expected one of law, side, gain, limit, period, delay, "
         "interpolation, reference_average, reference_delay, velocity_filter, torque_filters, "
         "acceleration_feedforward, viscous_feedforward, coulomb_feedforward, constant_feedforward, "
-        "torque_feedforward_delay, undeclared, "
+        "undeclared, "
         "position_gain, velocity_gain, integral_gain, anti_windup, velocity_feedforward, "
-        "velocity_feedforward_delay, reference_velocity, velocity_limit, position_period, "
+        "reference_velocity, velocity_limit, position_period, "
         "position_offset, integral_time: did you mean position_gain?",
     ),
     (
@@ -43,7 +43,7 @@ FAULTS = [
         "controller.integral_gain is not a known key; expected one of law, side, gain, limit, period, delay, "
         "interpolation, reference_average, "
         "reference_delay, velocity_filter, torque_filters, acceleration_feedforward, viscous_feedforward, "
-        "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, undeclared, position_gain, "
+        "coulomb_feedforward, constant_feedforward, undeclared, position_gain, "
         "derivative_gain, reference_velocity, derivative_time: leave it out.",
     ),
     (
@@ -223,8 +223,7 @@ FAULTS = [
         'method.free: Nothing around this joint is called "velocity_filter.time_constant"; what can be freed is '
         "initial_position, initial_velocity, drive_gain, log_gain, log_delay, gain, limit, delay, reference_delay, "
         "acceleration_feedforward, viscous_feedforward, coulomb_feedforward, constant_feedforward, "
-        "torque_feedforward_delay, position_gain, velocity_gain, integral_gain, velocity_feedforward, "
-        "velocity_feedforward_delay, velocity_limit.",
+        "position_gain, velocity_gain, integral_gain, velocity_feedforward, velocity_limit.",
     ),
     (
         SMALLEST + '[together]\nfree = ["integral_gain"]',

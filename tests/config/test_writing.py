@@ -88,7 +88,6 @@ law = {
     "viscous_feedforward": none_or_more,
     "coulomb_feedforward": none_or_more,
     "constant_feedforward": st.floats(-1e9, 1e9),
-    "torque_feedforward_delay": seconds,
     "undeclared": st.sampled_from(("possible", "none")),
 }
 windups = st.sampled_from(("hold", "track", "none"))
@@ -104,7 +103,6 @@ def controllers(ratio: st.SearchStrategy[float]) -> st.SearchStrategy[Controller
             integral_gain=none_or_more,
             anti_windup=windups,
             velocity_feedforward=none_or_more,
-            velocity_feedforward_delay=seconds,
             reference_velocity=st.sampled_from(("difference", "channel")),
             velocity_limit=positive | st.just(np.inf),
             **shared,

@@ -231,9 +231,9 @@ PARTS: dict[str, dict[str, Any]] = {
     "second order": {"velocity_filter": SecondOrder(100.0)},
     "moving average": {"velocity_filter": MovingAverage(7)},
     "low-pass and notch": {"torque_filters": (SecondOrder(150.0), Notch(80.0, 40.0, 0.2))},
-    "acceleration": {"acceleration_feedforward": 0.1, "torque_feedforward_delay": 1.3e-3},
+    "acceleration": {"acceleration_feedforward": 0.1, "reference_delay": 1.3e-3},
     "viscous": {"viscous_feedforward": 5.0},
-    "Coulomb": {"coulomb_feedforward": 4.0, "torque_feedforward_delay": 2.5e-3, "reference_delay": 0.4e-3},
+    "Coulomb": {"coulomb_feedforward": 4.0, "reference_delay": 2.5e-3},
     "constant": {"constant_feedforward": -2.5, "gain": 2.0},
     "reference delay": {"reference_delay": 2.7e-3},
     "reference velocity": {"reference_velocity": "channel", "reference_delay": 1.5e-3},
@@ -248,9 +248,8 @@ def test_each_part_of_each_law_is_its_equation(name: str, part: str) -> None:
 
 OF_THE_CASCADE: dict[str, dict[str, Any]] = {
     "velocity feed-forward": {"velocity_feedforward": 0.9},
-    "velocity feed-forward, late": {"velocity_feedforward": 0.9, "velocity_feedforward_delay": 1.6e-3},
     "velocity channel, late": {
-        "velocity_feedforward": 0.9, "velocity_feedforward_delay": 1.6e-3, "reference_velocity": "channel",
+        "velocity_feedforward": 0.9, "reference_delay": 1.6e-3, "reference_velocity": "channel",
     },
     "slow": {"position_period": 8e-3, "velocity_feedforward": 0.9},
     "slow, later": {"position_period": 8e-3, "position_offset": 3e-3, "velocity_feedforward": 0.9},
@@ -303,7 +302,6 @@ def random_law(rng: np.random.Generator) -> Cascade | PD:
         "viscous_feedforward": some(rng.uniform(0, 20.0)),
         "coulomb_feedforward": some(rng.uniform(0, 5.0)),
         "constant_feedforward": some(rng.uniform(-5, 5)),
-        "torque_feedforward_delay": some(rng.uniform(0, 4e-3)),
         "limit": some(rng.uniform(3, 40), math.inf),
         "reference_velocity": rng.choice(["difference", "channel"]),
     }
@@ -313,7 +311,7 @@ def random_law(rng: np.random.Generator) -> Cascade | PD:
         return Cascade(
             position_gain=rng.uniform(5, 90), velocity_gain=rng.uniform(100, 900), integral_gain=some(rng.uniform(1,
             90)), anti_windup=windup,
-            velocity_feedforward=some(rng.uniform(0, 1)), velocity_feedforward_delay=some(rng.uniform(0, 5e-3)),
+            velocity_feedforward=some(rng.uniform(0, 1)),
             velocity_limit=some(rng.uniform(0.01, 0.1), math.inf), position_period=n * T,
             position_offset=int(rng.integers(0, 12)) * T, **common,
         )  # fmt: skip

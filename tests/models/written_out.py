@@ -119,23 +119,22 @@ class Written:
 
     def __post_init__(self) -> None:
         law, T, r, rv = self.law, self.T, self.first.reference, self.first.velocity
-        torque = law.reference_delay + law.torque_feedforward_delay
         self.n = round(getattr(law, "position_period", None) / T) if getattr(law, "position_period", None) else 1
-        self.parts = {"r": Late(law.reference_delay, T, r), "s": Late(torque, T, r)}
-        self.parts["direction"] = Late(torque, T, self.first.direction)
-        fed = getattr(law, "velocity_feedforward_delay", 0.0)
-        self.parts["rho"], self.parts["rv"] = Late(fed, T, r), Late(law.reference_delay + fed, T, rv)
+        self.parts = {"r": Late(law.reference_delay, T, r)}
+        self.parts["direction"] = Late(law.reference_delay, T, self.first.direction)
+        self.parts["rv"] = Late(law.reference_delay, T, rv)
         self.parts["v"], self.parts["vr"] = (Recurrence(law.velocity_filter, T, 0.0) for _ in range(2))
         for i, one in enumerate(law.torque_filters):
             self.parts[f"f{i}"] = Recurrence(one, T, 0.0)
-        self.last = {"q": self.q, "r": r, "rho": [r] * self.n, "s": r, "ds": 0.0}
+        self.last = {"q": self.q, "r": r, "r_slow": [r] * self.n, "dr": 0.0}
 
     def __call__(self, now: Sample, q: float) -> float:
         """The torque of a period."""
         law, T, parts, last = self.law, self.T, self.parts, self.last
         r = parts["r"](now.reference)
         v = parts["v"]((q - last["q"]) / T)
-        vr = parts["vr"]((r - last["r"]) / T)
+        dr = (r - last["r"]) / T
+        vr = parts["vr"](dr)
         rv = parts["rv"](now.velocity)
         if isinstance(law, Cascade):
             into, u = self._cascade(r, rv, v, q)
@@ -144,7 +143,7 @@ class Written:
             u, into = law.position_gain * (r - q) + law.derivative_gain * (wanted - v), T * (r - q)
             u += law.integral_gain * self.I if isinstance(law, PID) else 0.0
         last["q"], last["r"] = q, r
-        m = self._filtered(law.gain * (u + self._fed(now)) + now.injected)
+        m = self._filtered(law.gain * (u + self._fed(now, dr)) + now.injected)
         limit = math.inf if self.free else law.limit * law.gain
         y = min(max(m, -limit), limit)
         if not self.free and getattr(law, "integral_gain", 0.0):
@@ -155,12 +154,11 @@ class Written:
     def _cascade(self, r: float, rv: float, v: float, q: float) -> tuple[float, float]:
         law = self.law
         assert isinstance(law, Cascade)
-        rho = self.parts["rho"](r)
         if (self.k - round(law.position_offset / self.T)) % self.n == 0:
-            fed = (rho - self.last["rho"][-1]) / (self.n * self.T)
+            fed = (r - self.last["r_slow"][-1]) / (self.n * self.T)
             fed = rv if law.reference_velocity == "channel" else fed
             self.command = law.position_gain * (r - q) + law.velocity_feedforward * fed
-        self.last["rho"] = [rho, *self.last["rho"][:-1]]
+        self.last["r_slow"] = [r, *self.last["r_slow"][:-1]]
         w = self.command if self.free else min(max(self.command, -law.velocity_limit), law.velocity_limit)
         return self.T * (w - v), law.velocity_gain * (w - v + law.integral_gain * self.I)
 
@@ -173,14 +171,12 @@ class Written:
             into += (y - m) / weight
         self.I += into
 
-    def _fed(self, now: Sample) -> float:
-        law, last = self.law, self.last
-        s = self.parts["s"](now.reference)
-        ds = (s - last["s"]) / self.T
-        dds = (ds - last["ds"]) / self.T
-        last["s"], last["ds"] = s, ds
+    def _fed(self, now: Sample, dr: float) -> float:
+        law = self.law
+        ddr = (dr - self.last["dr"]) / self.T
+        self.last["dr"] = dr
         direction = self.parts["direction"](now.direction)
-        fed = law.acceleration_feedforward * dds + law.viscous_feedforward * ds
+        fed = law.acceleration_feedforward * ddr + law.viscous_feedforward * dr
         return fed + law.coulomb_feedforward * direction + law.constant_feedforward
 
     def _filtered(self, m: float) -> float:

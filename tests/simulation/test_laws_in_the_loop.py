@@ -27,9 +27,9 @@ FAST, LOG = 125e-6, 2e-3
 NOTCHES = (SecondOrder(400.0), Notch(80.0, 20.0, 0.1))
 P_PI = Cascade(
     position_gain=60.0, velocity_gain=6e3, integral_gain=30.0, velocity_feedforward=0.9,
-    velocity_feedforward_delay=0.3e-3, reference_delay=1.1e-3,
+    reference_delay=1.1e-3,
     acceleration_feedforward=60.0, viscous_feedforward=90.0, coulomb_feedforward=10.0, constant_feedforward=-1.0,
-    torque_feedforward_delay=0.2e-3, velocity_filter=FirstOrder(0.4e-3), torque_filters=NOTCHES, period=FAST,
+    velocity_filter=FirstOrder(0.4e-3), torque_filters=NOTCHES, period=FAST,
     position_period=1e-3, position_offset=0.5e-3, delay=1.4 * FAST, interpolation="cubic",
 )  # fmt: skip
 LAWS: dict[str, Cascade | PD] = {

@@ -31,14 +31,12 @@ BASE = Cascade(
     velocity_filter=FirstOrder(0.6e-3),
     torque_filters=(SecondOrder(250.0), Notch(80.0, 20.0, 0.1)), period=250e-6, position_period=1e-3,
     position_offset=0.5e-3, delay=0.35e-3, interpolation="cubic", acceleration_feedforward=60.0,
-    viscous_feedforward=90.0, coulomb_feedforward=10.0, reference_delay=0.6e-3, velocity_feedforward_delay=0.3e-3,
-    torque_feedforward_delay=0.4e-3,
+    viscous_feedforward=90.0, coulomb_feedforward=10.0, reference_delay=0.6e-3,
 )  # fmt: skip
 NUMBERS = (
     "position_gain", "velocity_gain", "integral_gain", "gain", "delay", "velocity_feedforward",
-    "velocity_feedforward_delay", "reference_delay",
-    "acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward",
-    "torque_feedforward_delay", "velocity_filter.time_constant", "torque_filters.0.frequency",
+    "reference_delay", "acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward",
+    "velocity_filter.time_constant", "torque_filters.0.frequency",
     "torque_filters.0.damping", "torque_filters.1.frequency", "torque_filters.1.bandwidth", "torque_filters.1.depth",
     "initial_torque", "initial_position", "initial_velocity",
 )  # fmt: skip
@@ -139,7 +137,7 @@ def test_what_is_0_has_a_slope_all_the_same() -> None:
     )
     loop, start = ClosedLoop(RigidJoint("prismatic"), law), Initial(1e-4, 0.005)
     names = ("acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward", "constant_feedforward",
-             "reference_delay", "velocity_feedforward_delay", "torque_filters.0.depth")  # fmt: skip
+             "reference_delay", "torque_filters.0.depth")  # fmt: skip
     found = simulate_sensitivities(loop, prepare(loop, driven()), RIGID, names, start)
     for j, name in enumerate(names):
         steps = (1e-9, 1e-8, 1e-7) if name.endswith("delay") else (1e-5, 1e-3, 1e-1)

@@ -72,7 +72,6 @@ _LEFT_OPEN = 2.0  # samples: an averaged torque acts one sooner than a held one
 _INITIAL = {p.name: p for p in INITIAL_STATE}
 _PARTS = ("integral_gain", "time_constant")  # numbers that are a part of the law: at 0 it is not there
 _POSITIVE = ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency")
-_BUFFERED = ("reference_delay", "velocity_feedforward_delay", "torque_feedforward_delay")
 _ROOM = 1e-3  # below what a law cannot have: a derivative by differences also evaluates outside the value
 _SMALL = 1e-6  # relative: how near a search comes to what a law cannot have
 
@@ -125,7 +124,7 @@ def _range(symbol: str, value: float, period: float | None) -> tuple[float, floa
     upper = math.inf
     if period is not None and symbol.endswith("frequency"):
         upper = max((0.5 - _ROOM) / period, value)
-    elif period is not None and symbol in _BUFFERED:
+    elif period is not None and symbol == "reference_delay":
         upper = max((1.0 - _ROOM) * LONGEST_DELAY * period, value)
     return lower, upper
 

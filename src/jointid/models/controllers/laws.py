@@ -69,7 +69,6 @@ class Cascade(DiagramController):
     velocity_feedforward: float = setting(
         0.0, "share of the reference's velocity that is added to the velocity command", at_least=0
     )
-    velocity_feedforward_delay: float = setting(0.0, "by which this sees the reference later", unit="s", at_least=0)
     reference_velocity: Literal["difference", "channel"] = setting(
         "difference", "whether that velocity is the reference's difference, or a channel of its own"
     )
@@ -130,10 +129,9 @@ class Cascade(DiagramController):
         if not self.velocity_feedforward:
             return BlockSignal({})
         if self.reference_velocity == "channel":
-            late = self.reference_delay + self.velocity_feedforward_delay
-            return diagram.delay(diagram.input(REFERENCE_VELOCITY), late) * self.velocity_feedforward
-        reference = diagram.delay(self._reference(diagram), self.velocity_feedforward_delay)
-        return diagram.difference(reference, slow=True) * self.velocity_feedforward
+            late = diagram.delay(diagram.input(REFERENCE_VELOCITY), self.reference_delay)
+            return late * self.velocity_feedforward
+        return diagram.difference(self._reference(diagram), slow=True) * self.velocity_feedforward
 
 
 @add_settings_to_docstring

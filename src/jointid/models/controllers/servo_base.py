@@ -293,9 +293,6 @@ class DiagramController(ServoController):
         0.0, "times the direction in which the reference moves", unit="controller units", at_least=0
     )
     constant_feedforward: float = setting(0.0, "always added", unit="controller units")
-    torque_feedforward_delay: float = setting(
-        0.0, "by which these four feed-forwards see the reference later", unit="s", at_least=0
-    )
     undeclared: Literal["possible", "none"] = setting(
         "possible",
         "whether the drive may have a filter or a delay beside what is declared, which intervals then allow for",
@@ -328,14 +325,13 @@ class DiagramController(ServoController):
 
     def _feedforward(self, diagram: Diagram) -> BlockSignal:
         total = diagram.input(CONSTANT) * self.constant_feedforward if self.constant_feedforward else BlockSignal({})
-        late = self.reference_delay + self.torque_feedforward_delay
         if self.acceleration_feedforward or self.viscous_feedforward:
-            velocity = diagram.difference(diagram.delay(diagram.input(REFERENCE), late))
+            velocity = diagram.difference(self._reference(diagram))
             total = total + velocity * self.viscous_feedforward
             if self.acceleration_feedforward:
                 total = total + diagram.difference(velocity) * self.acceleration_feedforward
         if self.coulomb_feedforward:
-            total = total + diagram.delay(diagram.input(DIRECTION), late) * self.coulomb_feedforward
+            total = total + diagram.delay(diagram.input(DIRECTION), self.reference_delay) * self.coulomb_feedforward
         return total
 
 
