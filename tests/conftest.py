@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 # child process its libraries.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-pytest_plugins = ["tests.processor_time"]
 
 IN_CI = os.environ.get("CI") == "true"
 

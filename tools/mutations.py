@@ -1,4 +1,4 @@
-"""Seventy small faults, put in one at a time: the quick tests must catch each.
+"""Small faults, put in one at a time: the quick tests must catch each.
 
 ``python -m tools.mutations`` runs the quick tests that `faults.toml` names for each fault, until the first failure, and
 prints one line for each. Add ``--thorough`` to run all quick tests where those do not catch a fault. The working tree
@@ -11,21 +11,27 @@ To compare what is caught before and after a change of the tests::
 
     python -m tools.mutations --json before.json
     python -m tools.mutations --compare before.json
+
+``--draw COUNT`` prints rows for the table instead: operators and numbers of the numerical rooms that are exchanged at
+random places, with the quick tests of their room.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
+import random
 import re
 import resource
 import shutil
 import subprocess
 import sys
 import tempfile
+import tokenize
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -36,6 +42,16 @@ TABLE = ROOT / "tools" / "faults.toml"
 PACKAGE = Path("src") / "jointid"
 SEED = 0
 """Of the examples that property tests draw, so that two runs try the same ones."""
+
+DRAWN = {
+    "solvers": "tests/solvers", "models": "tests/models", "simulation": "tests/simulation",
+    "estimation": "tests/estimation", "uncertainty": "tests/estimation",
+}  # fmt: skip
+"""Rooms in which faults are drawn, and the tests that should catch them."""
+_EXCHANGED = {
+    "+": "-", "-": "+", "*": "/", "/": "*", "<": ">", ">": "<", "<=": ">", ">=": "<", "==": "!=", "!=": "==",
+    "and": "or", "or": "and", "True": "False", "False": "True", "0.5": "2.0", "2.0": "0.5", "1": "2", "1.0": "2.0",
+}  # fmt: skip
 
 _OPTIONS = ("-q", "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider", f"--hypothesis-seed={SEED}")
 _LONGEST = 1800.0  # s; a fault may make a search endless
@@ -86,6 +102,35 @@ def read_faults(pattern: str = "") -> list[Fault]:
     if wrong:
         sys.exit("\n".join([*wrong, f"Correct {TABLE.relative_to(ROOT)}."]))
     return [one for one in every if re.search(pattern, f"{one.name} {one.file}")]
+
+
+def draw_faults(count: int) -> list[Fault]:
+    """Return faults at random places of the numerical rooms, as many for each room."""
+    found: list[Fault] = []
+    for room, tests in DRAWN.items():
+        chosen = random.Random(f"{SEED} {room}")
+        places = [(p, *one) for p in sorted((ROOT / PACKAGE / room).rglob("*.py")) for one in _exchanges(p)]
+        for path, line, right, wrong in chosen.sample(places, count // len(DRAWN)):
+            file = path.relative_to(ROOT / PACKAGE).as_posix()
+            found.append(Fault(f"drawn in {file}, line {line}", file, right, wrong, (tests,)))
+    return found
+
+
+def _exchanges(path: Path) -> Iterator[tuple[int, str, str]]:
+    """Yield each line of a file with one token exchanged: its number, its text and the faulty one, if it is unique."""
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
+    for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):
+        if token.string not in _EXCHANGED or before.string == "kw_only":
+            continue
+        operand = before.type in (tokenize.NAME, tokenize.NUMBER) or before.string in (")", "]")
+        unary = token.string in ("*", "/") and not (operand and after.string not in (",", ")"))
+        line = lines[token.start[0] - 1]
+        if unary or text.count(line) > 1:
+            continue
+        wrong = line[: token.start[1]] + _EXCHANGED[token.string] + line[token.end[1] :]
+        yield token.start[0], line, wrong
 
 
 def copy_tree(target: Path) -> None:
@@ -172,7 +217,13 @@ def main() -> None:
     parser.add_argument("--compare", type=Path, metavar="FILE", help="outcomes of a former run")
     parser.add_argument("--trust", action="store_true", help="leave out the run without a fault")
     parser.add_argument("--list", action="store_true", help="show the faults; fail if the table does not fit the code")
+    parser.add_argument("--draw", type=int, metavar="COUNT", help="print rows of so many drawn faults")
     given = parser.parse_args()
+    if given.draw:
+        for fault in draw_faults(given.draw):
+            rows = (f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in asdict(fault).items())
+            print("[[faults]]", *rows, "", sep="\n")
+        return
     faults = read_faults(given.only)
     if given.list:
         print("\n".join(f"{fault.file}: {fault.name}" for fault in faults))
