@@ -15,7 +15,7 @@ import pytest
 import jointid as ji
 from jointid.apps.cli import main
 from jointid.common.charts import Line
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import RecordError
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.limits import AxisLimits, find_excess
 from jointid.output.json.documents import to_dict
@@ -29,9 +29,7 @@ from jointid.planning.joint_tests import JointTests, Purpose, least_deviation
 from jointid.planning.plans import (
     Family,
     Plan,
-    Pulses,
     Sines,
-    TorqueChirp,
     TorqueLines,
     TorqueSines,
     Trapezoids,
@@ -46,12 +44,15 @@ from jointid.records.writing import write
 from jointid.simulation import excitation
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import joint_set
-from tests.text import unwrapped
 
 AXIS = twin("L19", noise="white")
 NOISE = Noise(log=AXIS.noise)
 SHORT = 6000  # samples
 T = 1e-3
+PLAIN = ClosedLoop(
+    RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+)
+PLAIN_VALUES = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
 
 
 def short_record() -> ji.Record:
@@ -113,7 +114,7 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     assert answer["schema"] == "jointid.design/2"
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
     paths = designed.write(tmp_path / "next")
-    assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv", "test.mat"]
+    assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv"]
     table = ji.read(
         tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t", kind="prismatic"
     )
@@ -123,38 +124,9 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     assert len(designed.chart().panels) == 3
 
 
-@pytest.mark.slow
-def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = search
-
-    def interrupted(*given: object, **named: object) -> object:
-        yield from itertools.islice(found(*given, **named), 2)  # type: ignore[arg-type]
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(search_module, "search", interrupted)
-    designed = ji.design(
-        AXIS.loop, values=AXIS.truth, noise=NOISE, goal="stiffness", record=short_record(), search_time=60.0
-    )
-    assert designed.interrupted
-    forced = ji.design(
-        AXIS.loop,
-        values=AXIS.truth,
-        noise=Noise(force=AXIS.noise),
-        goal="stiffness",
-        record=short_record(),
-        search_time=60.0,
-    )
-    assert "with motor encoder" not in forced.tests  # what a force does the torque shows, too
-    assert "with load encoder" in forced.tests
-    assert "interrupted; this is the best" in str(designed)
-
-
 def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
-    loop = ClosedLoop(
-        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
-    )
-    values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+    loop, values = PLAIN, PLAIN_VALUES
     limits = AxisLimits(stroke=2.0, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
     found = ji.design(
         loop,
@@ -164,35 +136,16 @@ def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pyte
         duration=4.0,
         sample_time=1e-3,
         search_time=60.0,
-        goal="weakest",
     )
     assert found.present is None and "with load encoder" not in found.tests and found.floor is None
     assert not found.passed
     jerk = np.max(np.abs(np.diff(found.proposed.reference, 3))) / 1e-9
     assert jerk < 400.0 * 1.05
-    with pytest.raises(MethodError, match="stroke, torque are missing"):
-        ji.design(
-            loop,
-            values=values,
-            noise=Noise(log=0.02),
-            limits=AxisLimits(speed=1.0, acceleration=1.0),
-            duration=4.0,
-            sample_time=1e-3,
-        )
-    with pytest.raises(MethodError, match="a duration and a sample time"):
-        ji.design(loop, values=values, noise=Noise(log=0.02))
-    with pytest.raises(MethodError, match="names stiffness, which is no free parameter"):
-        ji.design(
-            loop, values=values, noise=Noise(log=0.02), goal="stiffness", limits=limits, duration=4.0, sample_time=1e-3
-        )
 
 
 def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
-    loop = ClosedLoop(
-        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
-    )
-    values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+    loop, values = PLAIN, PLAIN_VALUES
     limits = AxisLimits(lower=1.0, upper=2.5, speed=3.0, acceleration=20.0, torque=2.0)
     asked = {"values": values, "noise": Noise(log=0.02), "duration": 4.0, "sample_time": 1e-3, "limits": limits}
     found = ji.design(loop, search_time=30.0, **asked)  # type: ignore[call-overload]
@@ -201,21 +154,6 @@ def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: p
     outside = planned_record(loop, 0.8 + 0.5 * (1.0 - np.cos(np.arange(4000) * 4e-3)), 1e-3)
     told = ji.design(loop, motion=outside, **asked)  # type: ignore[call-overload]
     assert "it passes a limit, lower 0.800 rad of 1.00 allowed" in told.passed
-
-
-def test_what_is_of_a_joint_is_not_of_a_robot() -> None:
-    robot, one = ji.Robot((ji.robots.Link("l", -1),), (ji.robots.RobotJoint("j"),)), short_record()
-    for model, given, said in (
-        (AXIS.loop, {"limits": [AxisLimits()]}, "The test of a joint has one record"),
-        (AXIS.loop, {}, "has values and a noise"),
-        (robot, {"record": one}, "The test of a robot has records, limits, noise and motion of each joint"),
-        (robot, {"record": [one]}, "The records of a robot are read with its estimate"),
-        (robot, {"values": {}, "encoder": 1e-3}, "The test of a robot does not read values, encoder; leave it out"),
-        (robot, {"tap": "measured"}, "The test of a robot does not read tap"),
-        (AXIS.loop, {"feed_forward": "gravity"}, "The test of a joint does not read feed_forward"),
-    ):
-        with pytest.raises(MethodError, match=said):
-            ji.design(model, **given)  # type: ignore[call-overload]
 
 
 def test_no_plan_comes_below_the_floor() -> None:
@@ -229,7 +167,7 @@ def test_no_plan_comes_below_the_floor() -> None:
         assert floor.power.sum() > 0
         for motion, added in itertools.product(
             (Trapezoids((0.05,), 0.5, 0.19), Sines(0.08, 0.3, 2.0)),
-            (TorqueLines((16.5, 29.8), (25.0, 60.0)), TorqueChirp(40.0, 8.0, 40.0), Pulses(120.0, 0.02, 0.4), None),
+            (TorqueLines((16.5, 29.8), (25.0, 60.0)), TorqueSines(40.0, 8.0, 40.0), None),
         ):
             reference, injected = Plan(motion, added).play(SHORT, SAMPLE_TIME)
             test = planned_record(AXIS.loop, reference, SAMPLE_TIME, injected)
@@ -250,11 +188,6 @@ def test_the_floor_falls_with_time_and_noise() -> None:
     once = floor(SHORT, NOISE)
     assert floor(4 * SHORT, NOISE) == pytest.approx(0.5 * once, rel=1e-6)
     assert floor(SHORT, Noise(log=2 * AXIS.noise)) == pytest.approx(2 * once, rel=1e-6)
-    with pytest.raises(MethodError, match="does not move the joint"):
-        least_deviation(
-            AXIS.loop, AXIS.truth, NOISE, goal, AxisLimits(torque=10.0), samples=SHORT, sample_time=SAMPLE_TIME,
-            cutoff=60.0,
-        )  # fmt: skip
 
 
 def test_the_lines_of_the_floor_are_the_peaks_of_its_powers() -> None:
@@ -288,7 +221,7 @@ def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
     goal = parse_goal("all", own.units)
     purpose = Purpose(AXIS.loop, (AXIS.truth,), NOISE, goal, SHORT, SAMPLE_TIME, Tap.COMMAND, Filtering(), {})
     asked = JointTests(purpose, limits, room)
-    wide = asked.try_plan(Plan(Trapezoids((0.1,), 1.0, 0.15), Pulses(150.0, 0.02, 0.4)))
+    wide = asked.try_plan(Plan(Trapezoids((0.1,), 1.0, 0.15), TorqueSines(150.0, 10.0, 40.0)))
     narrow = asked.try_plan(Plan(Trapezoids((0.1,), 1.0, 0.05)))
     assert wide.over == pytest.approx(1.5 / 0.97, rel=0.01)
     assert narrow.over == 0.0
@@ -320,11 +253,6 @@ def test_every_generator_plays_what_it_says() -> None:
     spectrum = np.abs(np.fft.rfft(sines))
     hertz = np.fft.rfftfreq(samples, T)
     assert np.sum(spectrum[(hertz < 4.0) | (hertz > 41.0)] ** 2) < 0.01 * np.sum(spectrum**2)
-    chirp = TorqueChirp(3.0, 2.0, 20.0).play(samples, T)
-    assert np.max(np.abs(chirp)) == pytest.approx(3.0, rel=1e-3)
-    assert chirp[0] == 0.0 and abs(chirp[-1]) < 0.01
-    half = np.abs(np.fft.rfft(chirp[: samples // 2]))
-    assert hertz[::2][: half.size][np.argmax(half)] < 7.0  # it has not come to the fast ones yet
     lines = TorqueLines((7.0, 19.0), (2.0, 1.0)).play(samples, T)
     amplitude = 2 * np.abs(np.fft.rfft(lines)) / samples
     assert amplitude[np.argmin(np.abs(hertz - 7.0))] == pytest.approx(2.0, rel=0.05)
@@ -335,7 +263,7 @@ def test_every_generator_plays_what_it_says() -> None:
     assert trapezoid[-1] == pytest.approx(trapezoid[-3], abs=1e-12)
     series = excitation.fourier_series(samples, T, 4.0, (0.1, 0.0), (0.0, 0.2))
     assert series == pytest.approx(0.1 * (np.cos(0.5 * math.pi * time) - 1) + 0.2 * np.sin(math.pi * time))
-    assert Family("trapezoids", "pulses").size == 9
+    assert Family("trapezoids", "lines").size == 8
     size = {"stroke": 1.0, "speed": 1.0, "acceleration": 1.0, "torque": 1.0}
     room = room_of(size, size, 20.0, 60.0, 30.0, ((30.0, 1.0),))
     for family in families_in(room):
@@ -343,11 +271,6 @@ def test_every_generator_plays_what_it_says() -> None:
             added = family.plan([share] * family.size, room).added
             band = getattr(added, "frequencies", (getattr(added, "lowest", 20.0), getattr(added, "highest", 60.0)))
             assert min(band) >= 20.0 and max(band) <= 60.0, (family, share)
-            assert family.added != "pair" or len(set(band)) == 2
-    with pytest.raises(MethodError, match="half of the sampling frequency"):
-        excitation.chirp(100, T, 1.0, 2.0, 600.0)
-    with pytest.raises(MethodError, match="as many cosines as sines"):
-        excitation.fourier_series(100, T, 1.0, (1.0,), ())
 
 
 @pytest.mark.slow
@@ -358,7 +281,7 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     with pytest.raises(SystemExit) as ended:
         main([
             "design", str(tmp_path / "joint.toml"), "-q", "--goal", "stiffness", "--search-time", "6", "--out",
-            str(tmp_path / "next"), "--json", str(tmp_path / "next.json"), "--windup", "0.001",
+            str(tmp_path / "next"), "--json", str(tmp_path / "next.json"), "--set", "limits.windup=0.001",
         ])  # fmt: skip
     assert ended.value.code == 0
     printed = capsys.readouterr().out
@@ -372,7 +295,8 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     with pytest.raises(SystemExit) as ended:
         main([
             "design", str(tmp_path / "joint.toml"), "-q", "--goal", "stiffness", "--motion",
-            str(tmp_path / "next" / "test.csv"), "--json", str(tmp_path / "own.json"), "--stroke", "0.01",
+            str(tmp_path / "next" / "test.csv"), "--json", str(tmp_path / "own.json"), "--set",
+            "limits.stroke=0.01",
         ])  # fmt: skip
     assert ended.value.code == 0
     assert "Beware: it passes a limit, stroke" in " ".join(capsys.readouterr().out.split())
@@ -440,23 +364,12 @@ def test_the_command_plans_from_rough_values_without_a_record(
     assert json.loads(told.read_text())["axes"][0]["reached"]["stroke"] < 2.1
     (tmp_path / "other.csv").write_text("t,ref\n0,0\n0.001,0\n")
     assert planned(tmp_path, ROUGH + KNOWN, *without, "--motion", str(tmp_path / "other.csv")) == 2
-    assert "a test of your own has the columns t, reference" in unwrapped(capsys.readouterr().err)
-    for words, said in (
-        (["--sample-time", "0.001"], "--sample-time counts where nothing is identified from a record"),
-        (["--noise-log", "0.02", "--duration", "4"], "A test has a duration and a sample time"),
-        (["--noise-log", "-1"], "Noise has a standard deviation of 0 or more"),
-    ):
-        assert planned(tmp_path, ROUGH + KNOWN, *words) == 2
-        assert said in unwrapped(capsys.readouterr().err)
+    assert planned(tmp_path, ROUGH + KNOWN, "--sample-time", "0.001") == 2
     assert planned(tmp_path, ROUGH, *without) == 2
-    assert "inertia, viscous, coulomb, offset have none" in unwrapped(capsys.readouterr().err)
 
 
-def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    loop = ClosedLoop(
-        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
-    )
-    truth = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path) -> None:
+    loop, truth = PLAIN, PLAIN_VALUES
     reference = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, 1e-3, duration=6.0)
     noise = 0.02 * np.random.default_rng(5).standard_normal(reference.size)
     record = simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise)
@@ -472,25 +385,18 @@ def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path, capsys: py
     found = read_covariance(tmp_path / "answer.json", free)
     assert np.sqrt(np.diag(found)) == pytest.approx([answer["parameters"][name]["std"] for name in free])
     assert abs(found[1, 2]) > 0.3 * math.sqrt(found[1, 1] * found[2, 2])  # viscous and Coulomb friction are not apart
-    words = [
-        "--record",
-        str(tmp_path / "record.csv"),
-        "--estimate",
-        str(tmp_path / "answer.json"),
-        "--noise-log",
-        "0.02",
-    ]
+    record_and_estimate = ("--record", str(tmp_path / "record.csv"), "--estimate", str(tmp_path / "answer.json"))
+    words = [*record_and_estimate, "--noise-log", "0.02"]
     assert planned(tmp_path, ROUGH, *words, "--json", str(tmp_path / "told.json")) == 0
     tests = json.loads((tmp_path / "told.json").read_text())["tests"]
     assert tests["present"]["values"]["inertia"] == answer["parameters"]["inertia"]["value"]
     reported = answer["parameters"]["inertia"]["std"]  # the larger of two, where predicted is what they scatter by
     assert 0.4 * reported < tests["present"]["std"]["inertia"] < 1.2 * reported
-    with pytest.raises(RecordError, match="has no interval of each of stiffness"):
+    with pytest.raises(RecordError):
         read_covariance(tmp_path / "answer.json", ["stiffness"])
     answer["parameters"]["inertia"]["std"] = None
     (tmp_path / "answer.json").write_text(json.dumps(answer))
     assert planned(tmp_path, ROUGH, *words) == 2
-    assert "has no interval of each of inertia" in unwrapped(capsys.readouterr().err)
 
 
 @pytest.mark.slow
@@ -540,24 +446,6 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: p
     assert " of " not in found.axes[0].cell("speed"), "it is not limited"
 
 
-def test_bad_input_is_refused_in_a_sentence() -> None:
-    limits = AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
-    for wrong, said in (
-        ({"duration": -1.0}, "The duration is a positive number"),
-        ({"duration": 0.05}, "A test of 50 samples tells nothing"),
-        ({"search_time": 0.0}, "The time of the search is a positive number"),
-        ({"goal": "stiffness + damping"}, "only what has one unit can be added"),
-    ):
-        given = {"duration": 4.0, "sample_time": 1e-3, "limits": limits, "goal": "stiffness"} | wrong
-        with pytest.raises(MethodError, match=said):
-            ji.design(AXIS.loop, values=AXIS.truth, noise=NOISE, **given)  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match="The highest frequency is above the lowest"):
-        AxisLimits(lowest=200.0, highest=30.0)
-    one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
-    with pytest.raises(MethodError, match="does not tell"):
-        ji.design(AXIS.loop, values=AXIS.truth, noise=NOISE, record=short_record(), motion=one_way)
-
-
 def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) -> None:
     """Its reference every 4 ms beside a torque every 1 ms, and beside it the same at 1 ms: nearly one motion."""
     reference = excitation.trapezoids((0.05, 0.1), 1.0, 0.15, 4e-3, duration=6.0)
@@ -589,7 +477,6 @@ def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said(monkeypat
         noise=NOISE,
         record=short_record(),
         limits=limits,
-        goal="weakest",
         search_time=60.0,
     )
     assert not found.passed

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.diagnostics.identify import identify
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.models.limits import AxisLimits
@@ -174,19 +173,6 @@ def test_springs_are_told_by_what_is_added_about_their_modes() -> None:
     bare = design(twin.robot, limits=limits, motion=references(twin.robot, slow, 1e-3), **asked)  # type: ignore[arg-type]
     plain = relative(bare)
     assert plain["joint2.stiffness"] > 3 * own["joint2.stiffness"]
-
-
-def test_what_is_refused() -> None:
-    with pytest.raises(MethodError, match=r"some are missing: joint1 \(upper, speed\)\. Give them as limits = \{"):
-        design(two().robot, limits=(AxisLimits(lower=0.0), LIMITS[1]))
-    with pytest.raises(MethodError, match="The upper position is above the lower one"):
-        AxisLimits(lower=1.0, upper=0.5)
-    with pytest.raises(MethodError, match="predicted under the controllers, and there are none"):
-        design(two((9.0, None)).robot, limits=LIMITS)
-    with pytest.raises(MethodError, match="A test of 10 samples tells nothing"):
-        design(two().robot, limits=LIMITS, duration=0.01)
-    with pytest.raises(MethodError, match="has as many limits; received 1"):
-        design(two().robot, limits=LIMITS[:1])
 
 
 def played() -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -20,7 +20,7 @@ from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.planning.designed import Design
 from jointid.planning.joint_tests import JointTests, joint_tests
-from jointid.planning.predict import Noise, PredictedTest
+from jointid.planning.predict import Noise
 from jointid.planning.robot_tests import FirstRecord, RobotTests, combine_with_nominal, first_record, robot_tests
 from jointid.planning.search import Tried, choose, look
 from jointid.records.record import Record, Tap
@@ -51,7 +51,6 @@ def design(
     parameters: Mapping[str, Parameter] | None = None,
     encoder: float | None = None,
     injection: bool = True,
-    time_scale: float = 1.0,
     loop: RobotLoop | None = None,
     feed_forward: Literal["none", "gravity", "inverse-model"] = "none",
     search_time: float = 60.0,
@@ -72,8 +71,7 @@ def design(
         values: every parameter of the joint by name; those of the estimate by default.
         noise: what will disturb the test; by default the residual of the record. Of a robot the standard deviation of
             white noise on each joint's torque; without a record 1 % of the torque.
-        goal: a parameter, a sum or a difference of parameters, "weakest" (the direction that is known worst) or "all"
-            (the volume of all intervals).
+        goal: a parameter, a sum or a difference of parameters, or "all" (the volume of all intervals).
         limits: of the axis; of a robot those of each joint.
         motion: a test of your own, or a past record, which is predicted instead of a search; of a robot one for each
             joint.
@@ -88,8 +86,6 @@ def design(
         encoder: steps of the encoders that are predicted beside a joint's test, m or rad; those of the record by
             default, or a millionth of the stroke.
         injection: whether the drive can add a signal to the torque; a robot's test adds none.
-        time_scale: by how much slower the test is played than it was searched for, 1 or more: it takes as many times as
-            long. The test at full speed is predicted beside it.
         loop: controllers of a robot that was identified without them, for a test by DIDIM.
         feed_forward: that a robot's drives are given beside the controllers' torque.
         search_time: that the search may take, s. An interrupt ends it and keeps the best test.
@@ -116,7 +112,6 @@ def design(
         True
     """
     _require_numbers({"duration": duration, "sample time": sample_time, "time of the search": search_time})
-    _require_numbers({"time scale": time_scale}, 1.0)
     _require_numbers({"tolerance in percent": within}, 0.0)
     played = None if motion is None else (motion,) if isinstance(motion, Record) else tuple(motion)
     tests: JointTests | RobotTests
@@ -167,7 +162,7 @@ def design(
         found, cut = look(tests.rough, tests.begin, search_time, seed, progress)
         best, ended = choose(tests, found, progress)
         test, longer, tried, interrupted = tests.record(best.plan), tests.longer(best.plan), len(found), cut or ended
-    return _predict(name, tests, test, best, longer, tried, interrupted, time_scale)
+    return _predict(name, tests, test, best, longer, tried, interrupted)
 
 
 def _predict(
@@ -178,23 +173,15 @@ def _predict(
     longer: Sequence[Record] | None,
     tried: int,
     interrupted: bool,
-    time_scale: float,
 ) -> Design:
-    """Predict a test that was found, slowed down as asked."""
-    description, slowed = tests.describe(best.plan), dict[str, PredictedTest]()
-    if time_scale > 1.0:
-        slowed["at full speed"] = tests.predict(test, None)["proposed"]
-        test, longer, description = _slow_down(test, time_scale), None, f"{description}, {time_scale:g} times slower"
-        best = tests.take(test)
+    """Predict a test that was found."""
     predicted = tests.predict(test, longer)
-    present = {one: predicted.pop(one) for one in ("present",) if one in predicted}
-    predicted = present | slowed | predicted
     if each := tests.find_deviations(test):
         predicted["at worst"] = predicted["proposed"].widen(each)
     failed = (_DOUBTFUL,) if math.isinf(best.over) else ()
     return Design(
-        name, tests.goal, description, tests.axes(test, best, predicted["proposed"]), predicted, tests.noise,
-        tests.least, tried, interrupted, (*failed, *tests.doubts), assumed=tests.assumed,
+        name, tests.goal, tests.describe(best.plan), tests.axes(test, best, predicted["proposed"]), predicted,
+        tests.noise, tests.least, tried, interrupted, (*failed, *tests.doubts), assumed=tests.assumed,
         from_shafts=np.asarray(np.linalg.inv(tests.robot.coupling)) if isinstance(tests, RobotTests) else None,
     )  # fmt: skip
 
@@ -259,31 +246,6 @@ def _with_springs(found: Robot, declared: Robot) -> Robot:
         friction = {name: max(getattr(own, name) - of_link, 0.0) for name, of_link in left}
         joints.append(replace(own, spring=spring, **friction))
     return replace(found, joints=tuple(joints))
-
-
-def _slow_down(test: Sequence[Record], times: float) -> tuple[Record, ...]:
-    """Return a test whose references take so many times as long.
-
-    Raises:
-        MethodError: a signal is added to a torque.
-    """
-    from scipy.interpolate import CubicSpline
-
-    found = []
-    for record in test:
-        if record.injected is not None:
-            raise MethodError(
-                "A signal that is added to the torque cannot be slowed down with the motion; plan a test without it, "
-                "by injection = False or --no-injection."
-            )
-        changed: dict[str, Any] = {}
-        for name, by in (("reference", 1.0), ("reference_velocity", 1.0 / times)):
-            if (channel := getattr(record, name)) is not None:
-                size = len(channel)
-                at = np.arange(math.floor(times * (size - 1) + 1e-9) + 1) / times
-                changed[name] = replace(channel, values=by * CubicSpline(np.arange(size), channel.values)(at))
-        found.append(replace(record, torque=None, motor_position=None, load_position=None, **changed))
-    return tuple(found)
 
 
 def _times(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,17 +14,14 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Line, Mark, Panel
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table, common_facts
-from jointid.common.errors import ExtraError
 from jointid.common.files import write_folder
 from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import in_words, join, number
 from jointid.common.transmission import Side, Transmission
 from jointid.models.limits import AxisLimits, describe_excess, units_of_limits
-from jointid.planning.goals import WEAKEST, Goal
+from jointid.planning.goals import Goal
 from jointid.planning.predict import PredictedTest
 from jointid.planning.trajectories import Trajectory
-from jointid.records.formats.matlab import variable_name
-from jointid.records.formats.rosbag import write_trajectory
 from jointid.records.record import InjectionPoint, Record
 from jointid.records.writing import write_columns
 
@@ -232,8 +228,8 @@ class Design(Charted, Documented):
             return stated
         if not math.isfinite(gain):
             return f"{stated}; the present one does not tell all"
-        what = "the worst known direction" if self.goal.name == WEAKEST else "intervals on the geometric mean"
-        return f"{stated}, and brings {what} to {number(100 * math.exp(gain), 3)} % of the width of the present one"
+        width = f"{number(100 * math.exp(gain), 3)} % of the width of the present one"
+        return f"{stated}, and brings intervals on the geometric mean to {width}"
 
     def _width(self, prediction: PredictedTest) -> str:
         std = prediction.std_of(self.goal.weights)
@@ -331,7 +327,7 @@ class Design(Charted, Documented):
         )
 
     def write(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write CSV and MAT tables and instructions into a folder; return the paths."""
+        """Write the table and instructions into a folder; return the paths."""
         return write_folder(folder, self.files())
 
     def files(self) -> dict[str, bytes]:
@@ -339,13 +335,14 @@ class Design(Charted, Documented):
         records = self.records()
         columns = _columns(self.axes, records) if self.layout is None else self.layout.columns(records)
         options = {} if self.layout is None else self.layout.options
-        files: dict[str, bytes] = {}
         with tempfile.TemporaryDirectory() as place:
-            for name, named, given in (("test.csv", str, options), ("test.mat", variable_name, {})):
-                path = Path(place) / name
-                write_columns({named(one): values for one, values in columns.items()}, path, **given)
-                files[name] = path.read_bytes()
-        return files | self._trajectory_files() | {"how-to-run.md": self._page(columns).encode("utf-8")}
+            path = Path(place) / "test.csv"
+            write_columns(columns, path, **options)
+            files = {"test.csv": path.read_bytes()}
+        motion = self.trajectory()
+        if motion is not None:
+            files["trajectory.yaml"] = motion.to_yaml().encode("utf-8")
+        return files | {"how-to-run.md": self._page(columns).encode("utf-8")}
 
     def trajectory(self) -> Trajectory | None:
         """Return the motion of the joints behind their gears, rad or m; None of a test that adds to the torque."""
@@ -363,37 +360,19 @@ class Design(Charted, Documented):
             positions = positions @ self.from_shafts.T
         return Trajectory.of([axis.name or "joint" for axis in self.axes], positions, references[0].sample_time)
 
-    def _trajectory_files(self) -> dict[str, bytes]:
-        """Return the motion as controllers of robots play it; a bag where bags can be written."""
-        motion = self.trajectory()
-        if motion is None:
-            return {}
-        files = {"trajectory.yaml": motion.to_yaml().encode("utf-8")}
-        if (script := motion.script) is not None and all(axis.position_unit == "rad" for axis in self.axes):
-            files["trajectory.script"] = script.encode("utf-8")
-        with tempfile.TemporaryDirectory() as place:
-            table, bag = Path(place) / "trajectory.csv", Path(place) / "trajectory.mcap"
-            write_columns(motion.columns(), table)
-            with suppress(ExtraError):
-                write_trajectory(
-                    bag, motion.names, motion.time, motion.positions, motion.velocities, motion.accelerations
-                )
-            return files | {one.name: one.read_bytes() for one in (table, bag) if one.exists()}
-
     def _page(self, columns: Mapping[str, FloatArray]) -> str:
         reference = self.axes[0].test.reference
         assert reference is not None
         every, length = number(1e3 * reference.sample_time, 6), number(len(reference) * reference.sample_time, 4)
         steps = [
-            f"`test.csv` and `test.mat` hold the columns {join([f'`{name}`' for name in columns])}, a row every "
+            f"`test.csv` holds the columns {join([f'`{name}`' for name in columns])}, a row every "
             f"{every} ms, {length} s."
         ]
         injections = []
         if self.trajectory() is not None:
             steps.append(
-                "`trajectory.*` hold the same motion of the joints behind their gears, in rad, m and s: a ROS 2 "
-                "JointTrajectory as YAML and, with `jointid[logs]`, as a bag; URScript of an arm of six joints; and a "
-                "table. They have fewer rows, between which a cubic of positions and velocities is the motion."
+                "`trajectory.yaml` holds the same motion of the joints behind their gears, in rad, m and s, as a ROS 2 "
+                "JointTrajectory. It has fewer rows, between which a cubic of positions and velocities is the motion."
             )
         for k, axis in enumerate(self.axes):
             assert axis.test.reference is not None

@@ -1,4 +1,4 @@
-"""Goals of a test: a parameter, a combination, the worst direction, or all."""
+"""Goals of a test: a parameter, a combination, or all."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.intervals import weights_of
 
-WEAKEST, ALL = "weakest", "all"
-"""Goals beside those that name a quantity: the direction known worst, and the volume of the intervals (D-optimal)."""
+ALL = "all"
+"""The goal beside those that name a quantity: the volume of the intervals (D-optimal)."""
 
 _TINY = 1e-30
 _ZERO = 1e-9  # of a value: what is less is rounding, and no scale
@@ -31,7 +31,7 @@ class Goal:
     weights: Mapping[str, float]
 
     def score(self, covariance: FloatArray, names: Sequence[str], values: Mapping[str, float]) -> float:
-        """Logarithmic objective; lower is better, differences are relative. Offsets do not count among all.
+        """Logarithmic objective; lower is better, differences are relative. Offsets do not count beside others.
 
         Args:
             covariance: (parameters, parameters).
@@ -45,27 +45,27 @@ class Goal:
         if not np.all(np.isfinite(covariance)):
             return math.inf
         size = np.array([abs(values[name]) if abs(values[name]) > _ZERO else 1.0 for name in names])
-        kept = [i for i, name in enumerate(names) if "offset" not in name]
+        kept = [i for i, name in enumerate(names) if "offset" not in name] or [*range(len(names))]
         relative = (covariance / np.outer(size, size))[np.ix_(kept, kept)]
         found = np.maximum(np.linalg.eigvalsh(relative), _TINY)
-        return 0.5 * math.log(float(found[-1])) if self.name == WEAKEST else 0.5 * float(np.mean(np.log(found)))
+        return 0.5 * float(np.mean(np.log(found)))
 
 
 def parse_goal(name: str, units: Mapping[str, str]) -> Goal:
     """Parse a goal.
 
     Args:
-        name: of a parameter, a sum or a difference such as "motor_viscous - load_viscous", "weakest" or "all".
+        name: of a parameter, a sum or a difference such as "motor_viscous - load_viscous", or "all".
         units: of the free parameters, by name.
     """
-    if name in (WEAKEST, ALL):
+    if name == ALL:
         return Goal(name, {})
     weights = weights_of(name)
     unknown = [one for one in weights if one not in units]
     if unknown:
         raise MethodError(
             f'The goal "{name}" names {", ".join(unknown)}, which is no free parameter here; choose from '
-            f'{", ".join(units)}, a sum or a difference of them, "{WEAKEST}", or "{ALL}".'
+            f'{", ".join(units)}, a sum or a difference of them, or "{ALL}".'
         )
     several = sorted({units[one] for one in weights})
     if len(several) > 1:

@@ -1,6 +1,6 @@
 """Parametrised tests that a drive can play: a motion with a signal added to the torque.
 
-Drives generate trapezoids (with a jerk limit), chirps, sums of sines and pulses; test benches play tables. A family
+Drives generate trapezoids (with a jerk limit) and sums of sines; test benches play tables. A family
 combines one motion with one added signal; the axis limits or the present test bound its numbers.
 """
 
@@ -21,7 +21,6 @@ _SPEEDS = 3  # of the trapezoids of one cycle
 _REST = 0.4  # s before each way at most
 _INSIDE = 0.985  # of the stroke, that a reference takes at most: the motor passes where it was asked to stop
 _LINES = 24  # of a sum of sines
-_APART = 1.02  # of two sines, at least: the ratio of their frequencies
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,26 +101,6 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Pulses:
-    """Rectangular pulses of alternating sign at irregular times."""
-
-    height: float
-    width: float
-    every: float
-
-    def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Added torque, (samples,)."""
-        return excitation.pulses(samples, sample_time, self.height, self.width, self.every, seed=0)
-
-    def describe(self, unit: str) -> str:
-        """Describe it, with torques in that unit."""
-        return (
-            f"pulses of {number(self.height, 3)} {unit} and {number(1e3 * self.width, 3)} ms on the torque, of "
-            f"alternating sign, one in {number(self.every, 2)} s"
-        )
-
-
-@dataclass(frozen=True, slots=True)
 class TorqueSines:
     """A sum of equal torque sines between two frequencies, Hz, with peak `amplitude`."""
 
@@ -160,26 +139,6 @@ class TorqueLines:
 
 
 @dataclass(frozen=True, slots=True)
-class TorqueChirp:
-    """A torque sine whose frequency rises over the test, Hz."""
-
-    amplitude: float
-    lowest: float
-    highest: float
-
-    def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Added torque, (samples,)."""
-        return excitation.chirp(samples, sample_time, self.amplitude, self.lowest, self.highest)
-
-    def describe(self, unit: str) -> str:
-        """Describe it, with torques in that unit."""
-        return (
-            f"a chirp of {number(self.amplitude, 3)} {unit} on the torque, {number(self.lowest, 2)} to "
-            f"{number(self.highest, 2)} Hz"
-        )
-
-
-@dataclass(frozen=True, slots=True)
 class TorqueTable:
     """A tabulated torque signal, one value per sample."""
 
@@ -196,7 +155,7 @@ class TorqueTable:
 
 
 Motion: TypeAlias = Trapezoids | Sines | Table
-Added: TypeAlias = Pulses | TorqueSines | TorqueLines | TorqueChirp | TorqueTable
+Added: TypeAlias = TorqueSines | TorqueLines | TorqueTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,9 +178,7 @@ class Plan:
     def scale(self, factor: float) -> Plan:
         """Scale the added signal and the motion; a table of positions stays."""
         added, motion = self.added, self.motion
-        if isinstance(added, Pulses):
-            added = replace(added, height=factor * added.height)
-        elif isinstance(added, TorqueTable):
+        if isinstance(added, TorqueTable):
             added = replace(added, values=factor * added.values)
         elif isinstance(added, TorqueLines):
             added = replace(added, amplitudes=tuple(factor * one for one in added.amplitudes))
@@ -246,7 +203,7 @@ class Room:
         stroke, speed, acceleration, torque: in the joint's units.
         low: end of the stroke from which it is reckoned.
         jerk: None where the drive limits none.
-        lowest, highest: frequencies of a chirp or a sum of sines.
+        lowest, highest: frequencies of a sum of sines.
         mode: about where the joint's resonance is; a rigid one's half of the highest.
         lines: frequencies, Hz, of sines that would tell most of a joint without friction, and their amplitudes, the
             largest 1; none where that is not known.
@@ -283,11 +240,6 @@ def _sines(u: Sequence[float], room: Room) -> Sines:
     return Sines(0.5 * _log(0.02, _INSIDE, u[0]) * room.stroke, lowest, highest, room.low + 0.5 * room.stroke)
 
 
-def _pulses(u: Sequence[float], room: Room) -> Pulses:
-    width = _log(0.1, 3.0, u[1]) / room.mode
-    return Pulses(_log(0.02, 1.0, u[0]) * room.torque, width, _log(1.5, 40.0, u[2]) * width)
-
-
 def _band(u: Sequence[float], room: Room) -> tuple[float, float]:
     least = max(room.lowest, 0.05 * room.mode)
     lowest = _log(least, max(0.9 * room.highest, least), u[0])
@@ -298,22 +250,11 @@ def _torque_sines(u: Sequence[float], room: Room) -> TorqueSines:
     return TorqueSines(_log(0.02, 1.0, u[0]) * room.torque, *_band(u[1:], room))
 
 
-def _torque_chirp(u: Sequence[float], room: Room) -> TorqueChirp:
-    return TorqueChirp(_log(0.02, 1.0, u[0]) * room.torque, *_band(u[1:], room))
-
-
 def _torque_lines(u: Sequence[float], room: Room) -> TorqueLines:
     size, tilt = _log(0.02, 0.7, u[0]) * room.torque, 2.0 * u[1]
     frequencies, shares = zip(*room.lines, strict=True)
     # Friction wants more at low frequencies than a joint without it, or less: the shares may be levelled.
     return TorqueLines(frequencies, tuple(size * share**tilt for share in shares))
-
-
-def _pair_of_sines(u: Sequence[float], room: Room) -> TorqueLines:
-    first = min(max(_log(0.3, 1.2, u[1]) * room.mode, room.lowest), room.highest / _APART)
-    frequencies = (first, min(first * _log(_APART, 2.5, u[2]), room.highest))
-    size = _log(0.02, 0.9, u[0]) * room.torque
-    return TorqueLines(frequencies, (size * (1 - u[3]), size * u[3]))
 
 
 _Numbers: TypeAlias = Sequence[float]
@@ -322,11 +263,8 @@ _MOTIONS: Mapping[str, tuple[int, Callable[[_Numbers, Room], Motion]]] = {
 }  # fmt: skip
 _ADDED: Mapping[str, tuple[int, Callable[[_Numbers, Room], Added] | None]] = {
     "nothing": (0, None),
-    "pulses": (3, _pulses),
     "sines": (3, _torque_sines),
-    "chirp": (3, _torque_chirp),
     "lines": (2, _torque_lines),
-    "pair": (4, _pair_of_sines),
 }
 
 
@@ -336,7 +274,7 @@ class Family:
 
     Attributes:
         motion: "trapezoids" or "sines".
-        added: "nothing", "pulses", "sines", "chirp", "lines" or "pair".
+        added: "nothing", "sines" or "lines".
     """
 
     motion: str

@@ -1,4 +1,4 @@
-"""A motion as the controllers of robots play it: ROS 2 JointTrajectory, URScript, or columns.
+"""A motion as the controllers of robots play it, a ROS 2 JointTrajectory.
 
 Between two points controllers interpolate by a cubic of positions and velocities (ROS 2 control). As many samples are
 left out as that keeps within `_EXACT` of the travel.
@@ -17,9 +17,6 @@ from jointid.common.arrays import FloatArray
 
 _EXACT = 1e-4  # of the travel, that a cubic between the points is off at most
 _SPARSEST = 0.02  # s between points, at most
-_CYCLE = 0.008  # s, of servoj: that of CB3 controllers, and four cycles of e-Series
-_ARM = 6  # joints of the robots that URScript moves
-_START = 0.3  # rad/s and rad/s2, to the first position
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,33 +69,6 @@ class Trajectory:
             ]
             lines.append(f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
         return "\n".join(lines) + "\n"
-
-    @property
-    def script(self) -> str | None:
-        """A URScript program; None of a robot that is no arm of six joints."""
-        from scipy.interpolate import CubicHermiteSpline
-
-        if len(self.names) != _ARM:
-            return None
-        at = np.append(np.arange(0.0, self.time[-1], _CYCLE), self.time[-1])
-        rows = CubicHermiteSpline(self.time, self.positions, self.velocities)(at)
-        lines = [
-            "def jointid_test():",
-            "  # servoj follows later than asked: log the target positions, which are the reference.",
-            f"  movej([{_list(rows[0])}], a={_START}, v={_START})",
-            *(f"  servoj([{_list(row)}], t={_CYCLE}, lookahead_time=0.03, gain=1000)" for row in rows),
-            "  stopj(1.0)",
-            "end",
-        ]
-        return "\n".join(lines) + "\n"
-
-    def columns(self) -> dict[str, FloatArray]:
-        """Return time, positions, velocities and accelerations as columns by name."""
-        found = {"t": self.time}
-        for k, name in enumerate(self.names):
-            each = (("position", self.positions), ("velocity", self.velocities), ("acceleration", self.accelerations))
-            found |= {f"{name}.{what}": values[:, k] for what, values in each}
-        return found
 
 
 def _list(values: FloatArray) -> str:

@@ -15,48 +15,12 @@ from jointid.apps.cli.results import require_goal
 from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
-    from jointid import AxisLimits, Record
+    from jointid import Record
     from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
     from jointid.config.contents import File
     from jointid.config.robot_file import RobotFile
     from jointid.planning.designed import Design
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """Limits of the axis, in the joint's units (m, rad, N, N m); default [limits].
-
-    Attributes:
-        stroke: of the position, from one end to the other; without a limit that of the record.
-        torque: the largest, with what is injected; without a limit that of the record.
-        rms_torque: root mean square over the test; without a limit that of the record.
-        speed: the largest, of motor and load; without a limit up to twice that of the record is tried.
-        acceleration: the largest of the reference, likewise.
-        jerk: the largest of the reference.
-        windup: the largest of the spring, in which it rings.
-        lowest: frequency of a chirp or of sines, Hz; without a limit 0.1.
-        highest: frequency, likewise; without a limit the cut-off of the filter.
-    """
-
-    stroke: float | None = None
-    torque: float | None = None
-    rms_torque: float | None = None
-    speed: float | None = None
-    acceleration: float | None = None
-    jerk: float | None = None
-    windup: float | None = None
-    lowest: float | None = None
-    highest: float | None = None
-
-    def beside(self, stated: AxisLimits) -> AxisLimits:
-        """Return the limits of a joint file, overridden by the given ones."""
-        given = {name: getattr(self, name) for name in self.__slots__}
-        return replace(stated, **{name: limit for name, limit in given.items() if limit is not None})
-
-
-NO_LIMITS = Limits()
 
 
 @Parameter(name="*")
@@ -157,12 +121,10 @@ def design(
     /,
     *,
     options: Options = DEFAULTS,
-    limits: Limits = NO_LIMITS,
     rough: Rough = NOTHING_ROUGH,
     goal: str = "all",
     duration: float | None = None,
     injection: bool = True,
-    time_scale: float = 1.0,
     search_time: float = 60.0,
     motion: Path | None = None,
     out: Path | None = None,
@@ -180,20 +142,17 @@ def design(
         joint: the joint file (TOML), whose method is didim; or a robot file, which has the table [robot]: the motion
             that tells most of it within the limits of its [[joints]], beside that of its record.
         options: those that most commands have.
-        limits: of the axis, in the place of those that [limits] of the joint file states; of a robot of every joint.
         rough: what is known of the joint and of the noise, where it is not identified from a record.
-        goal: what the test is to tell: a parameter, a sum or a difference as "motor_viscous - load_viscous", "weakest"
-            (what is known worst) or "all".
+        goal: what the test is to tell: a parameter, a sum or a difference as "motor_viscous - load_viscous", or
+            "all".
         duration: of the test, in s; without it that of the record.
         injection: whether the drive can add a signal to the torque.
-        time_scale: by how much slower the test is played than planned, as 2; the table has it beside full speed.
         search_time: that the search may take, in s.
         motion: a test of your own, predicted in the place of a search: a past record, or a table with its columns; of
             a joint also a table with the columns t (s), reference (m or rad) and, if a signal is added to the torque,
             injected (N, N m, or the torque's unit).
-        out: also write the test into this folder: a CSV and a MAT file in the columns, units and sides of the joint
-            file, a page on how to run it, and, without a signal on the torque, the motion as a ROS 2 JointTrajectory
-            (YAML and bag), URScript and a table.
+        out: also write the test into this folder: a CSV file in the columns, units and sides of the joint file, a page
+            on how to run it, and, without a signal on the torque, the motion as a ROS 2 JointTrajectory (YAML).
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
     from jointid import design as run
@@ -208,12 +167,11 @@ def design(
     asked: dict[str, Any] = {
         "goal": goal, "duration": duration, "search_time": search_time, "injection": injection,
         "progress": options.progress, "within": rough.within,
-        "time_scale": time_scale,
     }  # fmt: skip
     if isinstance(file, JointFile):
         file = options.load_joint(joint, outputs, method="didim")
         require_goal(file, goal)
-        asked |= {"limits": limits.beside(file.limits), "motion": None if motion is None else _read(motion, file)}
+        asked |= {"limits": file.limits, "motion": None if motion is None else _read(motion, file)}
         if rough.stated:
             found = rough.plan(file, options.record, asked)
         else:
@@ -222,7 +180,7 @@ def design(
             record, estimate = options.identify(file, checks=False, whole=True)
             found = run(estimate, record, **asked)
     else:
-        asked |= {"limits": [limits.beside(one) for one in file.limits], **rough.of_robot(len(file.joints))}
+        asked |= {"limits": file.limits, **rough.of_robot(len(file.joints))}
         found = _plan_robot(file, options, rough, asked, None if motion is None else file.driving(motion))
     found = lay_out(file, found)
     deliver(found, options.json, (figure, figures.draw))

@@ -284,7 +284,7 @@ def _list_goals(answer: Mapping[str, Any] | None) -> list[tuple[str, str]]:
         return []
     free = {name: p["symbol"] for name, p in answer["parameters"].items() if p["free"] and name not in INITIAL}
     named = [(name, f"{name.replace('_', ' ')} {symbol}") for name, symbol in free.items()]
-    return [("all", "all parameters alike"), ("weakest", "what is known worst"), *named]
+    return [("all", "all parameters alike"), *named]
 
 
 def _say_no_goal(answer: Mapping[str, Any] | None) -> str:

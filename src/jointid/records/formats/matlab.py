@@ -31,7 +31,6 @@ from jointid.records.formats.table import (
 )
 
 _VARIABLE = re.compile(r"[A-Za-z]\w{0,62}", re.ASCII)
-_LONGEST_NAME = 63
 _KEYWORD = re.compile(
     "break|case|catch|classdef|continue|else|elseif|end|for|function|global|if|otherwise|parfor|persistent|"
     "return|spmd|switch|try|while"
@@ -99,13 +98,6 @@ class Matlab:
 
         # Compressed variables carry a checksum: a damaged file is noticed, not read as other numbers.
         savemat(path, variables, do_compression=True, oned_as="column")
-
-
-def variable_name(name: str) -> str:
-    """Return a name as that of a variable of MATLAB."""
-    plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "column"
-    plain = plain if plain[0].isalpha() and not _KEYWORD.fullmatch(plain) else f"x{plain}"
-    return name if _VARIABLE.fullmatch(name) and not _KEYWORD.fullmatch(name) else plain[:_LONGEST_NAME]
 
 
 def _is_hdf5(path: Path) -> bool:

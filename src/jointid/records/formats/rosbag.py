@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import re
-import sqlite3
-import tempfile
 from array import array
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
@@ -38,9 +35,6 @@ _DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before co
 _WIDEST = 1000  # columns of one topic
 _REMEDY = "record it again, or rebuild it with ros2 bag reindex"
 _DIGITS = re.compile(r"(\d+)")
-_VERSION = 9  # of the bag's format
-TRAJECTORY = "/joint_trajectory_controller/joint_trajectory"
-"""Topic on which ROS 2 control takes a trajectory."""
 
 Stamps = NDArray[np.int64]
 
@@ -66,47 +60,6 @@ class RosBag:
                 for topic, time, data in read_messages(file):
                     reading.take(topic, time, data)
         return reading.table()
-
-
-def write_trajectory(
-    path: Path,
-    names: tuple[str, ...],
-    time: FloatArray,
-    positions: FloatArray,
-    velocities: FloatArray,
-    accelerations: FloatArray,
-) -> None:
-    """Write a bag with one trajectory_msgs/JointTrajectory, on the topic of ROS 2 control.
-
-    Args:
-        path: a folder, or one file by its suffix.
-        names: of the joints.
-        time: (points,) s, from the start.
-        positions: (points, joints).
-        velocities: likewise.
-        accelerations: likewise.
-
-    Raises:
-        ExtraError: rosbags is not installed.
-    """
-    rosbag2 = extra("rosbags.rosbag2", "logs", "Writing ROS 2 bags")
-    typesys = extra("rosbags.typesys", "logs", "Writing ROS 2 bags")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    kinds, kind = store.types, "trajectory_msgs/msg/JointTrajectory"
-    rows = zip(np.round(1e9 * time).astype(np.int64).tolist(), positions, velocities, accelerations, strict=True)
-    points = [
-        kinds[f"{kind}Point"](q, v, a, np.empty(0), kinds["builtin_interfaces/msg/Duration"](*divmod(at, 10**9)))
-        for at, q, v, a in rows
-    ]
-    header = kinds["std_msgs/msg/Header"](stamp=kinds["builtin_interfaces/msg/Time"](0, 0), frame_id="")
-    storage = rosbag2.StoragePlugin.SQLITE3 if path.suffix.lower() == ".db3" else rosbag2.StoragePlugin.MCAP
-
-    def fill(folder: Path) -> None:
-        with rosbag2.Writer(folder, version=_VERSION, storage_plugin=storage) as writer:
-            link = writer.add_connection(TRAJECTORY, kind, typestore=store)
-            writer.write(link, 0, store.serialize_cdr(kinds[kind](header, list(names), points), kind))
-
-    _place_file(path, fill)
 
 
 def list_files(path: Path) -> list[Path]:
@@ -234,17 +187,3 @@ class _BagTable:
             clocks |= dict.fromkeys(columns, f"{name}/time")
         require_unique_names(self.path, [name for name, _ in pairs])
         return Table(dict(pairs), {}, self.path.name, units, self.passed, clocks)
-
-
-def _place_file(path: Path, fill: Callable[[Path], None]) -> None:
-    """Create a bag's folder, or one file for a path with suffix."""
-    try:
-        if not path.suffix:
-            fill(path)
-            return
-        with tempfile.TemporaryDirectory(dir=path.absolute().parent) as folder:
-            fill(Path(folder) / "bag")
-            (made,) = (Path(folder) / "bag").glob(f"*{path.suffix.lower()}")
-            made.replace(path)
-    except sqlite3.Error as error:
-        raise OSError(str(error)) from error
