@@ -3,15 +3,11 @@
 Each twin is a drive of another size under a loop that suits it, with a disturbance inside the loop. It is identified
 from torque and reference, the margins of its loop and of the loop that is then proposed are stated, and set beside
 those of the true joint under the same laws. A margin holds where the true one is no smaller.
-
-`judge_pair` does the same for the smallest change that is told: pairs of records of one axis, of which in half a
-parameter has changed by exactly the stated size, are compared.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.identify import identify
-from jointid.estimation.descent import descend
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade, Controller
 from jointid.models.joints import ClosedLoop, FlexibleJoint
@@ -29,11 +23,10 @@ from jointid.records.record import Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES, joint_set
-from jointid.tuning.tune import compute_minimum_detectable_change, tune
+from jointid.tuning.tune import tune
 from jointid.tuning.tuned import LoopMargins
 
 _ROUNDING = 1e-3  # of a margin: how exactly it is computed
-_ENOUGH = 1e-6  # relative: far below a deviation
 _SHARES = (0.02, 0.10)  # of the torque's variation, that the disturbance makes of it
 
 
@@ -114,40 +107,6 @@ def true_margins(drive: RandomDrive, controller: Controller) -> tuple[float, ...
     """Return the margins of the true joint under a law."""
     law = controller.law(drive.period)
     return tuple(map(float, joint_set(drive.loop.joint, [drive.truth], law).margins(law)[0]))
-
-
-CHANGED = ("stiffness", "motor_inertia", "load_inertia", "damping", "load_viscous", "load_coulomb")
-"""Parameters that are changed, one at a time."""
-
-
-def judge_pair(seed: int, names: Sequence[str]) -> dict[str, dict[str, bool]]:
-    """Compare pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).
-
-    Returns:
-        by parameter whether a change is said where there is none ("false"), and where there is one ("found").
-    """
-    drive, seeds = random_drive(0), iter(range(10_000 + 10 * seed, 10_010 + 10 * seed))
-    first = drive.identified(drive.record(next(seeds)))
-    stated = compute_minimum_detectable_change(first)
-    again, false, found = _again(first, drive.record(next(seeds))), dict[str, bool](), dict[str, bool]()
-    for name in names:
-        told = stated[name]
-        false[name] = bool(abs(again[name] - told.value) > told.limit)
-        # The stated size varies with the record's noise, as it does for whoever relies on it.
-        moved = dict(drive.truth) | {name: drive.truth[name] + told.size}
-        after = _again(first, drive.record(next(seeds), moved))
-        found[name] = bool(abs(after[name] - told.value) > told.limit)
-    return {"false": false, "found": found}
-
-
-def _again(first: Estimate, record: Record) -> dict[str, float]:
-    """Return what the parameters are by another record, searched for from those of the first."""
-    assert first.settings.loop is not None
-    problem = torque_problem(record, first.settings.loop, first.settings.filtering, first.settings.joint.parameters)
-    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
-    problem = replace(problem, parameters=still)
-    x = descend(problem, problem.vector({p.name: p.value or 0.0 for p in first.params.rows}), _ENOUGH).x
-    return dict(zip((p.name for p in problem.free), map(float, x), strict=True))
 
 
 def random_drive(seed: int) -> RandomDrive:

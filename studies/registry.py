@@ -10,7 +10,7 @@ from jointid.paper.twin import TABLE_2
 from jointid.tuning.margins import NAMES
 from studies.forces import ASKED, ForceRun
 from studies.loop_faults import NOTHING
-from studies.margins import CHANGED, MarginRun
+from studies.margins import MarginRun
 from studies.mechanics import RIGHT
 from studies.random_plants import PlantRun
 from studies.refusals import FACTORS, INVISIBLE, PLAIN, StiffnessRun
@@ -183,20 +183,6 @@ def _is_named(outcome: Any) -> bool:
     return bool({*outcome["right"]} & {*outcome["named"]}) and outcome["worded"]
 
 
-def _changes(name: str) -> tuple[Share, Share]:
-    return (
-        Share(
-            f"{_symbol(name)}: a change is said where there is none",
-            lambda run: run["false"][name],
-            at_most=0.02,
-            tested=False,
-        ),
-        Share(
-            f"{_symbol(name)}: a change of the stated size is told", lambda run: run["found"][name], 0.85, tested=False
-        ),
-    )
-
-
 def _fault(fault: str) -> Share:
     named_first = _is("named", fault)
     return Share(
@@ -281,18 +267,6 @@ STUDIES: tuple[Study, ...] = (
             Share("all of the present loop hold", _margins("present"), 0.95),
             Share("all of the proposed loop hold", _margins("proposed"), 0.95),
         ),
-    ),
-    Study(
-        "changes",
-        "Pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).",
-        "studies.margins:judge_pair",
-        range(20),
-        (
-            Share("at most one change is said where there is none", lambda run: sum(run["false"].values()) <= 1, 0.95),
-            Share("all changes of the stated size but one are told", lambda run: sum(run["found"].values()) >= 5, 0.8),
-            *(share for name in CHANGED for share in _changes(name)),
-        ),
-        ({"names": list(CHANGED)},),
     ),
     Study(
         "false-alarms",

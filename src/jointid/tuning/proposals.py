@@ -73,7 +73,6 @@ class Tuning:
         modulus: smallest distance of the response from -1: the largest sensitivity is its inverse.
         confidence: with which the interval of the estimate holds all its parameters together.
         notch: whether a notch may be proposed.
-        false_alarm, power: of the smallest detectable change, see `compute_minimum_detectable_change`.
         seed: of the joints that are drawn in the interval.
     """
 
@@ -82,8 +81,6 @@ class Tuning:
     modulus: float = 0.5
     confidence: float = 0.95
     notch: bool = True
-    false_alarm: float = 0.01
-    power: float = 0.9
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -92,15 +89,12 @@ class Tuning:
             f"phase_margin = {self.phase_margin} degrees": 0 <= self.phase_margin < 90,
             f"modulus = {self.modulus}": 0 < self.modulus < 1,
             f"confidence = {self.confidence}": 0 < self.confidence < 1,
-            f"false_alarm = {self.false_alarm}": 0 < self.false_alarm < 1,
-            f"power = {self.power}": 0.5 <= self.power < 1,
         }
         faults = [said for said, good in possible.items() if not good]
         if faults:
             raise MethodError(
-                "A gain margin is 1 or more, a phase margin from 0 to 90 degrees, the distance from -1, the confidence "
-                "and the false-alarm rate are between 0 and 1, and the power is from 0.5 to 1; received "
-                f"{', '.join(faults)}."
+                "A gain margin is 1 or more, a phase margin from 0 to 90 degrees, and the distance from -1 and the "
+                f"confidence are between 0 and 1; received {', '.join(faults)}."
             )
 
     @property

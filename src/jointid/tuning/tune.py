@@ -1,11 +1,10 @@
-"""Tune a drive from an estimate: margins, gains, notch, feed-forward, detectable change."""
+"""Tune a drive from an estimate: margins, gains, notch, feed-forward."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -31,15 +30,13 @@ from jointid.models.controllers import (
 )
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import StribeckFriction
-from jointid.models.joints import MODE_DAMPING, FlexibleJoint, Joint, RigidJoint, acts_on_whole, split_by_mode
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.linear import ComplexArray, linear_joints, state_response
 from jointid.tuning.margins import JointSet, Margins, crossover, joint_set
 from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, feedforward, lumped_parameters, meets_margins
 from jointid.tuning.tuned import (
-    DetectableChange,
     Gain,
     LoopMargins,
-    MinimumDetectableChange,
     ProposedNotch,
     ResponseBand,
     Tuned,
@@ -53,8 +50,6 @@ _DOUBTED = {
     "loop": "loop or log are not as declared, and all of this is of the declared one",
 }
 """What a verdict of that subject, where it is not good, says of a tuning."""
-
-_SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,16 +92,20 @@ def tune(
 
     Returns:
         Margins of the present and the proposed loop, nominal and worst case; gains of the same structure, a notch where
-        the mode limits them, feed-forward, and `compute_minimum_detectable_change`.
+        the mode limits them, and feed-forward.
 
     Raises:
-        MethodError: the estimate has no controller, no deviations, a refused stiffness without bounds, or a nonlinear
-            spring.
+        MethodError: the estimate has no controller, no deviations, a refused stiffness, or a nonlinear spring.
 
     Limits: the loop is linear, unsaturated and sliding; Coulomb friction also holds a joint at rest. Position-dependent
     gravity, further modes, and images in multirate loops are not in the margins; stability includes the latter.
     """
     settings = settings or Tuning()
+    if estimate.checks.bounds:
+        raise MethodError(
+            f"The stiffness is refused, and margins need the joint's mode: {estimate.data.record} does not show it. "
+            "jointid design --goal stiffness plans a test that does; or identify the joint as rigid."
+        )
     if isinstance(estimate.settings.joint, FlexibleJoint):
         estimate.settings.joint.require_linear_spring("Tuning takes")
     if estimate.settings.loop is None:
@@ -122,7 +121,7 @@ def tune(
             "the package's laws, StateSpaceController for any linear one."
         )
     period = controller.law(estimate.data.sample_time).period
-    interval = possible_joints(estimate, settings.confidence, period)
+    interval = possible_joints(estimate, settings.confidence)
     case = _Case(estimate, interval, interval.points(settings.seed), settings)
     work = Work(progress, "tuning", 2 + _ROUNDS, "steps")
     present = case.evaluate(controller)
@@ -131,9 +130,9 @@ def tune(
     work.reach(1 + _ROUNDS)
     notch = None if layout is None else layout.notch
     whole, in_drive = lumped_parameters(estimate), {one.number: one for one in shown}
-    notes = [*refusal, *_notes(case, present, proposed)]
+    notes = [*refusal, *_notes(estimate, present)]
     work.reach(work.total)
-    joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
+    joints = linear_joints(case.interval.joint, case.interval.at(case.points))
     found = [
         state_response(A, B, np.asarray(2j * np.pi * present.response.hertz))[:, 1]
         for A, B in zip(joints.A, joints.B, strict=True)
@@ -149,7 +148,6 @@ def tune(
         gains=() if layout is None else _gains(estimate, controller, layout, in_drive),
         notch=None if notch is None else ProposedNotch(notch, *notch.coefficients(period), period),
         feedforward=feedforward(estimate, controller, whole, drive, in_drive),
-        detectable=compute_minimum_detectable_change(estimate, false_alarm=settings.false_alarm, power=settings.power),
         joint=_band(present.response.hertz, np.array(found)),
         position_unit=POSITION_UNIT[estimate.settings.joint.kind],
         torque_unit=estimate.data.torque_unit,
@@ -217,17 +215,11 @@ def _doubts(estimate: Estimate) -> list[tuple[str, str]]:
     ]
 
 
-def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> list[str]:
-    estimate, found = case.estimate, []
+def _notes(estimate: Estimate, present: LoopMargins) -> list[str]:
+    found = []
     if not estimate.fit.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")
     found += [f"{doubt}: {said}" for doubt, said in _doubts(estimate)]
-    if estimate.checks.bounds:
-        found.append(
-            'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '
-            "the worst case is that of the springs considered, each with the friction as it was found: no statement of "
-            "one confidence"
-        )
     held = [p.name for p in estimate.params.rows if p.free and not p.of_joint and of_law(p.name)]
     if held:
         found.append(f"the interval is of the joint: {', '.join(held)} stand at the values that were found for them")
@@ -243,9 +235,6 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
         found.append(
             f"a rigid joint says nothing outside the band it was compared in{upto}: no mode is in these margins"
         )
-        found.append(_with_a_mode(case, "the loop as it is stays stable", present, asked=False))
-        if proposed is not None:
-            found.append(_with_a_mode(case, "the proposed loop keeps the asked margins", proposed, asked=True))
     if joint.gravity is not None and joint.gravity.varies:
         found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
     if joint.ripple is not None:
@@ -264,27 +253,6 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
     return found
 
 
-def _with_a_mode(case: _Case, said: str, loop: LoopMargins, *, asked: bool) -> str:
-    """State the lowest mode with which a rigid joint's loop keeps its margins."""
-    estimate = case.estimate
-    assert isinstance(estimate.settings.joint, RigidJoint)
-    law = loop.controller.law(estimate.data.sample_time)
-    values = estimate.values
-    friction = {n: v for n, v in values.items() if n != "inertia" and not acts_on_whole(n)}
-    common = {n: v for n, v in values.items() if acts_on_whole(n)}
-    first = min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period)
-    modes = np.geomspace(first, 0.5 / law.period, _MODES).tolist()
-    made = [joint_with_mode(common, friction, values["inertia"], share, mode) for mode in modes for share in _SHARES]
-    margins = joint_set(estimate.settings.joint.flexible, made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
-    least = 0.98 * case.settings.asked if asked else np.zeros(margins.shape[-1])
-    good = [bool(np.all(one >= least) and np.all(one[:, -1] > 0)) for one in margins]
-    lowest = lowest_mode(modes, good)
-    if lowest is None:
-        return f"{said} with no mode up to half the sampling frequency that is damped by {100 * MODE_DAMPING:g} % only"
-    where = "any mode above its crossover" if lowest == modes[0] else f"a first mode above {number(lowest, 3)} Hz"
-    return f"{said} with {where}, damped by {100 * MODE_DAMPING:g} % (load shares {_SHARES[0]} to {_SHARES[-1]})"
-
-
 def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
     """Envelope of responses, the first nominal, on fewer frequencies."""
     phase = np.unwrap(np.angle(response), axis=1)
@@ -298,62 +266,9 @@ def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
     )
 
 
-def compute_minimum_detectable_change(
-    estimate: Estimate, *, false_alarm: float = 0.01, power: float = 0.9
-) -> MinimumDetectableChange:
-    """Compute the smallest change of each quantity that the same motion detects, at a false-alarm rate.
-
-    Two records of the same motion and noise give estimates of a quantity with standard deviation s each. Their
-    difference has ``s sqrt(2)``. A change is detected if the difference exceeds ``z(1 - a/2) s sqrt(2)``, z the normal
-    quantile, a the false-alarm rate. With a probability p this happens for ::
-
-        change = (z(1 - a/2) + z(p)) s sqrt(2)
-
-    (power of a two-sided test without the wrong tail). The deviations include repeatable errors, which cancel in the
-    difference, so the result is conservative. Variation between records, as of friction with temperature, counts as
-    change.
-
-    Args:
-        estimate: of a record; a new one is taken to have the same motion and noise.
-        false_alarm: share of comparisons in which a change is reported where there is none, two-sided.
-        power: share in which one is reported where there is one.
-
-    Limits: a change so large that the estimate's slopes are others at its end is detected a little sooner or later; one
-    that a friction law of another shape makes is not a change of these parameters.
-    """
-    if not (0 < false_alarm < 1 and 0.5 <= power < 1):
-        raise MethodError(
-            f"A false-alarm rate is between 0 and 1, and a power from 0.5 to 1; received {false_alarm} and {power}."
-        )
-    normal = NormalDist()
-    alarm = normal.inv_cdf(1 - false_alarm / 2)
-    both = alarm + normal.inv_cdf(power)
-    quantities = [
-        (p.name, p.symbol, p.unit, p.value, p.stderr)
-        for p in estimate.params.rows
-        if p.of_joint and p.value is not None and p.stderr
-    ]
-    if estimate.checks.known is not None:
-        quantities += [
-            (k.combination.name, k.combination.formula, k.combination.unit, k.value, k.std)
-            for k in estimate.checks.known.physical
-        ]
-    if not quantities:
-        raise MethodError(
-            f"The estimate of {estimate.data.record} has no deviations, so no detectable change can be computed; "
-            "identify by least squares."
-        )
-    changes = tuple(
-        DetectableChange(name, formula, unit, value, std, both * math.sqrt(2) * std, alarm * math.sqrt(2) * std)
-        for name, formula, unit, value, std in quantities
-    )
-    return MinimumDetectableChange(estimate.data.record, false_alarm, power, changes)
-
-
 _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
 _LEAST = 1e-3  # of an inertia or a stiffness: what an interval reaches at least, since without it there is no mode
 _DIRECTIONS = 20  # random ones for each parameter
-_SPRINGS = 30  # tried between a bound and half the sampling frequency
 _SEARCHES = 4  # of the search for a worse joint
 _NEAR = 6  # joints tried around the worst one, for every margin
 _TURNED = 0.3  # how far these are from it, in the unit ball
@@ -369,12 +284,11 @@ class Interval:
         (x - x0)' C^-1 (x - x0) <= q,    q the quantile of chi-square with as many degrees of freedom as parameters
 
     It holds all parameters together, so any number of margins hold together with at least this confidence, also for
-    loops designed from the same record. A refused stiffness gives all springs above its bound.
+    loops designed from the same record.
 
     Attributes:
-        nominal: the parameters of the estimate, or of the softest spring, by name.
+        nominal: the parameters of the estimate, by name.
         names: of the parameters that span the ellipsoid, factor: (names, names) from a unit ball to it, lower: bounds.
-        others: joints beside it: those of a spring that is refused.
         description: what it is, in a sentence.
     """
 
@@ -383,7 +297,6 @@ class Interval:
     names: tuple[str, ...]
     factor: FloatArray
     lower: FloatArray
-    others: tuple[Mapping[str, float], ...]
     description: str
 
     def at(self, points: FloatArray) -> list[Mapping[str, float]]:
@@ -393,8 +306,8 @@ class Interval:
         return [dict(self.nominal) | dict(zip(self.names, map(float, row), strict=True)) for row in values]
 
     def sample(self, points: FloatArray, law: SampledLaw) -> JointSet:
-        """Sample the joints for a law, at points of the unit ball, (points, names), and besides."""
-        return joint_set(self.joint, [*self.at(points), *self.others], law)
+        """Sample the joints for a law, at points of the unit ball, (points, names)."""
+        return joint_set(self.joint, self.at(points), law)
 
     def points(self, seed: int) -> FloatArray:
         """Centre, both ends of every axis and random surface points, (points, names)."""
@@ -406,16 +319,13 @@ class Interval:
         return np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count), drawn])
 
 
-def possible_joints(estimate: Estimate, confidence: float, sample_time: float) -> Interval:
+def possible_joints(estimate: Estimate, confidence: float) -> Interval:
     """Determine the joints that an estimate allows.
 
     Args:
         estimate: with deviations and correlations.
         confidence: of all its parameters together.
-        sample_time: of the controller, seconds; springs are considered up to its Nyquist frequency.
     """
-    if estimate.checks.bounds:
-        return _springs(estimate, confidence, 0.5 / sample_time)
     joint, values = estimate.settings.joint, estimate.identified.values
     free = [p.name for p in estimate.params.rows if p.free]
     moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
@@ -439,7 +349,7 @@ def possible_joints(estimate: Estimate, confidence: float, sample_time: float) -
         f"the {100 * confidence:g} % confidence ellipsoid of {symbols} together: {number(radius, 3)} standard "
         "deviations in every direction"
     )
-    return Interval(joint, values, tuple(p.name for p in chosen), factor, np.array(lower), (), description)
+    return Interval(joint, values, tuple(p.name for p in chosen), factor, np.array(lower), description)
 
 
 def ellipsoid_radius(parameters: int, confidence: float) -> float:
@@ -447,43 +357,6 @@ def ellipsoid_radius(parameters: int, confidence: float) -> float:
     from scipy.special import gammaincinv
 
     return math.sqrt(2.0 * float(gammaincinv(parameters / 2.0, confidence))) if parameters else 0.0
-
-
-def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
-    """Joints with a refused stiffness, from its bounds upwards, at their load shares."""
-    assert isinstance(estimate.settings.joint, FlexibleJoint) and estimate.checks.known is not None
-    bounded = [bound for bound in estimate.checks.bounds if bound.frequency is not None]
-    if not bounded:
-        raise MethodError(
-            f"The stiffness is refused and {estimate.data.record} does not bound it at any load share, "
-            "so no margin can be "
-            "stated; a record with pulses would, see jointid design."
-        )
-    sums = {one.combination.quantity: one for one in estimate.checks.known.physical}
-    inertia = sums.get("inertia")
-    if inertia is None:
-        raise MethodError(
-            "The stiffness is refused and the total inertia not free, so it has no interval to state margins over."
-        )
-    radius = ellipsoid_radius(1, confidence)
-    friction = {name: one.value for name, one in sums.items() if name != "inertia"}
-    masses = [max(inertia.value + side * radius * inertia.std, _LEAST * inertia.value) for side in (-1, 1)]
-    made: list[Mapping[str, float]] = []
-    for mass in masses:
-        for bound in bounded:
-            assert bound.frequency is not None
-            modes = np.geomspace(min(bound.frequency, last), last, _SPRINGS)
-            made += [joint_with_mode(estimate.values, friction, mass, bound.share, float(mode)) for mode in modes]
-    unbounded = [f"{bound.share:g}" for bound in estimate.checks.bounds if bound.frequency is None]
-    listed = ", ".join(f"{number(bound.frequency, 3)} Hz at {bound.share:g}" for bound in bounded)
-    description = (
-        "the stiffness is refused: all springs no softer than its bounds, which are modes by the load's share of the "
-        f"inertia ({listed}; 95 % each), damped by {100 * MODE_DAMPING:g} %, and the {100 * confidence:g} % "
-        "interval of the total inertia"
-    )
-    if unbounded:
-        description += f"; a share of {', '.join(unbounded)} is left out, as the record excludes no spring there"
-    return Interval(estimate.settings.joint, made[0], (), np.zeros((0, 0)), np.zeros(0), tuple(made), description)
 
 
 def find_worst_case(
@@ -524,29 +397,3 @@ def _find_downhill_points(points: FloatArray, margins: FloatArray) -> FloatArray
         if size := float(np.linalg.norm(slope)):
             found.append(-slope / size)
     return np.array(found).reshape(-1, points.shape[1])
-
-
-def joint_with_mode(
-    known: Mapping[str, float], friction: Mapping[str, float], inertia: float, share: float, mode: float
-) -> dict[str, float]:
-    """A flexible joint with a lightly damped mode and the friction on the motor's side.
-
-    Args:
-        known: shared and fixed parameters of flexible and rigid joint, by name.
-        friction: total, in the names of a rigid joint.
-        inertia: total.
-        share: of the load.
-        mode: Hz, free-free.
-    """
-    found = dict(known) | {f"motor_{name}": value for name, value in friction.items()}
-    found |= {f"load_{name}": 0.0 for name in friction}
-    return found | split_by_mode(inertia, share, mode)
-
-
-def lowest_mode(modes: Sequence[float], kept: Sequence[bool]) -> float | None:
-    """Lowest mode from which on all keep the margins; None if the last does not."""
-    for mode, good in zip(reversed(modes), reversed(kept), strict=True):
-        if not good:
-            break
-        lowest = mode
-    return lowest if kept[-1] else None

@@ -28,14 +28,13 @@ from jointid.common.document import (
     Document,
     Documented,
     Facts,
-    Heading,
     Paragraph,
     Table,
     common_facts,
     data_frame,
 )
 from jointid.common.matplotlib_backend import Charted
-from jointid.common.text import in_words, join, number
+from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, Notch, in_torque
 from jointid.models.controllers.drive_numbers import name_in_words
@@ -116,75 +115,15 @@ class ProposedNotch:
     period: float
 
 
-@dataclass(frozen=True, slots=True)
-class DetectableChange:
-    """Smallest detectable change of one quantity.
-
-    Attributes:
-        name: of a parameter, or of a sum in words. formula: in symbols. unit: of both.
-        value: in the estimate. std: its deviation there.
-        size: the smallest change that is detected with the stated power.
-        limit: of the difference of two estimates, above which a change is reported.
-    """
-
-    name: str
-    formula: str
-    unit: str
-    value: float
-    std: float
-    size: float
-    limit: float
-
-
-@dataclass(frozen=True, slots=True)
-class MinimumDetectableChange(Documented):
-    """Smallest detectable changes of a joint.
-
-    Attributes:
-        false_alarm: share of comparisons that report a change where there is none.
-        power: share that report one where there is one of that size.
-        changes: of each identified parameter, and of the sums and differences of both sides.
-    """
-
-    record: str
-    false_alarm: float
-    power: float
-    changes: tuple[DetectableChange, ...]
-
-    def __getitem__(self, name: str) -> DetectableChange:
-        """Return the change of a quantity by its name or formula."""
-        for change in self.changes:
-            if name in (change.name, change.formula):
-                return change
-        raise KeyError(name)
-
-    def to_document(self, *, details: bool = False) -> Document:
-        """Table of the changes."""
-        del details
-        rows = []
-        for c in self.changes:
-            percent = number(100 * c.size / abs(c.value), 2) if c.value else "-"
-            rows.append(
-                (in_words(c.name), number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit, c.formula)
-            )
-        header = ("quantity", "value", "detectable", "%", "alarm above", "unit", "symbol")
-        said = (
-            f"Smallest change detectable with another record of this motion ({100 * self.false_alarm:g} % false "
-            f"alarms, {100 * self.power:g} % detected)"
-        )
-        return Document(said, (Table(header, tuple(rows), words=(0, 5, 6)),))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuned(Charted, Documented):
-    """Margins over an estimate's interval, proposed gains, and detectable changes.
+    """Margins over an estimate's interval, and proposed gains.
 
     Attributes:
         record: its name. model: "rigid" or "flexible". transmission: on whose `side` the joint is.
         settings: what was asked. interval: over which joints the worst is taken, in a sentence.
         present: the loop as it is. proposed: with other gains; None where none can be proposed.
         gains, notch: that are proposed. feedforward: in SI and in the drive's units.
-        detectable: smallest changes of the joint that the same motion detects.
         joint: response of the motor's velocity to the torque, in continuous time.
         notes: what the reader must know, a sentence each.
         doubts: why the loop may be another one than the declared, a clause each.
@@ -200,7 +139,6 @@ class Tuned(Charted, Documented):
     gains: tuple[Gain, ...]
     notch: ProposedNotch | None
     feedforward: tuple[FeedForward, ...]
-    detectable: MinimumDetectableChange
     joint: ResponseBand
     position_unit: str
     torque_unit: str
@@ -245,7 +183,6 @@ class Tuned(Charted, Documented):
         """Tables before and after, with notes."""
         del details
         worst = ("worst case over", self.interval)
-        change = self.detectable.to_document()
         joint = ("joint", f"{self.model}, of {self.record}")
         blocks: list[Block] = [Facts((joint, worst, *common_facts(None, self.transmission))), *self.proposal()]
         blocks.append(self._feedforward())
@@ -254,7 +191,6 @@ class Tuned(Charted, Documented):
             gain = number(getattr(self.present.controller, "gain", 1.0))
             said = f"one of the {CONTROLLER_UNITS} is {gain} {self.torque_unit} (gain of [controller])"
             blocks.append(Paragraph(said))
-        blocks += [Heading(change.title), *change.blocks]
         notes = Facts(tuple(("note", note) for note in self.notes))
         return Document(self.sentence, (*blocks, notes))
 

@@ -133,14 +133,11 @@ def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(
     assert run("tune", tmp_path / "joint.toml", *words) == 0
     said = capsys.readouterr().out
     assert "proposed, worst case" in said
-    assert "Smallest change detectable with another record of this motion" in said
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.tuning/1"
     assert answer["notch"] is None
     assert answer["proposed"]["worst"]["phase_degrees"] >= 49.7
     assert picture.stat().st_size > 10_000
-    assert run("tune", tmp_path / "joint.toml", "--power", "2") == 2
-    assert "the power is from 0.5 to 1" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -149,8 +149,6 @@ def tune(
     modulus: float = 0.5,
     confidence: float = 0.95,
     notch: bool = True,
-    false_alarm: float = 0.01,
-    power: float = 0.9,
     figure: Path | None = None,
 ) -> None:
     """Propose gains, and tell the margins of the loop.
@@ -165,14 +163,12 @@ def tune(
         modulus: likewise, the smallest distance of the loop's response from -1; the inverse of the largest sensitivity.
         confidence: with which the interval holds all parameters together.
         notch: whether one may be proposed.
-        false_alarm: share of comparisons with a new record that may say a change where there is none.
-        power: share that are to say one where it is as large as stated.
         figure: also save the responses of joint and loop, with the interval as a band, as PNG, SVG or PDF.
     """
     from jointid import Tuning, figures
     from jointid import tune as run
 
-    settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
+    settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch)
     file = options.load_joint(
         joint, Outputs({"--json": options.json}, {"--figure": figure}), what="Tuning", method="didim"
     )

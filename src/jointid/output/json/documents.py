@@ -192,7 +192,7 @@ SHAPES: Mapping[str, Shape] = {
     },
     "Tuned": document_shape(
         "jointid.tuning/1",
-        "record model transmission interval present proposed gains notch feedforward detectable notes",
+        "record model transmission interval present proposed gains notch feedforward notes",
         asked=keys(
             "settings.gain_margin phase_margin_degrees=settings.phase_margin "
             "distance_from_minus_one=settings.modulus settings.confidence"
@@ -217,7 +217,6 @@ SHAPES: Mapping[str, Shape] = {
     },
     "Margins": _margins,
     "ProposedNotch": keys("notch.frequency notch.bandwidth notch.depth period numerator denominator"),
-    "MinimumDetectableChange": keys("false_alarm power changes"),
     # Robots
     "RobotSimulation": {
         **keys("sample_time explanation=outcome.value events"),
