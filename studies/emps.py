@@ -84,10 +84,12 @@ def outputs(folder: Path) -> Iterator[tuple[str, str, list[tuple[float, float]],
             rows = [row for row in found.params.rows if row.of_joint and row.free]
             values = {row.name: row.value or 0.0 for row in rows}
             loop = ji.validate(found, record).axes[0]
-            assert loop.tracking_rms is not None
+            assert record.motor_position is not None
+            simulated = loop.motor.position
+            follows = math.sqrt(float(np.mean((record.motor_position.values[: simulated.size] - simulated) ** 2)))
             run = simulate(loop_of_force, prepare(loop_of_force, ji.Record(reference=force)), values, start)
             off = math.sqrt(float(np.mean((run.motor_position - position)[_LEFT_OUT:] ** 2)))
-            errors = (100 * loop.relative_error, 1e3 * loop.tracking_rms, 1e3 * off)
+            errors = (100 * loop.relative_error, 1e3 * follows, 1e3 * off)
             yield name, output, [(row.value or 0.0, 2 * (row.deviation or 0.0)) for row in rows], errors
 
 

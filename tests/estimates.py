@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
 import jointid as ji
+from jointid.diagnostics.validation import validate
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.robots.idim import InverseModelRobot
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
 
 T = TypeVar("T", bound=EstimateParts)
 
@@ -19,3 +24,13 @@ identify = partial(ji.identify, checks=False)
 def amended(estimate: T, **parts: Mapping[str, Any]) -> T:
     """Return an estimate with some entries exchanged: ``amended(estimate, checks={"warnings": ()})``."""
     return replace(estimate, **{name: replace(getattr(estimate, name), **entries) for name, entries in parts.items()})
+
+
+def errors_of_bodies(estimate: Estimate, bodies: Robot, records: Sequence[Record]) -> list[float | None]:
+    """Return what a robot leaves of the records of another motion, in the place of the estimate's nominal one."""
+    part = estimate.require_robot()
+    if isinstance(part, InverseModelRobot):
+        other: Any = replace(part, nominal=part.base.with_friction(bodies))
+    else:
+        other = replace(part, setup=replace(part.setup, robot=bodies))  # type: ignore[arg-type]
+    return [axis.nominal_error for axis in validate(replace(estimate, robot=other), records).axes]

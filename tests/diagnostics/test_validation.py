@@ -93,7 +93,6 @@ def test_positions_alone_are_predicted(inertia: float) -> None:
     estimate = ji.identify(made(0.1, 1).without("torque"), LOOP, checks=False)
     found = ji.validate(estimate, made(0.13, 2, inertia=inertia).without("torque"))
     assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)
-    assert (found.tracking_error is not None) and "mm rms off" in found.summary()
 
 
 def test_its_own_record_is_no_test_of_it() -> None:
@@ -151,8 +150,6 @@ def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
     estimate = ji.identify(recorded(twin.loop(), one, 0.02)[0], twin.loop() if by_torques else twin.robot, checks=False)
     same = ji.validate(estimate, recorded(twin.loop(), other, 0.02)[0])
     assert same.answer.code is Prediction.PREDICTED
-    assert all(axis.tracking_rms is None or axis.tracking_rms < 1e-3 for axis in same.axes)
-    assert (same.tracking_error is not None) is by_torques
     if by_torques:
         driven = [one.without("torque") for one in recorded(twin.loop(), other, 0.02)[0]]
         assert ji.validate(estimate, driven).answer.code is Prediction.PREDICTED, "as the declared controllers make it"
@@ -161,5 +158,4 @@ def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
     assert "of the filtered torque of joint2, and one identified from it" in there.sentence
     assert there.axes[0].prediction is Prediction.PREDICTED
     assert there.causes == (Cause.FRICTION,)
-    assert "position off by" in there.summary() or not by_torques
     assert there.axes[1].attainable_error == pytest.approx(same.axes[1].filtered_error, rel=0.3)

@@ -11,7 +11,7 @@ from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimate import Estimate, relative_error
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
@@ -103,8 +103,9 @@ def test_the_simulation_tracks_like_the_axis(emps: Record, torque_only: Estimate
     direct = validate(torque_only, emps)
     assert direct.test == "direct"
     assert direct.relative_error == pytest.approx(torque_only.fit.relative_error, rel=1e-3)
-    assert direct.tracking_error is not None
-    assert direct.tracking_error <= 0.005
+    assert emps.reference is not None and emps.motor_position is not None
+    asked, was, is_ = emps.reference.values, emps.motor_position.values, direct.axes[0].motor.position
+    assert relative_error(asked - was, asked - is_, direct.borders) <= 0.005
 
 
 def test_cross_test_on_the_record_with_pulses(emps_pulses: Record, torque_only: Estimate) -> None:

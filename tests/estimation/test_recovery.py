@@ -285,17 +285,6 @@ def test_a_change_that_is_no_parameter_is_refused() -> None:
         identify(made, LOOP, parameters={"inertia": 30.0})  # type: ignore[dict-item]
 
 
-def test_the_tracking_error_is_relative_to_the_measured_one() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    assert made.motor_position is not None
-    assert made.reference is not None
-    estimate = identify(made, LOOP)
-    wrong = 2.0 * made.motor_position.values - made.reference.values  # twice the tracking error
-    record = replace(made, motor_position=Channel(wrong, "m", T))
-    assert validate(estimate, record).tracking_error == pytest.approx(0.5, rel=1e-3)
-    assert validate(estimate, made).tracking_error == pytest.approx(0.0, abs=1e-6)
-
-
 def test_a_validation_under_another_controller_says_so() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
     identified = identify(made, LOOP).identified

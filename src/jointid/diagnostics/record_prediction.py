@@ -22,7 +22,6 @@ from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, law_fi
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.disturbances import EncoderOffset, effect_parameters
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import differentiate
 from jointid.simulation.closed_loop import Initial
@@ -60,7 +59,7 @@ class Predicted(NamedTuple):
         motion: positions, velocities and accelerations of the motors, (samples, n).
         with_free: fits the model with free parameters; None if that fails.
         compared: (samples, n) 0 where a motor's rest or reversal is left out; all ones when None.
-        errors_of: makes the errors, (n,), of a robot near the nominal one, or of that; None of a joint.
+        nominal_errors: makes the errors, (n,), of the nominal robot; None of a joint.
     """
 
     channels: tuple[str, ...]
@@ -74,7 +73,7 @@ class Predicted(NamedTuple):
     with_free: Callable[[], Refit | None]
     compared: FloatArray | None = None
     equations: int = 1
-    errors_of: Callable[[Robot | None], FloatArray] | None = None
+    nominal_errors: Callable[[], FloatArray] | None = None
     initial: Initial | None = None
     simulations: int = 0
     warnings: tuple[str, ...] = ()
@@ -216,7 +215,6 @@ def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
     from jointid.estimation.robots.numbers import robot_parameters
     from jointid.estimation.robots.regression import base_columns, base_rows, motion_of_robot, relative_errors
     from jointid.estimation.robots.simulated import SimulatedRobot, errors_of, nominal_numbers, problem_of
-    from jointid.simulation.robot_numbers import RobotNumbers
     from jointid.simulation.robots import motion_at
 
     part, filtering = estimate.require_robot(), estimate.settings.filtering
@@ -231,9 +229,7 @@ def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
             columns @ part.values, rows.by_equation(rows.Y - rows.W @ part.values), rows.by_equation(rows.Y),
             [one @ coupling for one in (motion.q, motion.v, motion.a)],
             lambda: _fit_columns(rows.W, rows.by_equation(rows.Y), part.values, rows.names), motion.moving,
-            errors_of=lambda near: relative_errors(
-                rows, part.nominal if near is None else part.base.with_friction(near)
-            ),
+            nominal_errors=lambda: relative_errors(rows, part.nominal),
         )  # fmt: skip
     assert isinstance(part, SimulatedRobot)
     numbers = part.numbers()
@@ -269,8 +265,5 @@ def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
         channels, problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
         problem.by_joint(error), problem.by_joint(problem.filtered_torque), path, fit_anew,
         None if part.has_controllers else problem.motion.moving,
-        errors_of=lambda near: errors_of(
-            problem,
-            nominal_numbers(robot, numbers) if near is None else replace(RobotNumbers.of(near), log=numbers.log),
-        ),
+        nominal_errors=lambda: errors_of(problem, nominal_numbers(robot, numbers)),
     )  # fmt: skip

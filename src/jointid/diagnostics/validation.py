@@ -4,8 +4,7 @@ The torque of each axis is predicted (`record_prediction`) and compared with the
 
 What noise allows is what the same model leaves of another record when its parameters are free there. It predicts the
 record where it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
-compared with its nominal masses, rotors and springs, with friction fitted to the estimate's record, and with bodies
-near these that fit the estimate (`consistent`).
+compared with its nominal masses, rotors and springs, with friction fitted to the estimate's record.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from jointid.common.errors import MethodError, extra
 from jointid.common.messages import Message
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import format_position, join, number
+from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.model_free import compare_law, compare_robot_laws
 from jointid.diagnostics.record_prediction import Predicted, Refit, predict_joint, predict_robot
@@ -91,13 +90,9 @@ class ValidatedAxis:
         rows: of the filtered error.
         motor: motion the error is plotted against: simulated under a controller, measured for the other methods.
         transmission: on whose `side` signal and motion are.
-        tracking_error: ``||e - es|| / ||e||`` of the tracking error reference - position, where a controller was
-            simulated and the record has a motor position to compare with; a ratio.
-        tracking_rms: root mean square of the simulated motor position's error, m or rad; None without one.
         attainable_error: `filtered_error` of the same model identified from this record; None in a direct test, and
             where none could be found.
         nominal_error: that of the nominal robot; infinite where it cannot be simulated, None where it says no masses.
-        body_error: that of bodies near the nominal ones; None without these, or if the record shows no spring.
     """
 
     name: str
@@ -112,11 +107,8 @@ class ValidatedAxis:
     rows: int
     motor: Motion
     transmission: Transmission | None = None
-    tracking_error: float | None = None
-    tracking_rms: float | None = None
     attainable_error: float | None = None
     nominal_error: float | None = None
-    body_error: float | None = None
 
     @property
     def white_band(self) -> float:
@@ -139,11 +131,6 @@ class ValidatedAxis:
         if _adds_little(left, least):
             return Prediction.PREDICTED
         return Prediction.ANOTHER_JOINT
-
-    @property
-    def position_error(self) -> str | None:
-        """Error of the simulated motor position, rms, in mm or degrees."""
-        return None if self.tracking_rms is None else format_position(self.tracking_rms, self.position_unit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,25 +191,9 @@ class Validation(Documented):
         return _rms_of_all([axis.nominal_error for axis in self.axes])
 
     @property
-    def body_error(self) -> float | None:
-        """Error of bodies near the nominal ones that fit the estimate."""
-        return _rms_of_all([axis.body_error for axis in self.axes])
-
-    @property
-    def tracking_error(self) -> float | None:
-        """Relative error of the simulated tracking error."""
-        return _rms_of_all([axis.tracking_error for axis in self.axes])
-
-    @property
     def better(self) -> bool | None:
         """Whether the estimate predicts better than the nominal robot; None without one."""
         return None if self.nominal_error is None else self.filtered_error < self.nominal_error
-
-    @property
-    def bodies_better(self) -> bool | None:
-        """Whether bodies near the nominal ones predict better than these; None without them."""
-        found, nominal = self.body_error, self.nominal_error
-        return None if found is None or nominal is None else found < nominal
 
     @property
     def answer(self) -> Message:
@@ -276,8 +247,8 @@ class Validation(Documented):
 
     @property
     def comparison(self) -> Paragraph | None:
-        """Estimate and bodies beside the nominal robot, in words; None without one."""
-        mine, nominal, bodies = self.filtered_error, self.nominal_error, self.body_error
+        """The estimate beside the nominal robot, in words; None without one."""
+        mine, nominal = self.filtered_error, self.nominal_error
         if nominal is None:
             return None
         left, other = _format_share(mine), _format_share(nominal)
@@ -293,11 +264,7 @@ class Validation(Documented):
         else:
             said = f"The estimate predicts this record worse than the nominal model, {left} against {other}"
             said += ": do not use it in its place."
-        if bodies is not None:
-            how = "better" if self.bodies_better else "worse"
-            said += f" Bodies near the nominal ones that fit the estimate predict {how} than these: "
-            said += f"{_format_share(bodies)}."
-        useful = min(mine, mine if bodies is None else bodies) < (1.0 + _ALIKE) * nominal
+        useful = mine < (1.0 + _ALIKE) * nominal
         return Paragraph(said, lead=True, tone="good" if useful else "bad")
 
     def plot(self) -> Figure:
@@ -338,10 +305,6 @@ class Validation(Documented):
             *common_facts(self.resampled, first.transmission),
             ("torque error", error),
         ]
-        if self.tracking_error is not None:
-            facts.append(("tracking error", f"{100 * self.tracking_error:.4f} % away from the measured tracking error"))
-        if positions := [f"{a.name} {a.position_error}".strip() for a in self.axes if a.position_error is not None]:
-            facts.append(("motor position", f"{', '.join(positions)} rms off"))
         said = (
             f"{100 * np.mean([axis.outside_band for axis in self.axes]):.0f} % of {first.autocorrelation.size - 1} "
             f"autocorrelations of the filtered error outside ±{first.white_band:.3f} (5 % if it were white)"
@@ -351,14 +314,11 @@ class Validation(Documented):
         return Document(self.sentence, (*blocks, Facts(tuple(facts)), *([axes_table([self])] if first.name else [])))
 
 
-_COLUMNS: Mapping[str, Callable[[ValidatedAxis], float | str | None]] = {
+_COLUMNS: Mapping[str, Callable[[ValidatedAxis], float | None]] = {
     "raw, %": lambda axis: axis.relative_error,
     "filtered, %": lambda axis: axis.filtered_error,
     "attainable, %": lambda axis: axis.attainable_error,
     "nominal, %": lambda axis: axis.nominal_error,
-    "bodies, %": lambda axis: axis.body_error,
-    "tracking error off by, %": lambda axis: axis.tracking_error,
-    "position off by": lambda axis: axis.position_error,
     "not white, % of lags": lambda axis: axis.outside_band,
 }
 """The columns of a table of axes, each left out where no axis has it."""
@@ -376,9 +336,9 @@ def axes_table(checks: Sequence[Validation]) -> Table:
     return Table(header, tuple((name.strip(), *row) for name, row in zip(named, cells, strict=True)), title)
 
 
-def _format_cell(share: float | str | None) -> str:
-    if share is None or isinstance(share, str):
-        return share or "-"
+def _format_cell(share: float | None) -> str:
+    if share is None:
+        return "-"
     return f"{100 * share:.3g}" if math.isfinite(share) else "runs away"
 
 
@@ -417,6 +377,11 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
         if not (isinstance(record, Sequence) and all(isinstance(one, Record) for one in record)):
             raise MethodError("The estimate of a robot is validated on one log: give a record of each joint, in order.")
         robot, setup = estimate.robot.model, getattr(estimate.robot, "setup", None)
+        if len(record) != len(robot):
+            raise MethodError(
+                f"A robot of {len(robot)} joints is validated with as many records; received {len(record)}: give one "
+                "of each joint, in order."
+            )
         given = _with_torques(record, getattr(setup, "loops", [None] * len(robot)))
         records = read_as_identified(given, estimate.settings)
         found = predict_robot(estimate, records)
@@ -439,31 +404,25 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     torques = [one.torque.values for one in records if one.torque is not None]
     own = fingerprint(np.concatenate(torques)) in prints
     refit = None if own else found.with_free()
-    anew, nominal, bodies = None if refit is None else refit.error, None, None
-    if not own and isinstance(estimate, Estimate) and found.errors_of is not None:
-        from jointid.estimation.robots.consistent import can_be_near, consistent_robot
-
-        part = estimate.require_robot()
-        nominal = found.errors_of(None) if part.model.has_masses else None
-        if can_be_near(part.model) and all(spring.shown for spring in part.springs):
-            bodies = found.errors_of(consistent_robot(estimate).robot)
+    anew, nominal = None if refit is None else refit.error, None
+    if not own and isinstance(estimate, Estimate) and found.nominal_errors is not None:
+        nominal = found.nominal_errors() if estimate.require_robot().model.has_masses else None
     size = np.linalg.norm(found.whole, axis=1)
     rows, compared = found.error.shape[1] // found.equations, np.zeros(found.measured.shape)
     compared[found.borders[0] : len(compared) - found.borders[1]] = 1.0
     compared *= 1.0 if found.compared is None else found.compared
-    loop, made = method == "didim", list[ValidatedAxis]()
+    made = list[ValidatedAxis]()
     for k, (name, unit, length, gear) in enumerate(axes):
         measured, predicted = found.measured[:, k], found.predicted[:, k]
-        off, off_rms = _compare_tracking(records[k], found, k) if loop else (None, None)
         made.append(
             ValidatedAxis(
                 name, unit, length, measured, predicted, compared[:, k],
                 relative_error(compared[:, k] * measured, compared[:, k] * predicted, found.borders),
                 float(np.linalg.norm(found.error[k]) / size[k]), _autocorrelate(found.error[k, :rows]), rows,
-                Motion(*(one[:, k] for one in found.motion)), gear, off, off_rms,
+                Motion(*(one[:, k] for one in found.motion)), gear,
                 *(
                     None if one is None else float(one[k])
-                    for one in (None if anew is None else np.linalg.norm(anew, axis=1) / size, nominal, bodies)
+                    for one in (None if anew is None else np.linalg.norm(anew, axis=1) / size, nominal)
                 ),
             )
         )  # fmt: skip
@@ -550,13 +509,3 @@ def _autocorrelate(error: FloatArray) -> FloatArray:
     power = float(centred @ centred) or 1.0
     lags = range(min(_LAGS, centred.size - 1) + 1)
     return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in lags])
-
-
-def _compare_tracking(record: Record, found: Predicted, k: int) -> tuple[float | None, float | None]:
-    """Return the relative error of an axis's simulated tracking error and its rms; None without a measured one."""
-    reference, position, simulated = record.reference, record.motor_position, found.motion[0][:, k]
-    if reference is None or position is None or {reference.sample_time, position.sample_time} != {found.sample_time}:
-        return None, None
-    size = min(len(reference), len(position), simulated.size)
-    asked, was, is_ = reference.values[:size], position.values[:size], simulated[:size]
-    return relative_error(asked - was, asked - is_, found.borders), float(np.sqrt(np.mean((was - is_) ** 2)))

@@ -138,15 +138,6 @@ def _declared_as(robot: Robot, prior: Robot) -> Robot:
     return replace(prior, joints=tuple(replace(own, rotor_inertia=other.rotor_inertia) for own, other in pairs))
 
 
-def can_be_near(prior: Robot) -> bool:
-    """Return True if every link of a robot has a mass, and is a body that can be."""
-    try:
-        _prior_bodies(prior)
-    except MethodError:
-        return False
-    return True
-
-
 def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
     """Return the mass matrix of links and rotors, (n, n), at a pose, (n,)."""
     from jointid.models.robots.equations import ROOM, equations_of_motion

@@ -56,8 +56,7 @@ def _law(learned: Any) -> Json:
 
 _ERRORS = (
     "relative_error_percent=100*relative_error filtered_error_percent=100*filtered_error "
-    "attainable_error_percent=100*attainable_error nominal_error_percent=100*nominal_error "
-    "body_error_percent=100*body_error tracking_error_percent=100*tracking_error"
+    "attainable_error_percent=100*attainable_error nominal_error_percent=100*nominal_error"
 )
 
 SHAPES: Mapping[str, Shape] = {
@@ -107,11 +106,11 @@ SHAPES: Mapping[str, Shape] = {
     "Validation": document_shape(
         "jointid.validation/2",
         f"test method record resampled identified_from channels answer {_ERRORS} "
-        "better_than_nominal=better bodies_better_than_nominal=bodies_better samples_left_out=borders initial "
+        "better_than_nominal=better samples_left_out=borders initial "
         "simulations warnings causes other_axes axes",
     ),
     "ValidatedAxis": keys(
-        f"name unit position_unit transmission answer=prediction {_ERRORS} tracking_rms autocorrelation white_band "
+        f"name unit position_unit transmission answer=prediction {_ERRORS} autocorrelation white_band "
         "outside_band_percent=100*outside_band"
     ),
     "SpringComparison": document_shape(
