@@ -10,8 +10,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
-import published
-
 from jointid import __version__
 
 project = "jointid"
@@ -23,12 +21,10 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "example_report",
     "mathml",
     "pages",
     "public_names",
-    "published",
-    "search_words",
+    "tables",
 ]
 exclude_patterns = ["_ext", "_static", "images"]
 
@@ -58,8 +54,6 @@ add_module_names = False
 toc_object_entries_show_parents = "hide"
 python_display_short_literal_types = True
 
-place = published.address()
-html_baseurl = f"{place}/{version}/" if place else ""
 html_theme = "pydata_sphinx_theme"
 html_title = "jointid"
 html_static_path = ["_static"]
@@ -77,6 +71,5 @@ html_theme_options = {
     "footer_end": [],
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
-    **published.options(place, version),
 }
-html_sidebars = {"index": [], "faq": [], "gallery": [], "glossary": [], "symptoms": []}
+html_sidebars = {"index": [], "glossary": [], "symptoms": []}

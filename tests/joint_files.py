@@ -23,7 +23,6 @@ def faults(text: str) -> tuple[Fault, ...]:
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "emps" / "joint.toml"
-PAGE = ROOT / "docs" / "joint-file.md"
 
 JOINT = '[joint]\nkind = "prismatic"\n'
 CHANNELS = """

@@ -62,7 +62,6 @@ BY_MODULE = (
 """Names that fewer programs need: they are imported from their module, and stand on its folder's page."""
 
 _LINK = re.compile(r"\[(?P<text>[^\]\[]*)\]\((?!https?:|#|mailto:)(?P<target>[^)#\s]+)(?P<anchor>#[^)]*)?\)")
-_WANTED = re.compile(r"^\.\./\w+\*$\n", re.MULTILINE)
 
 
 def written() -> dict[str, str]:
@@ -206,16 +205,10 @@ def _write(_: Sphinx) -> None:
 
 
 def _relink(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Lead links that leave the documentation to the repository's pages; leave out of a list what there is none of."""
+    """Lead links that leave the documentation to the repository's pages."""
     here = (Path(app.srcdir) / docname).parent
     if here != FOLDER:
-        source[0] = _WANTED.sub(lambda wanted: wanted[0] if any(_matching(here, wanted[0])) else "", source[0])
         source[0] = relinked(source[0], here, here)
-
-
-def _matching(here: Path, wanted: str) -> Iterator[Path]:
-    """Yield the pages of a pattern in a list of pages."""
-    return DOCS.glob(f"{wanted.strip().removeprefix('../')}.md")
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

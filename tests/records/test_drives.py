@@ -240,24 +240,6 @@ def test_a_profile_is_whole(name: str) -> None:
                 assert (others, len(profile.signals(channel, called, place))) == ([channel], 1), called
 
 
-def test_every_profile_is_on_the_page() -> None:
-    """The page's table is the data's: one row to a signal, in its order."""
-    rows = []
-    for name in profile_names():
-        for channel, signals in load_profile(name).channels.items():
-            for signal in signals:
-                names = ", ".join(f"`{called}`" for called in signal.names)
-                timing, tap = signal.timing or "", signal.tap or ""
-                side = signal.side or ""
-                rows.append(f"| {name} | {channel} | {names} | {signal.unit or ''} | {side} | {timing} | {tap} |")
-    page = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")
-    written = [line for line in page.splitlines() if line.startswith("| ") and line.split(" | ")[1] in CHANNELS]
-    assert written == rows
-    for name in profile_names():
-        for text in (*load_profile(name).sources, *load_profile(name).assumed):
-            assert f"- {text}" in page
-
-
 # Joint files
 
 

@@ -1,0 +1,121 @@
+"""Tables that are made when the documentation is built: options of the commands, profiles of the drives, shares.
+
+A page says where: ``<!-- table: profiles -->`` is replaced. Each section of a command ends in its options.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jointid.apps.cli.app import app
+from jointid.records.drives import load_profile, profile_names
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # of the studies
+
+from studies.registry import STUDIES
+from studies.stored import make_table, read_entries
+
+if TYPE_CHECKING:
+    from cyclopts import App, Argument
+    from sphinx.application import Sphinx
+
+_SECTION = re.compile(r"^## `jointid (?P<name>[a-z -]+[a-z])[^`]*`\n(?P<text>.*?)(?=^## |\Z)", re.MULTILINE | re.DOTALL)
+
+
+def names() -> list[str]:
+    """Return the commands there are, in the order of their help."""
+    return [" ".join(path) for path in _commands(app)]
+
+
+def _commands(parent: App, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    for name in parent:
+        if not name.startswith("-"):
+            inner = list(_commands(parent[name], (*above, name)))
+            if not inner or parent[name].default_command is not None:
+                yield (*above, name)
+            yield from inner
+
+
+def options(name: str) -> str:
+    """Return the table of a command: what it takes, what may stand there, what it is if left out, and what it means."""
+    command = app
+    for word in name.split():
+        command = command[word]
+    rows = ["| option | values | default | meaning |", "|---|---|---|---|"]
+    rows += [_row(one) for one in command.assemble_argument_collection(parse_docstring=True) if one.show]
+    return "\n".join(rows) + "\n"
+
+
+def _row(argument: Argument) -> str:
+    words = [word for word in argument.names if word.startswith("-")]
+    shown = ", ".join(f"`{word}`" for word in words) or f"`{argument.names[0].upper()}`"
+    said = " ".join((argument.parameter.help or "").split()).removesuffix(".").replace("|", "\\|")
+    return f"| {shown} | {_values(argument)} | {_default(argument)} | {said} |"
+
+
+def _values(argument: Argument) -> str:
+    if choices := argument.get_choices():
+        return ", ".join(f"`{choice}`" for choice in choices)
+    hint = re.sub(r"<class '(?:\w+\.)*(\w+)'>", r"\1", str(argument.hint))
+    for found, word in (("bool", "—"), ("Path", "path"), ("float", "number"), ("int", "whole number"), ("str", "text")):
+        if found in hint:
+            return f"{word}, may be repeated" if "list" in hint or "tuple" in hint else word
+    raise ValueError(f"{argument.name} takes {hint}: say in docs/_ext/tables.py what that is in words.")
+
+
+def _default(argument: Argument) -> str:
+    default = argument.field_info.default
+    if argument.required:
+        return "required"
+    return "—" if default in (None, False, (), argument.field_info.empty) else f"`{default}`"
+
+
+def _with_options(page: str) -> str:
+    """Return the page of the commands with the options of each at the end of its section.
+
+    Raises:
+        ValueError: a command has no section, or a section is of no command.
+    """
+    documented = [found["name"] for found in _SECTION.finditer(page)]
+    if sorted(documented) != sorted(names()):
+        raise ValueError(f"docs/commands.md: sections of {documented}; the commands are {names()}.")
+    return _SECTION.sub(lambda found: f"{found[0].rstrip()}\n\n{options(found['name'])}\n", page)
+
+
+def profiles() -> str:
+    """Return a section for each profile of a drive."""
+    parts = []
+    for name in profile_names():
+        profile = load_profile(name)
+        parts.append(f"### `{name}`: {profile.title}\n")
+        parts.append("| channel | names | unit | side | timing | tap |\n|---|---|---|---|---|---|")
+        for channel, signals in profile.channels.items():
+            for one in signals:
+                called = ", ".join(f"`{word}`" for word in one.names)
+                cells = (channel, called, *(str(cell or "") for cell in (one.unit, one.side, one.timing, one.tap)))
+                parts.append(f"| {' | '.join(cells)} |")
+        for said, number in (("Rated torque", profile.rated_torque), ("Counts", profile.counts)):
+            parts += [f"\n{said}: {number}."] if number else []
+        for said, lines in (("Sources", profile.sources), ("Assumed, to be compared with the drive", profile.assumed)):
+            parts.append("\n".join([f"\n{said}:\n", *(f"- {line}" for line in lines)]))
+        parts.append("")
+    return "\n".join(parts)
+
+
+TABLES = {"profiles": profiles, "studies": lambda: make_table(STUDIES, read_entries())}
+
+
+def _fill(_: Sphinx, docname: str, source: list[str]) -> None:
+    if docname == "commands":
+        source[0] = _with_options(source[0])
+    source[0] = re.sub(r"<!-- table: (\w+) -->", lambda found: TABLES[found[1]](), source[0])
+
+
+def setup(sphinx: Sphinx) -> dict[str, Any]:
+    """Fill the tables in when a page is read."""
+    sphinx.connect("source-read", _fill)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
