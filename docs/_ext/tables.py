@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sphinx.util import logging
+
 from jointid.apps.cli.app import app
 from jointid.records.drives import load_profile, profile_names
 
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from cyclopts import App, Argument
     from sphinx.application import Sphinx
 
+_LOGGER = logging.getLogger(__name__)
 _SECTION = re.compile(r"^## `jointid (?P<name>[a-z -]+[a-z])[^`]*`\n(?P<text>.*?)(?=^## |\Z)", re.MULTILINE | re.DOTALL)
 
 
@@ -77,13 +80,16 @@ def _default(argument: Argument) -> str:
 def _with_options(page: str) -> str:
     """Return the page of the commands with the options of each at the end of its section.
 
-    Raises:
-        ValueError: a command has no section, or a section is of no command.
+    A command without a section, and a section of no command, are warned of.
     """
-    documented = [found["name"] for found in _SECTION.finditer(page)]
-    if sorted(documented) != sorted(names()):
-        raise ValueError(f"docs/commands.md: sections of {documented}; the commands are {names()}.")
-    return _SECTION.sub(lambda found: f"{found[0].rstrip()}\n\n{options(found['name'])}\n", page)
+    there, documented = set(names()), {found["name"] for found in _SECTION.finditer(page)}
+    for name in sorted(there ^ documented):
+        _LOGGER.warning("docs/commands.md: %s", f"{name} {'has no section' if name in there else 'is no command'}")
+
+    def filled(section: re.Match[str]) -> str:
+        return f"{section[0].rstrip()}\n\n{options(section['name']) if section['name'] in there else ''}\n"
+
+    return _SECTION.sub(filled, page)
 
 
 def profiles() -> str:
