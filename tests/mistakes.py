@@ -354,10 +354,7 @@ MISTAKES = (
 )
 
 
-_SWAP_GAINS = _declare(position_gain=lambda c: c.velocity_gain, velocity_gain=lambda c: c.position_gain)
 _TWICE = _declare(position_gain=lambda c: 2 * c.position_gain)
-_FILTER = _left_out(velocity_filter=(FirstOrder(4e-3), (1.0,)))
-_SWAPPED = {"swapped_gains", "position_gain"}  # both gains are wrong then: one of them leads to the other
 _AHEAD, _LATE = _left_out(velocity_feedforward=1.0), _left_out(delay=2e-3)
 
 
@@ -374,10 +371,6 @@ def _pair(name: str, causes: set[str], *makes: Any) -> Mistake:
     return Mistake(name, frozenset(causes), make)
 
 
-def _integral_too(made: Axis, seed: int) -> Told:
-    return _left_out(velocity_feedforward=1.0, integral_gain=60.0)(made, seed)
-
-
 PAIRS = (
     _pair(
         "torque twice as large, position_gain twice as large",
@@ -386,73 +379,22 @@ PAIRS = (
         _scale("torque", 2.0),
     ),
     _pair(
-        "torque twice as large, gains swapped",
-        {"torque_scale", "law_gain", *_SWAPPED},
-        _of(_SWAP_GAINS),
-        _scale("torque", 2.0),
-    ),
-    _pair(
-        "torque ten times as large, velocity filter forgotten",
-        {"torque_scale", "velocity_filter"},
-        _FILTER,
-        _scale("torque", 10.0),
-    ),
-    _pair(
-        "torque turned round, sample time twice as long",
-        {"torque_sign", "sample_time"},
-        _of(_time(2.0)),
-        _scale("torque", -1.0),
-    ),
-    _pair(
         "reference in degrees, position_gain twice as large",
         {"reference_scale", "position_gain"},
         _of(_TWICE),
         _scale("reference", 180 / math.pi),
     ),
     _pair(
-        "velocity filter forgotten, sample time twice as long", {"velocity_filter", "sample_time"}, _FILTER, _time(2.0)
-    ),
-    _pair("feed-forward and integral forgotten", {"velocity_feedforward", "integral_gain"}, _integral_too),
-    _pair("gains swapped, sample time three times as long", {*_SWAPPED, "sample_time"}, _of(_SWAP_GAINS), _time(3.0)),
-    _pair(
         "delay forgotten, velocity_gain twice as large",
         {"delay", "law_gain"},
         _LATE,
         _declare(velocity_gain=lambda c: 2 * c.velocity_gain),
-    ),
-    _pair("delay forgotten, position_gain twice as large", {"delay", "position_gain"}, _LATE, _TWICE),
-    _pair(
-        "feed-forward forgotten, position_gain twice as large",
-        {"velocity_feedforward", "position_gain"},
-        _AHEAD,
-        _TWICE,
-    ),
-    _pair(
-        "position_gain twice as large, sample time twice as long",
-        {"position_gain", "sample_time"},
-        _of(_TWICE),
-        _time(2.0),
     ),
     _pair(
         "feed-forward forgotten, torque twice as large",
         {"velocity_feedforward", "torque_scale"},
         _AHEAD,
         _scale("torque", 2.0),
-    ),
-    _pair(
-        "wrong side of the gear, sample time twice as long", {"gear_side", "sample_time"}, _gear_forgotten, _time(2.0)
-    ),
-    _pair(
-        "actual position as reference, torque twice as large",
-        {"reference_is_position", "torque_scale"},
-        _of(_give_position_as_reference),
-        _scale("torque", 2.0),
-    ),
-    _pair(
-        "channels swapped, position_gain twice as large",
-        {"swapped_channels", "position_gain"},
-        _of(_TWICE),
-        _swap_channels,
     ),
 )
 """Two mistakes at once, with the causes of which one must be named where any is.

