@@ -200,7 +200,7 @@ def test_a_day_that_is_none_does_not_hide_a_drift() -> None:
     values = np.where(np.arange(20) < 10, 100.0, 90.0) + 0.5 * np.random.default_rng(1).standard_normal(20)
     days = [f"2026-02-{number + 10:02}" for number in range(19)] + ["2026-02-30"]
     rows = [
-        Row("", "a", "", day, (), None, Outcome.IDENTIFIED, "", "", {"stiffness": Found(float(value), 0.5, "N/m")})
+        Row("", "a", "", day, (), Outcome.IDENTIFIED, "", "", {"stiffness": Found(float(value), 0.5, "N/m")})
         for day, value in zip(days, values, strict=True)
     ]
     (found,) = judge(series_of(rows))
@@ -253,7 +253,7 @@ def test_a_page_of_a_fleet_has_its_days_and_changes_and_folds_quiet_rows() -> No
 def test_a_picture_has_a_row_for_each_setting_and_the_first_loss_of_a_joint() -> None:
     days = [f"jour {day}" for day in range(5)]
     rows = [
-        Row("", joint, "", day, changes, None, Outcome.IDENTIFIED, "", "")
+        Row("", joint, "", day, changes, Outcome.IDENTIFIED, "", "")
         for joint, changes in (("épaule", ("a = 1",)), ("épaule", ("a = 2",)), ("quiet", ()))
         for day in (days if joint == "quiet" else [day.replace("jour", "été") for day in days])
     ]

@@ -255,7 +255,7 @@ def test_a_list_that_grows_is_kept_once_and_what_changed(tmp_path: Path) -> None
     assert read_shards(tmp_path)[:2] == ("other name", 995)
     with open_shard(tmp_path, part) as results:
         results.list_cases("fleet", ["0" * 64])
-        results.add([Row("f" * 64, "a", "a.npy", "", (), None, Outcome.REFUSED, "Of before.", "")])
+        results.add([Row("f" * 64, "a", "a.npy", "", (), Outcome.REFUSED, "Of before.", "")])
     assert read_shards(tmp_path) == ("fleet", 1, []), "rows of cases that are no longer listed are not shown"
 
 

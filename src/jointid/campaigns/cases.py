@@ -11,47 +11,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from jointid import __version__
-
-
-@dataclass(frozen=True, slots=True)
-class Simulated:
-    """A simulated run in place of a logged one; the record gives the motion.
-
-    Attributes:
-        values: every parameter of the joint by name, in SI units.
-        noise_force: standard deviation of a white force on the motor, inside the loop, N or N m.
-        noise_log: standard deviation of white noise on the logged torque, N or N m.
-    """
-
-    kind: ClassVar[str] = "simulated"
-    values: tuple[tuple[str, float], ...]
-    noise_force: float = 0.0
-    noise_log: float = 0.0
-    seed: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Redrawn:
-    """A record with its residual resampled in blocks of time."""
-
-    kind: ClassVar[str] = "resampled"
-    seed: int
-
-
-@dataclass(frozen=True, slots=True)
-class Started:
-    """A random start of the search.
-
-    Attributes:
-        starts: by parameter, in SI units.
-    """
-
-    kind: ClassVar[str] = "started"
-    starts: tuple[tuple[str, float], ...]
-    seed: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +27,6 @@ class Case:
         stamp: by which a record that was replaced is known: its size and the time of its change, or its ETag.
         day: on which it was logged, as 2026-11-23; empty where that does not matter.
         changes: keys of the joint file that are changed, each as ``method.frequency=30``.
-        varied: the simulated run, the resampled error or the start that is this case's own; None for a logged record.
         program: the version of jointid that described it.
         settings: keys of the joint file that are set for this joint alone, as ``transmission.ratio=100``, by key.
 
@@ -82,7 +43,6 @@ class Case:
     stamp: str
     day: str = ""
     changes: tuple[str, ...] = ()
-    varied: Simulated | Redrawn | Started | None = None
     program: str = __version__
     settings: tuple[str, ...] = ()
 
@@ -100,10 +60,6 @@ def canonical(value: object) -> str:
 def sha256_of(text: str) -> str:
     """Return the SHA-256 of a text as 64 hexadecimal digits."""
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
-
-
-LOGGED = "logged"
-"""Kind of a run that was no simulation: it has a time."""
 
 
 class Outcome(StrEnum):
@@ -135,7 +91,6 @@ class Row:
     """The result of a case.
 
     Attributes:
-        seed: of a run that is simulated, resampled or has a random start; None for another one.
         outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's. A
             search without an end, value or fit is not reliable.
         sentence: the answer in a line, or why there is none.
@@ -146,8 +101,6 @@ class Row:
         record_sha256: of the record's bytes; empty where they could not be read.
         joint_file_sha256: of the joint file's text.
         versions: of jointid, Python and the libraries that compute, by name.
-        kind: of the run: logged, simulated, resampled, or a search that is started elsewhere.
-        truth: of a simulated run what is true of each that is found, by name, in its unit.
     """
 
     content_hash: str
@@ -155,7 +108,6 @@ class Row:
     record: str
     day: str
     changes: tuple[str, ...]
-    seed: int | None
     outcome: Outcome
     sentence: str
     joint_file_sha256: str
@@ -167,16 +119,13 @@ class Row:
     record_sha256: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     settings: tuple[str, ...] = ()
-    kind: str = LOGGED
-    truth: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
         """Return the row of a case."""
-        seed, kind = (None, LOGGED) if case.varied is None else (case.varied.seed, case.varied.kind)
         return cls(
-            case.content_hash, case.joint, case.record, case.day, case.changes, seed, outcome, sentence,
-            sha256_of(case.joint_file), settings=case.settings, kind=kind, **more,
+            case.content_hash, case.joint, case.record, case.day, case.changes, outcome, sentence,
+            sha256_of(case.joint_file), settings=case.settings, **more,
         )  # fmt: skip
 
     def text(self) -> str:
@@ -195,33 +144,25 @@ class Row:
             found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))
                      for name, one in raw["found"].items()}  # fmt: skip
             raw |= {key: tuple(map(str, raw.get(key, ()))) for key in ("changes", "settings")}
-            truth = {str(name): _number(value) for name, value in raw.get("truth", {}).items()}
-            raw |= {"found": found, "outcome": Outcome(raw["outcome"]), "truth": truth}
+            raw |= {"found": found, "outcome": Outcome(raw["outcome"])}
             row = cls(**raw)
             _number(row.error_percent)
             named = (row.joint_file_sha256, *row.versions, *row.versions.values())
         except (TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
             raise ValueError(f"no row ({error})") from error
-        texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256, row.kind)
+        texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256)
         if not all(isinstance(one, str) for one in (*texts, *named)):
             raise ValueError("no row (a text is none)")
-        if not all(one is None or type(one) is int for one in (row.seed, row.simulations)):
+        if not (row.simulations is None or type(row.simulations) is int):
             raise ValueError("no row (a count is none)")
         if not isinstance(row.converged, bool | None) or content_hash not in (None, row.content_hash):
             raise ValueError("no row (it is of another case)")
         return row
 
     @property
-    def place(self) -> tuple[str, str, str, int, tuple[str, ...], str]:
+    def place(self) -> tuple[str, str, str, tuple[str, ...], str]:
         """Sort key, independent of engine and order."""
-        return (
-            self.joint,
-            self.day,
-            self.record,
-            -1 if self.seed is None else self.seed,
-            self.changes,
-            self.content_hash,
-        )
+        return (self.joint, self.day, self.record, self.changes, self.content_hash)
 
 
 def finite(value: float | None) -> float | None:

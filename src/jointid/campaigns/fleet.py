@@ -101,7 +101,7 @@ class FleetRecords:
                 "add it."
             )
         if pattern is None:
-            return [named_record(self.folder / self.asked.joint, None)]
+            return [_named_record(self.folder / self.asked.joint)]
         matched, texts, faults = self._match(pattern, self.folder), dict[str, str](), list[str]()
         for joint in matched:
             try:
@@ -155,7 +155,7 @@ class FleetRecords:
         folder, pattern = (place, row.records) if row.records else (self.folder, self.asked.records)
         if pattern is None:
             where, joint = self._joint_of(row, place)
-            return [named_record(where / joint.replace("{joint}", row.name), None, row.settings)]
+            return [_named_record(where / joint.replace("{joint}", row.name), row.settings)]
         if faults := tuple(map("".join, unknown_placeholders("records", pattern, tuple(PLACEHOLDERS)))):
             raise JointFileError(faults)
         matched = self._match(pattern, folder)
@@ -207,26 +207,24 @@ def _embed_model(text: str, folder: Path) -> str:
     return f"# the model's SHA-256: {digest}\n{tomli_w.dumps(tables)}"
 
 
-def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = ()) -> Logged:
-    """Return a record by path, or the one that a joint file names.
+def _named_record(joint: Path, settings: tuple[str, ...] = ()) -> Logged:
+    """Return the record that a joint file names.
 
     Args:
         joint: path of the joint file.
-        record: path of the record; the joint file's when None.
         settings: keys of the joint file that are set, possibly record.file.
     """
     path = joint.absolute()
     text = _embed_model(read_text(path), path.parent)
     source = loads(text, changes=settings).source
-    if source.files and record is None:
+    if source.files:
         raise JointFileError(
             f"{path} names a record in several files, and a campaign reads each record from one; join them to one "
             "file, or name records in this file."
         )
-    named = source.file if record is None else record
-    if named is None:
+    if source.file is None:
         raise JointFileError(f"{path} names no record; add file to its [record], or name records in this file.")
-    place = path.parent / named
+    place = path.parent / source.file
     stamp = stamp_of(place)
     return Logged(path.stem, text, str(place.absolute()), stamp, _day(None, str(place), stamp), settings)
 

@@ -99,8 +99,7 @@ class Status(Documented):
 
 def describe_row(row: Row) -> str:
     """Describe a result without an answer."""
-    seed = "" if row.seed is None else f"seed {row.seed}"
-    what = " ".join(part for part in (row.joint, row.day, seed, "; ".join(row.changes)) if part)
+    what = " ".join(part for part in (row.joint, row.day, "; ".join(row.changes)) if part)
     return f"{what}, {row.outcome}: {short(row.sentence, _LONGEST)}"
 
 

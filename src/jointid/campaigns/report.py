@@ -1,4 +1,4 @@
-"""Report of a campaign: drift of a fleet, scatter of repetitions, best of many starts; export of its results."""
+"""Report of a campaign: drift of a fleet, effects of swept settings; export of its results."""
 
 from __future__ import annotations
 
@@ -13,25 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from jointid.campaigns.cases import LOGGED, Outcome, Redrawn, Row, Simulated, Started
+from jointid.campaigns.cases import Outcome, Row
 from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
 from jointid.campaigns.folder import Results, describe_row, read_results
 from jointid.campaigns.pictures import draw_matrix, plot_changes
-from jointid.campaigns.run_groups import (
-    AgainstTruth,
-    Repeated,
-    SearchEnd,
-    against_truth,
-    end_blocks,
-    ends_of,
-    repeat_blocks,
-    repeats_of,
-    summarise_ends,
-    summarise_repeats,
-    summarise_truth,
-    sweep_blocks,
-    truth_blocks,
-)
+from jointid.campaigns.sweep import sweep_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError, RecordError, extra
@@ -46,7 +32,6 @@ _REASON = 160  # characters of one
 _UNLIKE = 5.0  # robust deviations from the other joints
 _LEAST_JOINTS = 8  # among which one can be unlike the others
 _TO_SIGMA = 1.4826
-_REPEATED = (Simulated.kind, Redrawn.kind)
 _TONES: dict[bool | None, Literal["good", "bad", "open"]] = {True: "good", False: "bad", None: "open"}
 _CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation outside which that is reported
 
@@ -65,50 +50,24 @@ class CampaignReport(Documented):
     @cached_property
     def series(self) -> tuple[Series, ...]:
         """Stiffness and frictions of every joint over its dated runs."""
-        return tuple(series_of(self._logged))
+        return tuple(series_of(self.results.rows))
 
     @cached_property
     def losses(self) -> tuple[Loss, ...]:
         """Joints, and quantities of joints, without a value in their last runs."""
-        return tuple(losses_of(self._logged))
-
-    @property
-    def _logged(self) -> list[Row]:
-        return [row for row in self.results.rows if row.kind == LOGGED]
-
-    @cached_property
-    def repeats(self) -> tuple[Repeated, ...]:
-        """Every quantity over runs with different seeds."""
-        return tuple(repeats_of([row for row in self.results.rows if row.kind in _REPEATED]))
-
-    @cached_property
-    def against_truth(self) -> tuple[AgainstTruth, ...]:
-        """Bias, scatter and coverage of every quantity of simulated runs."""
-        return against_truth(self.repeats)
-
-    @cached_property
-    def ends(self) -> tuple[tuple[SearchEnd, ...], ...]:
-        """Optima from many starts, for each combination of settings."""
-        return ends_of([row for row in self.results.rows if row.kind == Started.kind])
+        return tuple(losses_of(self.results.rows))
 
     @cached_property
     def verdict(self) -> tuple[str, bool | None]:
         """Lead sentence and its tone: good, bad, or None if undecided."""
-        kind = self.results.rows[0].kind if self.results.rows else LOGGED
-        if kind in _REPEATED:
-            said, good = summarise_repeats(self.repeats, self.results.counts()[Outcome.IDENTIFIED], kind)
-            if not self.against_truth:
-                return said, good
-            more, true = summarise_truth(self.against_truth)
-            return f"{said} {more}", good and true
-        if kind == Started.kind:
-            return summarise_ends(self.ends)
         watched = pluralise(len({one.series.joint for one in self.changes}), "joint")
-        said, good = f"No stiffness and no friction drifted by more than its scatter ({watched} watched).", True
+        good: bool | None = not self.drifted
         if not self.changes:
             said, good = "Drift was not tested: no joint has eight runs.", None
         elif self.drifted:
-            said, good = _count_joints([one.series.joint for one in self.drifted], "drifted"), False
+            said = _count_joints([one.series.joint for one in self.drifted], "drifted")
+        else:
+            said = f"No stiffness and no friction drifted by more than its scatter ({watched} watched)."
         if not self.losses:
             return said, good
         return f"{_count_joints([one.joint for one in self.losses], 'lost a value')} {said}", False
@@ -145,11 +104,8 @@ class CampaignReport(Documented):
             *(self._pictures() if pictures else ()),
             *self._loss_blocks(most),
             *self._drift_blocks(most),
-            *end_blocks(self.ends, most),
-            *_distributions([row for row in results.rows if row.kind != Started.kind]),
+            *_distributions(results.rows),
             *sweep_blocks(results.rows, most),
-            *truth_blocks(self.against_truth),
-            *repeat_blocks(self.repeats, most),
             *self._scatter_blocks(),
             *self._outlier_blocks(most),
             *_reasons(results.rows, most),
@@ -158,10 +114,10 @@ class CampaignReport(Documented):
 
     def _pictures(self) -> Iterator[Block]:
         """Yield the matrix of joints and days, and the values that changed or were lost."""
-        if not self._logged:
+        if not self.results.rows:
             return
         yield Heading("Joints and days")
-        yield draw_matrix(self._logged, self.drifted, self.losses)
+        yield draw_matrix(self.results.rows, self.drifted, self.losses)
         if (shown := plot_changes(self.drifted, self.series, self.losses)) is not None:
             yield Heading("Values over the days")
             yield shown
@@ -338,14 +294,12 @@ def require_ending(path: Path) -> None:
 def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
     """Columns of results by name: case, answer, settings, hashes and versions.
 
-    A parameter has columns for value and standard deviation, with the unit in the name, and for the truth if simulated.
+    A parameter has columns for value and standard deviation, with the unit in the name.
     """
     columns: dict[str, list[Any]] = {
         "joint": [row.joint for row in rows],
         "day": [row.day for row in rows],
         "record": [row.record for row in rows],
-        "kind": [row.kind for row in rows],
-        "seed": [row.seed for row in rows],
         "changes": ["; ".join(row.changes) for row in rows],
         "settings": ["; ".join(row.settings) for row in rows],
         "outcome": [str(row.outcome) for row in rows],
@@ -359,9 +313,6 @@ def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
         found = [one if (one := row.found.get(name)) is not None and one.unit == unit else None for row in rows]
         columns[f"{name} [{unit}]"] = [None if one is None else one.value for one in found]
         columns[f"{name} std [{unit}]"] = [None if one is None else one.std for one in found]
-        truth = [None if one is None else row.truth.get(name) for row, one in zip(rows, found, strict=True)]
-        if any(value is not None for value in truth):
-            columns[f"{name} truth [{unit}]"] = truth
     columns |= {
         "case sha256": [row.content_hash for row in rows],
         "record sha256": [row.record_sha256 for row in rows],

@@ -30,7 +30,7 @@ def run(
 ) -> None:
     """Identify all that a campaign file names, on all cores.
 
-    Given again, it goes on where it was ended; a file may name runs that are simulated.
+    Given again, it goes on where it was ended.
 
     Every result is kept as it comes, once; Ctrl-C, a kill or a full disk loses none of them.
 
@@ -110,7 +110,6 @@ def report(
     details: Flag = False,
     html: Path | None = None,
     markdown: Path | None = None,
-    csv: Path | None = None,
 ) -> None:
     """Report joints that drifted, outliers and scatter.
 
@@ -120,25 +119,20 @@ def report(
         details: all rows of every table, rather than a screen of them.
         html: also write all of it as one HTML page, with pictures of joints, days and changes.
         markdown: also write all of it as Markdown.
-        csv: also write bias, scatter and coverage against the truth of simulated runs as a table.
     """
     from jointid.campaigns.report import report_of
-    from jointid.campaigns.run_groups import truth_csv
     from jointid.common.files import write_whole
     from jointid.output.report.page import page, require_extra
 
-    Outputs({"--html": html, "--markdown": markdown, "--csv": csv})
+    Outputs({"--html": html, "--markdown": markdown})
     if html is not None:
         require_extra(plots=False)
     found = report_of(results, false_alarm)
-    table = None if csv is None else truth_csv(found.against_truth)
     show(found, details=details)
     if html is not None:
         write_whole(html, page(found.to_page()))
     if markdown is not None:
         write_whole(markdown, found.to_document(details=True).markdown())
-    if csv is not None and table is not None:
-        write_whole(csv, table)
 
 
 def export(results: Path, /, *, out: Path) -> None:
