@@ -22,7 +22,7 @@ from jointid.campaigns.cases import Case, Found, Outcome, Row
 from jointid.campaigns.engines import LocalProcesses
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.report import export_rows, table_of
-from jointid.campaigns.run import _Waiting, run_case, run_cases
+from jointid.campaigns.run import run_case, run_cases
 from jointid.campaigns.shards import Shard, open_shard
 from jointid.campaigns.store import open_database
 from jointid.common.errors import JointFileError, MethodError, RecordError
@@ -323,14 +323,3 @@ def test_a_shard_belongs_to_one_process_and_knows_what_others_finished(tmp_path:
         open_shard(tmp_path / "database", Shard(1, 1)),
     ):
         pass
-
-
-def test_a_batch_has_no_case_that_is_finished_and_what_was_begun_together_stays_together() -> None:
-    made = [Case(str(number), "", "", "") for number in range(12)]
-    hashes = [case.content_hash for case in made]
-    begun = frozenset((hashes[4], hashes[7], hashes[10]))
-    waiting = _Waiting(iter(made), {hashes[i] for i in (0, 1, 2, 3, 5)}.__contains__)
-    batches = [[case.joint for case in waiting.take(2, dict.fromkeys(begun, begun))] for _ in range(4)]
-    assert batches == [["6", "8"], ["4", "7", "10"], ["9", "11"], []]
-    left = _Waiting(iter(made[:5]), set(hashes[:4]).__contains__)
-    assert [case.joint for case in left.take(2, dict.fromkeys(begun, begun))] == ["4"], "of the others nothing is known"

@@ -64,8 +64,6 @@ def test_again_tries_what_was_refused(fleet: Path, capsys: pytest.CaptureFixture
         ("run none.toml --out out", "none.toml cannot be opened (no such file or directory)"),
         ("run campaign.toml --out out --workers -1", "--workers is -1; expected a whole number, 0 or more"),
         ("run campaign.toml --out out --workers 2 --dask tcp://10.0.0.1:1", "--dask has its own workers"),
-        ("run campaign.toml --out out --executor slurm", "--executor slurm, --shared and --partition belong together"),
-        ("run campaign.toml --out out --shared x", "--executor slurm, --shared and --partition belong together"),
         ("run campaign.toml --out campaign.toml", "cannot be"),
         ("work campaign.toml --shard 5/4 --out out", '--shard is "5/4"; expected its number and how many there are'),
         ("status out", "out is no folder of a campaign"),
@@ -88,12 +86,6 @@ def test_a_folder_in_a_network_is_refused(
     assert run("campaign", "run", "campaign.toml", "--out", "out", "-q") == 2
     assert "is on a disk in a network (nfs4)" in capsys.readouterr().err
     assert not (fleet / "out").exists()
-
-
-def test_a_folder_for_jobs_that_takes_nothing_is_refused(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    slurm = ("--executor", "slurm", "--shared", "campaign.toml/jobs")
-    assert run("campaign", "run", "campaign.toml", "--out", "out", *slurm, "-q") == 2
-    assert "campaign.toml/jobs cannot be made a folder (not a directory); name another one" in capsys.readouterr().err
 
 
 def test_a_damaged_database_is_a_sentence(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:

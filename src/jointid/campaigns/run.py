@@ -6,24 +6,26 @@ that kills two workers alone is set aside.
 
 from __future__ import annotations
 
+import os
 import platform
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from jointid import Estimate, __version__
 from jointid.campaigns.addresses import digest, fetch
 from jointid.campaigns.cases import Case, Found, Outcome, Row, finite
-from jointid.campaigns.engines import Engine, Workers, on_one_core
+from jointid.campaigns.engines import Engine
 from jointid.campaigns.store import Results
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, Work, ignore_progress
+from jointid.common.parallel import THREADS
 from jointid.common.text import pluralise
 from jointid.config import JointFile, loads
 from jointid.config.contents import File
@@ -119,11 +121,10 @@ def _totals(estimate: Estimate) -> Iterator[tuple[str, Known]]:
 
 _LOOK = 5.0  # s without a result, after which it is seen whether any can come
 _DEATHS = 2  # of workers, after which a case is set aside
-_IDLE_DEATHS = 10  # of workers in a row that had no case, after which it is no use to start others
+_AHEAD = 2  # cases under way for each worker, so that none waits for the next
 
 Carry = Callable[[Case], Row]
-Keep = Callable[[Sequence[Row]], None]
-_UnderWay: TypeAlias = dict[Future[list[Row]], list[Case]]
+Keep = Callable[[Row], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,107 +174,56 @@ def run_cases(
     if left:
         work = Work(progress, "cases", left, "cases")
 
-        def keep(rows: Sequence[Row]) -> None:
-            new = [row for row in rows if not results.has_result(row.content_hash)]
-            results.add(new)
-            for row in new:
+        def keep(row: Row) -> None:
+            if not results.has_result(row.content_hash):
+                results.add([row])
                 made[row.outcome] += 1
                 work.add()
 
-        waiting = _Waiting((case for case in cases() if has(case.content_hash)), results.has_result)
-        idle_deaths = 0
+        waiting = (case for case in cases() if has(one := case.content_hash) and not results.has_result(one))
         try:
-            while (affected := _run_together(waiting, engine, carry, keep)) or waiting.given_back:
-                idle_deaths = 0 if affected else idle_deaths + 1
-                if idle_deaths > _IDLE_DEATHS:
-                    raise RecordError(
-                        "Workers die before they take a case; see whether one has memory enough to start, and give the "
-                        "same command again: what is finished is kept."
-                    )
-                if affected:
-                    progress(
-                        f"a worker died; {pluralise(len(affected), 'case')} that it may have died of "
-                        f"{'is' if len(affected) == 1 else 'are'} tried again, one at a time"
-                    )
-                for case in (one for one in affected if not results.has_result(one.content_hash)):
+            while affected := _run_together(waiting, engine, carry, keep):
+                progress(
+                    f"a worker died; {pluralise(len(affected), 'case')} that it may have died of "
+                    f"{'is' if len(affected) == 1 else 'are'} tried again, one at a time"
+                )
+                for case in affected:
                     _run_single(case, engine, results, carry, keep)
         finally:
             work.reach(left)
     return Ran(finished.total(), finished[True], made)
 
 
-class _Waiting:
-    """Pending cases, returned ones first."""
-
-    def __init__(self, cases: Iterator[Case], is_finished: Callable[[str], bool]) -> None:
-        self._cases, self._is_finished, self._back = cases, is_finished, list[list[Case]]()
-        self._parts: dict[frozenset[str] | None, list[Case]] = {}
-
-    @property
-    def given_back(self) -> bool:
-        """True if a batch was taken in again."""
-        return bool(self._back)
-
-    def take(self, count: int, submitted: Mapping[str, frozenset[str]]) -> list[Case]:
-        """Next batch of cases without a result; empty at the end.
-
-        A batch that an earlier client submitted stays together, so that its result is found.
-        """
-        if self._back:
-            return self._back.pop()
-        for case in self._cases:
-            if not self._is_finished(one := case.content_hash):
-                task = submitted.get(one)
-                part = self._parts.setdefault(task, [])
-                part.append(case)
-                if len(part) == (count if task is None else len(task)):
-                    return self._parts.pop(task)
-        return self._parts.popitem()[1] if self._parts else []
-
-    def give_back(self, batch: list[Case]) -> None:
-        """Return a batch that was not started."""
-        self._back.append(batch)
-
-
-def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Keep) -> list[Case]:
-    """Execute cases until all are done or a worker dies; return the unfinished ones."""
+def _run_together(waiting: Iterator[Case], engine: Engine, carry: Carry, keep: Keep) -> list[Case]:
+    """Execute cases until all are done or a worker dies; return the unfinished ones that were under way."""
     affected: list[Case] = []
-    under_way: _UnderWay = {}
+    under_way: dict[Future[Row], Case] = {}
     with engine.open() as workers:
-        _fill(under_way, waiting, workers, carry)
-        while under_way:
+        while True:
+            most = _AHEAD * max(workers.capacity(), 1)
+            while not affected and len(under_way) < most and (case := next(waiting, None)) is not None:
+                try:
+                    under_way[workers.executor.submit(on_one_core, carry, case)] = case
+                except BrokenExecutor:
+                    affected.append(case)
+            if not under_way:
+                return affected
             done, _ = wait(under_way, timeout=_LOOK, return_when=FIRST_COMPLETED)
             if not done:
                 workers.require_reachable()
             for future in done:
-                batch = under_way.pop(future)
-                rows = _result(future, engine)
-                if rows is None:
-                    affected += batch
+                case, row = under_way.pop(future), _result(future, engine)
+                if row is None:
+                    affected.append(case)
                 else:
-                    keep(rows)
-            if not affected:
-                _fill(under_way, waiting, workers, carry)
-    return affected
-
-
-def _fill(under_way: _UnderWay, waiting: _Waiting, workers: Workers, carry: Carry) -> None:
-    """Hand out cases until there are enough under way."""
-    most = workers.ahead * max(workers.capacity(), 1)
-    while len(under_way) < most and (batch := waiting.take(workers.batch, workers.submitted)):
-        try:
-            under_way[workers.executor.submit(on_one_core, carry, batch)] = batch
-        except BrokenExecutor:  # the futures that are under way will say so
-            waiting.give_back(batch)
-            return
+                    keep(row)
 
 
 def _run_single(case: Case, engine: Engine, results: Results, carry: Carry, keep: Keep) -> None:
     """Execute a case without others, and set it aside after two deaths."""
     while True:
         with engine.open(1) as workers:
-            rows = _result(workers.executor.submit(on_one_core, carry, [case]), engine)
-        row = None if rows is None else rows[0]
+            row = _result(workers.executor.submit(on_one_core, carry, case), engine)
         if row is None and results.count_death(case.content_hash) >= _DEATHS:
             row = Row.of(
                 case,
@@ -282,12 +232,12 @@ def _run_single(case: Case, engine: Engine, results: Results, carry: Carry, keep
                 "record, and into the worker's memory.",
             )
         if row is not None:
-            keep([row])
+            keep(row)
             return
 
 
-def _result(future: Future[list[Row]], engine: Engine) -> list[Row] | None:
-    """Rows of some cases; None if their worker died."""
+def _result(future: Future[Row], engine: Engine) -> Row | None:
+    """Row of a case; None if its worker died."""
     try:
         return future.result()
     except JointidError:
@@ -299,3 +249,9 @@ def _result(future: Future[list[Row]], engine: Engine) -> list[Row] | None:
             f"The workers gave a case up ({type(error).__name__}: {error}); see that they can be reached, and that "
             "each has this jointid and its extras, and give the same command again: what is finished is kept."
         ) from error
+
+
+def on_one_core(carry: Carry, case: Case) -> Row:
+    """Execute a case with one thread."""
+    os.environ[THREADS] = "1"
+    return carry(case)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from jointid.apps.cli.console import Flag, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
@@ -22,9 +22,6 @@ def run(
     out: Path,
     workers: int = 0,
     dask: str | None = None,
-    executor: Literal["local", "slurm"] = "local",
-    shared: Path | None = None,
-    partition: str | None = None,
     again: Flag = False,
     quiet: Quiet = False,
 ) -> None:
@@ -37,19 +34,16 @@ def run(
     Args:
         campaign: the campaign file (TOML).
         out: folder of the results, on a local disk; it is made if it is not there.
-        workers: processes, one for each core when 0; with slurm jobs at once, 64 when 0.
+        workers: processes, one for each core when 0.
         dask: address of the scheduler of a Dask cluster that carries out the cases, as tcp://10.0.0.1:8786.
-        executor: slurm carries out the cases as jobs of SLURM.
-        shared: folder for functions and results of jobs of SLURM, which client and nodes share, and nobody else writes.
-        partition: of SLURM that takes the jobs; without it its default one.
         again: also try again what was refused, failed or set aside.
         quiet: say nothing of the progress.
     """
     from jointid.campaigns.run import run_cases
     from jointid.campaigns.store import open_database
 
-    engine = _engine(workers, dask, executor, shared, partition)
-    outputs, listener = Outputs(folders={"--out": out, "--shared": shared}), listen(quiet)
+    engine = _engine(workers, dask)
+    outputs, listener = Outputs(folders={"--out": out}), listen(quiet)
     outputs.spare("CAMPAIGN", campaign)
     asked = _load(campaign, listener)
     with fresh_folder(out, "--out"), open_database(out) as database:
@@ -163,24 +157,17 @@ def _load(path: Path, listener: Progress) -> Campaign:
     return campaign
 
 
-def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, partition: str | None) -> Engine:
+def _engine(workers: int, dask: str | None) -> Engine:
     """Return the engine that runs the cases.
 
     Raises:
         MethodError: what is asked for does not go together.
     """
-    from jointid.campaigns.engines import DaskCluster, LocalProcesses, SlurmJobs
+    from jointid.campaigns.engines import DaskCluster, LocalProcesses
 
     _require_workers(workers)
-    if dask is not None and (workers or executor != "local"):
-        raise MethodError("--dask has its own workers; leave out --workers and --executor, or --dask.")
-    if (executor == "slurm") != (shared is not None) or (partition and executor != "slurm"):
-        raise MethodError(
-            "--executor slurm, --shared and --partition belong together: jobs of SLURM need a folder that client and "
-            "nodes share, and nothing else does."
-        )
-    if shared is not None:
-        return SlurmJobs(shared.absolute(), workers or 64, partition=partition or "")
+    if dask is not None and workers:
+        raise MethodError("--dask has its own workers; leave out --workers or --dask.")
     return LocalProcesses(workers) if dask is None else DaskCluster(dask)
 
 
