@@ -6,23 +6,16 @@ import os
 import pickle
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 
-from jointid.campaigns import addresses
-from jointid.campaigns.addresses import fetch
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Found, Outcome, Row
-from jointid.campaigns.engines import LocalProcesses
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.report import export_rows, table_of
-from jointid.campaigns.run import run_case, run_cases
+from jointid.campaigns.run import run_case
 from jointid.campaigns.shards import Shard, open_shard
 from jointid.campaigns.store import open_database
 from jointid.common.errors import JointFileError, MethodError, RecordError
@@ -124,110 +117,6 @@ def test_a_row_is_read_as_it_was_written(place: Path) -> None:
                     row.text().replace('"identified"', '"found"')):  # fmt: skip
         with pytest.raises(ValueError, match=r"row|JSON|Expecting|delimiter|Outcome|Unterminated"):
             Row.read(spoiled)
-
-
-def test_a_record_behind_a_url_is_fetched_by_the_worker(place: Path) -> None:
-    pytest.importorskip("fsspec")
-    here, there = FLEET, FLEET.replace("logs/", f"file://{place.as_posix()}/logs/")
-    near, far = campaign(place, here)[0], campaign(place, there)[0]
-    assert far.record == f"file://{place.as_posix()}/logs/a/2026-11-01.npy"
-    one, other = run_case(near), run_case(far)
-    assert (one.found, one.record_sha256) == (other.found, other.record_sha256)
-    Path(near.record).unlink()
-    gone = run_case(far)
-    assert gone.outcome is Outcome.REFUSED
-    assert "cannot be fetched (FileNotFoundError" in gone.sentence
-
-
-KILLED = """
-import sys
-from jointid.campaigns.addresses import fetch
-with fetch(sys.argv[1]) as path:
-    print(path, flush=True)
-    sys.stdin.read()
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no locks of folders")
-def test_a_killed_download_is_removed_by_the_next_and_one_at_work_is_not(
-    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("fsspec")
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    address = f"file://{place.as_posix()}/logs/a/2026-11-01.npy"
-    command = [sys.executable, "-c", KILLED, address]
-    environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as program:
-        assert program.stdout is not None
-        path = Path(program.stdout.readline().strip())
-        for _ in range(2):
-            os.utime(path.parent, (0, 0))
-            with fetch(address) as own:
-                assert own.read_bytes() and path.exists() is (program.poll() is None)
-            program.kill()
-            program.wait()
-    assert not any(tmp_path.glob("jointid-*"))
-
-
-@pytest.fixture
-def server(place: Path) -> Iterator[str]:
-    """The address of a server of the small fleet's files."""
-
-    class Quiet(SimpleHTTPRequestHandler):
-        def log_message(self, *_: object) -> None:
-            pass
-
-    made = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=place))
-    threading.Thread(target=made.serve_forever, daemon=True).start()
-    yield f"http://127.0.0.1:{made.server_port}"
-    made.shutdown()
-    made.server_close()
-
-
-@pytest.mark.slow
-def test_records_of_a_server_are_read_on_the_worker(place: Path, server: str, tmp_path: Path) -> None:
-    pytest.importorskip("fsspec")
-    pytest.importorskip("aiohttp")
-    near, far = campaign(place, FLEET), campaign(place, FLEET.replace("logs/", f"{server}/logs/"))
-    assert [case.record for case in far] == [
-        f"{server}/{Path(case.record).relative_to(place).as_posix()}" for case in near
-    ]
-    here = run_case(near[0])
-    (place / "logs" / "b" / "2026-11-01.npy").unlink()
-    (tmp_path / "out").mkdir()
-    with open_database(tmp_path / "out") as database:
-        run_cases(lambda: [far[0], far[2]], LocalProcesses(1), database)
-    there, gone = read_results(tmp_path / "out").rows
-    assert (there.found, there.record_sha256) == (here.found, here.record_sha256)
-    assert gone.sentence.startswith(f"{server}/logs/b/2026-11-01.npy cannot be fetched (FileNotFoundError")
-
-
-def test_a_record_of_a_server_that_is_replaced_is_another_case(place: Path, server: str) -> None:
-    pytest.importorskip("fsspec")
-    pytest.importorskip("aiohttp")
-    text, path = FLEET.replace("logs/", f"{server}/logs/"), place / "logs" / "a" / "2026-11-01.npy"
-    before = campaign(place, text)
-    os.utime(path, (1.7e9, 1.7e9))
-    after = campaign(place, text)
-    changed = [one.record for one, other in zip(before, after, strict=True) if one.content_hash != other.content_hash]
-    assert changed == [f"{server}/logs/a/2026-11-01.npy"]
-
-
-def test_a_url_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
-    row = run_case(Case("a", JOINT, "s3://line/a.csv", ""))
-    assert row.sentence == (
-        'A record behind a URL needs the package fsspec, which is not there; install it: pip install "jointid[remote]".'
-    )
-    monkeypatch.undo()
-    monkeypatch.setitem(__import__("sys").modules, "gcsfs", None)
-    row = run_case(Case("a", JOINT, "gs://line/a.csv", ""))
-    assert row.sentence.startswith(
-        "gs://line/a.csv needs a package more than the extra remote has (Please install gcsfs"
-    )
-    with pytest.raises(RecordError, match="expected a path, or one of"):
-        addresses.check_scheme("reference://x")
 
 
 def test_a_shard_has_each_case_once() -> None:

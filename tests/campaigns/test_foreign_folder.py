@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from jointid.campaigns.addresses import digest
 from jointid.campaigns.cases import Case, Outcome, Row
 from jointid.campaigns.folder import read_results
+from jointid.campaigns.paths import digest
 from jointid.campaigns.report import CampaignReport
 from jointid.campaigns.run import run_case
 from jointid.campaigns.shards import Shard, open_shard

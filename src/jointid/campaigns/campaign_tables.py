@@ -28,7 +28,7 @@ class Fleet:
     )
     records: str | None = setting(
         None,
-        "path or URL of the records, with {joint} where the joint's name stands, {day} where a date does, and *; "
+        "path of the records, with {joint} where the joint's name stands, {day} where a date does, and *; "
         "without it the record that the joint file names",
     )
     table: str | None = setting(

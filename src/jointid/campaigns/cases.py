@@ -23,8 +23,8 @@ class Case:
     Attributes:
         joint: the name by which a report calls it.
         joint_file: the text of the joint file.
-        record: address of the record, a path or a URL.
-        stamp: by which a record that was replaced is known: its size and the time of its change, or its ETag.
+        record: path of the record.
+        stamp: by which a record that was replaced is known: its size and the time of its change.
         day: on which it was logged, as 2026-11-23; empty where that does not matter.
         changes: keys of the joint file that are changed, each as ``method.frequency=30``.
         program: the version of jointid that described it.

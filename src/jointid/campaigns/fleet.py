@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from jointid.campaigns.addresses import is_remote, list_addresses, stamp_of
 from jointid.campaigns.campaign_tables import PLACEHOLDER, PLACEHOLDERS, FleetTable, unknown_placeholders
+from jointid.campaigns.paths import list_records, stamp_of
 from jointid.common.errors import JointFileError, RecordError, extra
 from jointid.common.files import open_file
 from jointid.common.messages import either, format_value
@@ -173,16 +173,16 @@ class FleetRecords:
         """Address, stamp and day of matches, by joint."""
         if (pattern, folder) not in self._matched:
             by_joint = self._matched[pattern, folder] = dict[str, list[tuple[str, str, str]]]()
-            plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
+            plain = posixpath.normpath(pattern)
             shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
             stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
-            for address, stamp in list_addresses(stars, folder).items():
+            for address, stamp in list_records(stars, folder).items():
                 said = shape.search(address.replace(os.sep, "/"))
                 if said is None:
                     self._undated.append(address)
                     continue
                 parts = said.groupdict()
-                logged = address, stamp, _day(parts.get("day"), address, stamp)
+                logged = address, stamp, _day(parts.get("day"), stamp)
                 by_joint.setdefault(parts.get("joint", "joint"), []).append(logged)
         matched = self._matched[pattern, folder]
         if not matched and self.asked.table is None:
@@ -226,20 +226,17 @@ def _named_record(joint: Path, settings: tuple[str, ...] = ()) -> Logged:
         raise JointFileError(f"{path} names no record; add file to its [record], or name records in this file.")
     place = path.parent / source.file
     stamp = stamp_of(place)
-    return Logged(path.stem, text, str(place.absolute()), stamp, _day(None, str(place), stamp), settings)
+    return Logged(path.stem, text, str(place.absolute()), stamp, _day(None, stamp), settings)
 
 
 def _single(record: str, folder: Path, day: str) -> tuple[str, str, str]:
     """Address, stamp and day of a row's record; no stamp if it is unreadable."""
-    if is_remote(record):
-        address, stamp = next(iter(list_addresses(record, folder).items()), (record, ""))
-    else:
-        address = os.path.normpath(folder / record)
-        try:
-            stamp = stamp_of(Path(address))
-        except RecordError:
-            stamp = ""
-    return address, stamp, day or _day(None, address, stamp)
+    address = os.path.normpath(folder / record)
+    try:
+        stamp = stamp_of(Path(address))
+    except RecordError:
+        stamp = ""
+    return address, stamp, day or _day(None, stamp)
 
 
 def _check_settings(texts: Mapping[FleetRow, str]) -> Iterator[tuple[FleetRow, tuple[str, ...]]]:
@@ -298,12 +295,12 @@ def _expression(pattern: str) -> str:
     return "".join([*parts, re.escape(pattern[at:])])
 
 
-def _day(said: str | None, address: str, stamp: str) -> str:
+def _day(said: str | None, stamp: str) -> str:
     """Day as 2026-11-23, from the file's name or last change, if known."""
     if said is not None:
         digits = said.replace("-", "")
         return f"{digits[:4]}-{digits[4:6]}-{digits[6:]}"
-    if is_remote(address) or not stamp:
+    if not stamp:
         return ""
     return datetime.datetime.fromtimestamp(int(stamp.rpartition(" ")[2]) / 1000, datetime.UTC).date().isoformat()
 
@@ -321,8 +318,8 @@ class FleetRow:
     Attributes:
         number: of the row, from 1: of CSV the header is the first, as spreadsheets count.
         joint: path of its joint file, empty where the table does not say it.
-        records: path or URL of its records, with what stands for a part of it; empty where the table does not say it.
-        record: path or URL of one record.
+        records: path of its records, with what stands for a part of it; empty where the table does not say it.
+        record: path of one record.
         day: on which that one was logged, as 2026-11-23, or empty.
         settings: keys of the joint file that are set for this row, by key, as ``method.frequency=30``.
     """

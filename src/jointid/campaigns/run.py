@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from jointid import Estimate, __version__
-from jointid.campaigns.addresses import digest, fetch
 from jointid.campaigns.cases import Case, Found, Outcome, Row, finite
 from jointid.campaigns.engines import Engine
+from jointid.campaigns.paths import digest
 from jointid.campaigns.store import Results
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, Work, ignore_progress
@@ -46,7 +46,6 @@ def run_case(case: Case) -> Row:
         refused axis-1.csv cannot be opened (no such file or directory); check the path.
     """
     about: dict[str, Any] = {"versions": versions()}
-    read = case.record
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -55,12 +54,10 @@ def run_case(case: Case) -> Row:
                     f"The case was described by jointid {case.program}, and the worker has {__version__}; install the "
                     "same on both."
                 )
-            with fetch(case.record) as path:
-                read = str(path)
-                about["record_sha256"] = digest(path)
-                return Row.of(case, **_identify(case, path), **about)
+            about["record_sha256"] = digest(path := Path(case.record))
+            return Row.of(case, **_identify(case, path), **about)
         except JointidError as error:
-            return Row.of(case, Outcome.REFUSED, str(error).replace(read, case.record), **about)
+            return Row.of(case, Outcome.REFUSED, str(error), **about)
         except Exception as error:
             sentence = f"jointid failed, which is a fault of ours ({type(error).__name__}: {error})."
             return Row.of(case, Outcome.FAILED, sentence, **about)

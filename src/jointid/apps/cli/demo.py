@@ -30,7 +30,7 @@ name = "fleet of axes"
 
 [fleet]
 joint = "joint.toml"                     # one for all; "joints/{joint}.toml" where each has its own
-records = "logs/{joint}/{day}.npy"       # or a URL, as s3://line-3/{joint}/{day}.npy
+records = "logs/{joint}/{day}.npy"
 """
 FIRST_DAY = datetime.date(2026, 10, 1)
 SCATTER = {"stiffness": 0.005, "motor_coulomb": 0.03, "load_coulomb": 0.03, "motor_viscous": 0.03, "load_viscous": 0.03}
