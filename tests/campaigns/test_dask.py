@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import random
-import re
 import shlex
 import shutil
 import subprocess
@@ -12,7 +11,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,12 +18,11 @@ import pytest
 
 from jointid.campaigns.cases import Outcome
 from jointid.campaigns.engines import DaskCluster, LocalProcesses
-from jointid.campaigns.folder import read_results
 from jointid.campaigns.run import run_cases
-from jointid.campaigns.store import open_database
+from jointid.campaigns.store import open_store
 from jointid.common.errors import JointidError, MethodError, RecordError
 from tests.campaigns.dask_cluster import ROOT, Cluster
-from tests.campaigns.work import POISON, carry, cases, ends
+from tests.campaigns.work import POISON, cases, ends, results, run_all
 from tests.losses.runs import COUNT, SEED
 
 pytestmark = [
@@ -41,8 +38,13 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         yield Cluster(tmp_path, stack)
 
 
-def test_workers_that_come_and_go_give_what_processes_give(cluster: Cluster, tmp_path: Path) -> None:
-    log, count = tmp_path / "log", 200
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "log"
+
+
+def test_workers_that_come_and_go_give_what_processes_give(cluster: Cluster, log: Path, tmp_path: Path) -> None:
+    count = 200
     first, _ = cluster.add_worker(), cluster.add_worker()
 
     def come_and_go() -> None:
@@ -53,50 +55,44 @@ def test_workers_that_come_and_go_give_what_processes_give(cluster: Cluster, tmp
 
     mover = threading.Thread(target=come_and_go)
     mover.start()
-    for name in ("dask", "here"):
-        (tmp_path / name).mkdir()
-    with open_database(tmp_path / "dask") as database:
-        run_cases(lambda: cases(count, log), DaskCluster(cluster.address), database, carry=carry)
+    run_all(tmp_path / "dask", log, count, DaskCluster(cluster.address))
     mover.join()
-    with open_database(tmp_path / "here") as database:
-        run_cases(lambda: cases(count, log), LocalProcesses(2), database, carry=carry)
-    by_dask, here = (read_results(tmp_path / name) for name in ("dask", "here"))
-    assert [row.text() for row in by_dask.rows] == [row.text() for row in here.rows]
-    assert len(here.rows) == count
+    run_all(tmp_path / "here", log, count, LocalProcesses(2))
+    here = results(tmp_path / "here", log, count)
+    assert results(tmp_path / "dask", log, count) == here
+    assert len(here) == count
 
 
-def test_a_poisonous_case_is_set_aside(cluster: Cluster, tmp_path: Path) -> None:
-    log = tmp_path / "log"
+def test_a_poisonous_case_is_set_aside(cluster: Cluster, log: Path, tmp_path: Path) -> None:
     for _ in range(2):
         cluster.add_worker(nanny=True)
-    with open_database(tmp_path) as database:
-        run_cases(lambda: cases(8, log, {3: POISON}), DaskCluster(cluster.address), database, carry=carry)
-    results = read_results(tmp_path)
-    assert results.counts()[Outcome.IDENTIFIED] == 7
-    assert [row.joint for row in results.rows if row.outcome is Outcome.SET_ASIDE] == ["axis 3"]
+    kinds = {3: POISON}
+    ran = run_all(tmp_path / "out", log, 8, DaskCluster(cluster.address), kinds)
+    assert ran.made[Outcome.IDENTIFIED] == 7
+    aside = [row.joint for row in results(tmp_path / "out", log, 8, kinds) if row.outcome is Outcome.SET_ASIDE]
+    assert aside == ["axis 3"]
 
 
-def test_a_scheduler_that_does_not_answer_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_does_not_answer_is_refused(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("jointid.campaigns.engines._PATIENCE", 0.5)
-    with (
-        open_database(tmp_path) as database,
-        pytest.raises(MethodError, match=r"^No Dask scheduler answers at tcp://127.0.0.1:9 \("),
-    ):
-        run_cases(lambda: cases(1, tmp_path / "log"), DaskCluster("tcp://127.0.0.1:9"), database, carry=carry)
+    with pytest.raises(MethodError):
+        run_all(tmp_path / "out", log, 1, DaskCluster("tcp://127.0.0.1:9"))
 
 
-def test_a_worker_of_another_version_refuses_in_a_sentence(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_worker_of_another_version_refuses_its_cases(cluster: Cluster, log: Path, tmp_path: Path) -> None:
     (tmp_path / "other.py").write_text("import jointid.campaigns.run\njointid.campaigns.run.__version__ = '0.0.1'\n")
     cluster.add_worker("--preload", str(tmp_path / "other.py"))
-    with open_database(tmp_path) as database:
-        run_cases(lambda: cases(2, tmp_path / "log"), DaskCluster(cluster.address), database)
-    rows = read_results(tmp_path).rows
-    assert [row.outcome for row in rows] == [Outcome.REFUSED] * 2
-    assert "and the worker has 0.0.1; install the same on both" in rows[0].sentence
+    with open_store(tmp_path / "out") as store:
+        ran = run_cases(lambda: cases(2, log), DaskCluster(cluster.address), store)
+    assert ran.made[Outcome.REFUSED] == 2
 
 
 @pytest.mark.skipif(not shutil.which("openssl"), reason="a certificate")
-def test_a_cluster_of_ones_own_certificate_takes_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_of_ones_own_certificate_takes_cases(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The settings of the documentation; whoever has no certificate is not let in."""
     made = "openssl req -x509 -newkey rsa:2048 -nodes -keyout mine.key -out mine.pem -days 2 -subj /CN=jointid"
     subprocess.run(shlex.split(made), cwd=tmp_path, check=True, capture_output=True)
@@ -109,54 +105,49 @@ def test_a_cluster_of_ones_own_certificate_takes_cases(tmp_path: Path, monkeypat
         monkeypatch.setenv(f"DASK_{name}", path)
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "True")
     dask = pytest.importorskip("dask")
-    with contextlib.ExitStack() as stack, open_database(tmp_path) as database:
+    with contextlib.ExitStack() as stack:
         cluster = Cluster(tmp_path, stack, "tls://127.0.0.1:0")
         cluster.add_worker()
         with dask.config.set({**settings, "distributed.comm.require-encryption": True}):
-            ran = run_cases(lambda: cases(3, tmp_path / "log"), DaskCluster(cluster.address), database, carry=carry)
+            ran = run_all(tmp_path / "out", log, 3, DaskCluster(cluster.address))
         assert ran.made[Outcome.IDENTIFIED] == 3
         monkeypatch.setattr("jointid.campaigns.engines._PATIENCE", 1.0)
-        plain = DaskCluster(cluster.address.replace("tls", "tcp"))
-        with pytest.raises(MethodError, match="No Dask scheduler answers"):
-            run_cases(lambda: cases(4, tmp_path / "log"), plain, database, carry=carry)
+        with pytest.raises(MethodError):
+            run_all(tmp_path / "out", log, 4, DaskCluster(cluster.address.replace("tls", "tcp")))
 
 
 @pytest.mark.hostile
-def test_a_second_client_is_refused_and_goes_on_where_the_first_is_killed(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_second_client_is_refused_and_goes_on_where_the_first_is_killed(
+    cluster: Cluster, log: Path, tmp_path: Path
+) -> None:
     """Cases of the killed client may still be under way on the cluster; `JOINTID_ATTACKS=60` kills ten."""
-    log, dice = tmp_path / "log", random.Random(f"clients{SEED}")
+    dice, path = random.Random(f"clients{SEED}"), tmp_path / "out"
     for _ in range(2):
         cluster.add_worker()
     for count in range(200, 200 * max(COUNT // 6, 1) + 1, 200):
-        program = ["-m", "tests.campaigns.work", str(tmp_path), str(log), str(count), "", cluster.address]
+        program = ["-m", "tests.campaigns.work", str(path), str(log), str(count), cluster.address]
         begin = len(ends(log))
         with subprocess.Popen([sys.executable, *program], cwd=ROOT) as first:
             while len(ends(log)) == begin:
                 time.sleep(0.01)
-            with pytest.raises(RecordError, match=r"^Another campaign is at work in .*; wait"):
-                run_by_dask(tmp_path, log, count, cluster)
+            with pytest.raises(RecordError):
+                run_all(path, log, count, DaskCluster(cluster.address))
             time.sleep(dice.uniform(0.0, 0.3))
             assert first.poll() is None
             first.kill()
-        kept, before = {row.content_hash for row in read_results(tmp_path).rows}, len(ends(log))
-        run_by_dask(tmp_path, log, count, cluster)
-        results = read_results(tmp_path)
-        assert results.counts()[Outcome.IDENTIFIED] == results.cases == count, "a result was lost"
+        kept, before = {row.content_hash for row in results(path, log, count)}, len(ends(log))
+        run_all(path, log, count, DaskCluster(cluster.address))
+        assert len(results(path, log, count)) == count, "a result was lost"
         assert not kept & set(ends(log)[before:]), "a finished case was made again"
-
-
-def run_by_dask(folder: Path, log: Path, count: int, cluster: Cluster) -> None:
-    with open_database(folder) as database:
-        run_cases(lambda: cases(count, log), DaskCluster(cluster.address), database, carry=carry)
 
 
 @pytest.mark.hostile
 def test_nothing_is_lost_or_kept_twice_at_any_moment(
-    cluster: Cluster, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    cluster: Cluster, log: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Workers and schedulers are killed; `JOINTID_ATTACKS=50` kills that many. The same command goes on each time."""
-    log, dice, count, workers = tmp_path / "log", random.Random(f"dask{SEED}"), 40 * COUNT, [cluster.add_worker()]
-    sentences, over = list[str](), threading.Event()
+    dice, count, workers = random.Random(f"dask{SEED}"), 40 * COUNT, [cluster.add_worker()]
+    path, over = tmp_path / "out", threading.Event()
     monkeypatch.setattr("jointid.campaigns.engines._PATIENCE", 120.0)  # of a machine that is busy
 
     def attack() -> None:
@@ -177,22 +168,14 @@ def test_nothing_is_lost_or_kept_twice_at_any_moment(
     for turn in range(COUNT):
         killer = threading.Thread(target=attack)
         killer.start()
-        with open_database(tmp_path) as database:
-            kept, before = {row.content_hash for row in read_results(tmp_path).rows}, len(ends(log))
-            try:
-                run_cases(partial(cases, 40 * (turn + 1), log), DaskCluster(cluster.address), database, carry=carry)
-            except JointidError as error:
-                sentences.append(str(error))
+        kept, before = {row.content_hash for row in results(path, log, count)}, len(ends(log))
+        with contextlib.suppress(JointidError):
+            run_all(path, log, 40 * (turn + 1), DaskCluster(cluster.address))
         over.set()
         killer.join()
         over.clear()
-        assert kept <= {row.content_hash for row in read_results(tmp_path).rows}, "a result was lost"
+        assert kept <= {row.content_hash for row in results(path, log, count)}, "a result was lost"
         assert not kept & set(ends(log)[before:]), "a finished case was made again"
-    with open_database(tmp_path) as database:
-        run_cases(lambda: cases(count, log), DaskCluster(cluster.address), database, carry=carry)
-    results = read_results(tmp_path)
-    assert results.counts()[Outcome.IDENTIFIED] == results.cases == count
-    assert all(
-        re.fullmatch(r"The Dask scheduler at .* answers no more; start it again, .*kept\.", s) for s in sentences
-    )
+    ran = run_all(path, log, count, DaskCluster(cluster.address))
+    assert ran.found + ran.made[Outcome.IDENTIFIED] == count
     assert "Traceback" not in capfd.readouterr().err

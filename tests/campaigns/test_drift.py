@@ -5,20 +5,17 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jointid.campaigns.cases import Case, Found, Outcome, Row
 from jointid.campaigns.drift import Loss, Series, best_change, judge, series_of
-from jointid.campaigns.folder import Results, Status
 from jointid.campaigns.pictures import draw_matrix
-from jointid.campaigns.report import CampaignReport, report_of
+from jointid.campaigns.report import CampaignReport
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import Chart, Line, Panel
 from jointid.common.document import Picture
-from jointid.common.errors import MethodError, RecordError
 from jointid.common.matplotlib_backend import svg
 
 STATED = {"stiffness": 0.008, "total_coulomb": 0.017, "total_viscous": 0.025}
@@ -127,7 +124,7 @@ def test_too_few_runs_and_runs_that_are_all_alike_say_nothing() -> None:
 
 
 def report(rows: list[Row], cases: int = 0) -> CampaignReport:
-    return CampaignReport(Results("line 3", cases or len(rows), tuple(rows), tuple(map(float, range(len(rows))))))
+    return CampaignReport("line 3", cases or len(rows), tuple(rows))
 
 
 def test_a_report_names_who_drifted_what_stands_out_and_how_runs_scatter() -> None:
@@ -158,27 +155,11 @@ def test_a_report_while_nothing_is_known_says_so() -> None:
     )
 
 
-def test_a_name_that_is_html_is_text(tmp_path: Path) -> None:
+def test_a_name_that_is_html_is_text() -> None:
     rows = [replace(row, joint="<script>alert(1)</script>") for row in fleet(1, 1)]
     from jointid.output.report.page import page
 
     assert "<script>alert" not in page(report(rows).to_document(details=True))
-
-
-def test_the_status_tells_the_rate_and_the_time_left() -> None:
-    rows = tuple(fleet(1, 2))
-    results = Results("line 3", 100 + len(rows), rows, tuple(0.5 * n for n in range(len(rows))))
-    said = Status(results, 60.0).summary()
-    assert f"done          {len(rows)} of {100 + len(rows)} cases: {len(rows)} identified" in said
-    assert "rate          2.0/s" in said
-    assert "time left     50 s" in said
-
-
-def test_a_folder_that_is_none_of_a_campaign_is_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"is no folder of a campaign; name the one that"):
-        report_of(tmp_path)
-    with pytest.raises(MethodError, match=r"^--false-alarm is 2; expected a chance"):
-        report_of(tmp_path, 2.0)
 
 
 @pytest.mark.slow

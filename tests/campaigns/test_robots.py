@@ -36,8 +36,7 @@ def test_a_fleet_of_robots(place: Path, capsys: pytest.CaptureFixture[str]) -> N
     found = load_campaign(campaign(place, text))
     cases = list(found.cases())
     assert [case.day for case in cases] == ["2026-11-22", "2026-11-23"]
-    run("campaign", "run", place / "campaign.toml", "--out", place / "results", "--workers", "1")
-    run("campaign", "export", place / "results", "--out", place / "rows.csv")
+    run("campaign", place / "campaign.toml", "--csv", place / "rows.csv", "--workers", "1")
     capsys.readouterr()
     header, *rows = (place / "rows.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 2 and "joint2.coulomb" in header

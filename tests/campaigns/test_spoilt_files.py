@@ -11,7 +11,6 @@ import pytest
 
 import jointid as ji
 from jointid.campaigns.cases import Case, Outcome, Row
-from jointid.campaigns.folder import Results
 from jointid.campaigns.report import CampaignReport
 from jointid.campaigns.run import run_case
 from jointid.common.arrays import FloatArray
@@ -67,7 +66,7 @@ def test_in_a_fleet_of_forty_joints_over_ten_days_every_spoilt_file_is_named(tmp
         for k, day in enumerate(days)
     ]
     assert {(row.joint, row.day) for row in rows if row.outcome is not Outcome.IDENTIFIED} == kinds.keys()
-    found = CampaignReport(Results("forty joints", 400, tuple(rows), tuple(map(float, range(400)))))
+    found = CampaignReport("forty joints", 400, tuple(rows))
     assert [(one.joint, one.last) for one in found.losses] == [("axis 39", days[-4])]
     assert found.drifted == ()
     text = " ".join(found.to_page().text().split())

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.campaigns.cases import Case, Found, Outcome, Row
-from jointid.campaigns.folder import Results
 from jointid.campaigns.report import CampaignReport
 
 
@@ -19,7 +18,7 @@ def made(value: float, *changes: str, day: int = 0) -> Row:
 
 
 def said(rows: list[Row]) -> tuple[CampaignReport, str]:
-    report = CampaignReport(Results("runs", len(rows), tuple(rows), tuple(map(float, range(len(rows))))))
+    report = CampaignReport("runs", len(rows), tuple(rows))
     return report, " ".join(report.to_document(details=True).text().split())
 
 

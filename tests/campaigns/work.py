@@ -11,9 +11,8 @@ from pathlib import Path
 
 from jointid.campaigns.cases import Case, Found, Outcome, Row
 from jointid.campaigns.engines import DaskCluster, Engine, LocalProcesses
-from jointid.campaigns.run import run_cases
-from jointid.campaigns.shards import Shard, open_shard
-from jointid.campaigns.store import open_database
+from jointid.campaigns.run import Ran, run_cases
+from jointid.campaigns.store import open_store
 
 PLAIN, POISON, SLOW = "", "poison", "slow"
 
@@ -35,6 +34,18 @@ def carry(case: Case) -> Row:
     return Row.of(case, Outcome.IDENTIFIED, "Stiffness found.", found=found)
 
 
+def run_all(path: Path, log: Path, count: int, engine: Engine, kinds: dict[int, str] | None = None) -> Ran:
+    """Run a campaign of such cases with its results in a file."""
+    with open_store(path) as store:
+        return run_cases(lambda: cases(count, log, kinds), engine, store, carry=carry)
+
+
+def results(path: Path, log: Path, count: int, kinds: dict[int, str] | None = None) -> tuple[Row, ...]:
+    """Return the results of such a campaign."""
+    with open_store(path) as store:
+        return store.rows_of(case.content_hash for case in cases(count, log, kinds))
+
+
 def ends(log: Path) -> list[str]:
     """Return the hashes of the cases that came to their end, in order."""
     return [line.split()[0] for line in _lines(log)]
@@ -49,17 +60,9 @@ def _lines(log: Path) -> list[str]:
     return log.read_text(encoding="utf-8").splitlines() if log.exists() else []
 
 
-def main(folder: str, log: str, count: str, shard: str = "", dask: str = "") -> None:
-    """Run a campaign as a client, of a Dask cluster if one is named, or as a shard."""
-    engine: Engine = DaskCluster(dask) if dask else LocalProcesses(1 if shard else 2)
-    place, made = Path(folder), lambda: cases(int(count), Path(log))
-    if shard:
-        part = Shard.of(shard)
-        with open_shard(place, part) as results:
-            run_cases(made, engine, results, has=part.has, carry=carry)
-    else:
-        with open_database(place) as database:
-            run_cases(made, engine, database, carry=carry)
+def main(path: str, log: str, count: str, dask: str = "") -> None:
+    """Run a campaign, on a Dask cluster if one is named."""
+    run_all(Path(path), Path(log), int(count), DaskCluster(dask) if dask else LocalProcesses(2))
 
 
 if __name__ == "__main__":

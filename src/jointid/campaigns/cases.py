@@ -133,8 +133,8 @@ class Row:
         return json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
     @classmethod
-    def read(cls, text: str, content_hash: str | None = None) -> Self:
-        """Parse a row; with a hash, only the row of that case.
+    def read(cls, text: str) -> Self:
+        """Parse a row.
 
         Raises:
             ValueError: it is none.
@@ -155,8 +155,8 @@ class Row:
             raise ValueError("no row (a text is none)")
         if not (row.simulations is None or type(row.simulations) is int):
             raise ValueError("no row (a count is none)")
-        if not isinstance(row.converged, bool | None) or content_hash not in (None, row.content_hash):
-            raise ValueError("no row (it is of another case)")
+        if not isinstance(row.converged, bool | None):
+            raise ValueError("no row (whether it converged is neither true nor false)")
         return row
 
     @property
@@ -168,13 +168,6 @@ class Row:
 def finite(value: float | None) -> float | None:
     """Return a finite number, else None, for JSON."""
     return None if value is None or not math.isfinite(value) else float(value)
-
-
-def read_time(stored: object) -> float:
-    """Return when a result was stored, in seconds since 1970."""
-    if isinstance(stored, float) and 0 <= stored < 1e10:
-        return stored
-    raise ValueError("no row (its time is none)")
 
 
 def _number(value: object) -> float | None:

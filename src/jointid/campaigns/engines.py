@@ -1,33 +1,22 @@
-"""Engines that execute cases, as `concurrent.futures.Executor`.
-
-The default is local processes; Dask has the workers of a cluster.
-"""
+"""Engines that execute cases, as `concurrent.futures.Executor`: processes of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import logging
 import multiprocessing
 import os
 import signal
-import socket
-import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import PurePath
 from typing import Any, Protocol
 
 from jointid.common.errors import MethodError, RecordError, extra
 from jointid.common.parallel import BLAS_THREADS, cores, end_with_parent
 
 _PATIENCE = 10.0  # s that a scheduler has to answer
-_TRIM, _MMAP = -1, -3  # thresholds of glibc's mallopt: free memory is given back, and a block has a mapping of its own
-_KEPT, _IN_THE_HEAP = 2**28, 2**25  # bytes; the latter is the most that glibc takes
-_PRELOADED = ("jointid.campaigns.fork_server", "jointid.campaigns.run")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +56,11 @@ class LocalProcesses:
     @contextlib.contextmanager
     def open(self, workers: int | None = None) -> Iterator[Workers]:
         """Yield the workers; see `Engine`."""
-        # A fork of this process would copy its threads' locks; on Linux a server without threads is forked instead.
-        context = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
         for name in BLAS_THREADS:  # a worker's libraries read this when they are loaded, before it can say so
             os.environ.setdefault(name, "1")
-        if sys.platform == "linux":
-            _start_server()
         before = set(multiprocessing.active_children())
         count = workers or self.workers or cores()
-        executor = ProcessPoolExecutor(count, context, _Begin())
+        executor = _DeafProcesses(count, multiprocessing.get_context("spawn"), _begin)
         try:
             yield Workers(executor, lambda: count)
         except BaseException:
@@ -88,6 +73,25 @@ class LocalProcesses:
     def is_death(self, error: BaseException) -> bool:
         """Test whether a process died; its siblings are ended, too."""
         return isinstance(error, BrokenExecutor)
+
+
+class _DeafProcesses(ProcessPoolExecutor):
+    """Processes that Ctrl-C does not reach: they are started with it blocked, so that their start cannot print one."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **more: Any) -> Future[Any]:
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().submit(function, *args, **more)
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
+            return super().submit(function, *args, **more)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+def _begin() -> None:
+    """Begin as a worker: ignore Ctrl-C, and end with the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,80 +156,3 @@ class DaskCluster:
         """Test whether Dask gave a case up after workers died."""
         killed: type[BaseException] = extra("distributed", "cluster", "A Dask cluster").scheduler.KilledWorker
         return isinstance(error, killed)
-
-
-def _start_server() -> None:
-    """Start the server that forks workers, deaf to Ctrl-C until their work arrives; see `fork_server`.
-
-    The file of its socket loses its name at once: kill -9 of all processes leaves no file.
-    """
-    from multiprocessing import forkserver, resource_tracker
-
-    from jointid.campaigns.fork_server import IS_SERVER
-
-    server: Any = forkserver._forkserver
-    config = multiprocessing.current_process()._config  # type: ignore[attr-defined]
-    forkserver.set_forkserver_preload([*dict.fromkeys((*_PRELOADED, *server._preload_modules))])
-    resource_tracker.ensure_running()  # its start unblocks SIGINT
-    blocked, folder = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,)), config.get("tempdir")
-    os.environ[IS_SERVER] = "1"
-    try:
-        with tempfile.TemporaryDirectory(prefix="jointid-") as own, _held(own) as short:  # a socket's path is short
-            if _can_lose_names(short):
-                config["tempdir"] = short
-            forkserver.ensure_running()
-            if str(server._forkserver_address).startswith(f"{short}/"):
-                server._forkserver_address = _hold(server._forkserver_address)
-    finally:
-        config["tempdir"] = folder
-        del os.environ[IS_SERVER]
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-
-
-def _hold(path: str) -> str:
-    """Hold a file or folder open, and return a path that leads there without its name."""
-    return f"/proc/self/fd/{os.open(path, os.O_PATH | os.O_CLOEXEC)}"
-
-
-@contextlib.contextmanager
-def _held(path: str) -> Iterator[str]:
-    """Hold it for a while; see `_hold`."""
-    held = _hold(path)
-    try:
-        yield held
-    finally:
-        os.close(int(PurePath(held).name))
-
-
-def _can_lose_names(folder: str) -> bool:
-    """Test whether this system connects to a socket without a name."""
-    path = f"{folder}/test"
-    with socket.socket(socket.AF_UNIX) as listener, socket.socket(socket.AF_UNIX) as client:
-        try:
-            listener.bind(path)
-            listener.listen()
-            with _held(path) as held:
-                os.unlink(path)  # noqa: PTH108 - a text
-                client.connect(held)
-        except OSError:
-            return False
-    return True
-
-
-class _Begin:
-    """The initialisation of a worker: ignore Ctrl-C as soon as it arrives there, and end with the parent."""
-
-    def __call__(self) -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        threading.Thread(target=end_with_parent, daemon=True).start()
-        if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "mallopt"):  # musl has none
-            libc.mallopt(_MMAP, _IN_THE_HEAP)
-            libc.mallopt(_TRIM, _KEPT)
-
-    def __reduce__(self) -> tuple[Callable[[], _Begin], tuple[()]]:
-        return _ignore_interrupts, ()
-
-
-def _ignore_interrupts() -> _Begin:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return _Begin()

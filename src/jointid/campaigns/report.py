@@ -8,27 +8,20 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from jointid.campaigns.cases import Outcome, Row
 from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
-from jointid.campaigns.folder import Results, describe_row, read_results
 from jointid.campaigns.pictures import draw_matrix, plot_changes
 from jointid.campaigns.sweep import sweep_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
-from jointid.common.errors import MethodError, RecordError, extra
-from jointid.common.files import beside, write_whole
 from jointid.common.text import format_signed, join, number, pluralise, short
 
-ENDINGS = (".csv", ".parquet")
-"""Suffixes of the files of an export."""
-
 _SHOWN = 10  # rows of a table without details
-_REASON = 160  # characters of one
+_REASON, _LONGEST = 160, 300  # characters of a reason in a table, and in a list
 _UNLIKE = 5.0  # robust deviations from the other joints
 _LEAST_JOINTS = 8  # among which one can be unlike the others
 _TO_SIGMA = 1.4826
@@ -38,24 +31,29 @@ _CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation outside which that is
 
 @dataclass(frozen=True)
 class CampaignReport(Documented):
-    """Results of a campaign; see `report_of`.
+    """What the results of a campaign show.
 
     Attributes:
+        name: of the campaign.
+        cases: how many it has.
+        rows: results, in an order that depends on no engine.
         false_alarm: chance that any joint of a fleet without drift is named.
     """
 
-    results: Results
+    name: str
+    cases: int
+    rows: tuple[Row, ...]
     false_alarm: float = FALSE_ALARM
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
         """Stiffness and frictions of every joint over its dated runs."""
-        return tuple(series_of(self.results.rows))
+        return tuple(series_of(self.rows))
 
     @cached_property
     def losses(self) -> tuple[Loss, ...]:
         """Joints, and quantities of joints, without a value in their last runs."""
-        return tuple(losses_of(self.results.rows))
+        return tuple(losses_of(self.rows))
 
     @cached_property
     def verdict(self) -> tuple[str, bool | None]:
@@ -96,28 +94,28 @@ class CampaignReport(Documented):
         return self._document(None, pictures=True)
 
     def _document(self, most: int | None, *, pictures: bool = False) -> Document:
-        results, counts = self.results, self.results.counts()
-        ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
+        counts = Counter(row.outcome for row in self.rows)
+        ends = ", ".join(f"{count} {outcome}" for outcome in Outcome if (count := counts[outcome]))
         blocks: list[Block] = [
             Paragraph(self.sentence, lead=True, tone=_TONES[self.verdict[1]]),
-            Facts((("done", f"{len(results.rows)} of {results.cases} cases{f': {ends}' if ends else ''}"),)),
+            Facts((("done", f"{len(self.rows)} of {self.cases} cases{f': {ends}' if ends else ''}"),)),
             *(self._pictures() if pictures else ()),
             *self._loss_blocks(most),
             *self._drift_blocks(most),
-            *_distributions(results.rows),
-            *sweep_blocks(results.rows, most),
+            *_distributions(self.rows),
+            *sweep_blocks(self.rows, most),
             *self._scatter_blocks(),
             *self._outlier_blocks(most),
-            *_reasons(results.rows, most),
+            *_reasons(self.rows, most),
         ]
-        return Document(f"Campaign {results.name}", tuple(blocks))
+        return Document(f"Campaign {self.name}", tuple(blocks))
 
     def _pictures(self) -> Iterator[Block]:
         """Yield the matrix of joints and days, and the values that changed or were lost."""
-        if not self.results.rows:
+        if not self.rows:
             return
         yield Heading("Joints and days")
-        yield draw_matrix(self.results.rows, self.drifted, self.losses)
+        yield draw_matrix(self.rows, self.drifted, self.losses)
         if (shown := plot_changes(self.drifted, self.series, self.losses)) is not None:
             yield Heading("Values over the days")
             yield shown
@@ -195,13 +193,6 @@ def _count_joints(names: Sequence[str], what: str) -> str:
     return f"{pluralise(len(joints), 'joint')} {what}: {join(named)}."
 
 
-def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
-    """Read the results of a campaign, also while it runs."""
-    if not 0 < false_alarm < 1:
-        raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
-    return CampaignReport(read_results(folder), false_alarm)
-
-
 def _drift_row(one: Change) -> tuple[str, ...]:
     scale = 100 / abs(one.before) if one.before else float("inf")
     return (
@@ -256,26 +247,19 @@ def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
     yield Heading("Without an answer")
     # One that kills its worker is to be seen among any number of spoiled records.
     without.sort(key=lambda row: (row.outcome is not Outcome.SET_ASIDE, row.outcome is not Outcome.FAILED, row.place))
-    yield Listing(tuple(describe_row(row) for row in without[:most]))
+    yield Listing(tuple(_describe_row(row) for row in without[:most]))
     joints = Counter(row.joint for row in without).most_common(most)
     yield Table(("joint", "runs without an answer"), tuple((joint, str(count)) for joint, count in joints))
 
 
-def export_rows(rows: Sequence[Row], path: Path) -> None:
-    """Write results as CSV or Parquet, by file suffix."""
-    require_ending(path)
+def csv_of(rows: Sequence[Row]) -> str:
+    """Results as CSV: case, answer, settings, hashes and versions, a row for each case."""
     columns = table_of(rows)
-    if path.suffix.lower() == ".csv":
-        made = io.StringIO(newline="")
-        writer = csv.writer(made, lineterminator="\n")
-        writer.writerow(map(_quote_formula, columns))
-        writer.writerows(map(_quote_formula, row) for row in zip(*columns.values(), strict=True))
-        write_whole(path, made.getvalue())
-        return
-    pyarrow = extra("pyarrow", "logs", "A Parquet file")
-    parquet = extra("pyarrow.parquet", "logs", "A Parquet file")
-    with beside(path) as fresh:
-        parquet.write_table(pyarrow.table({name: pyarrow.array(column) for name, column in columns.items()}), fresh)
+    made = io.StringIO(newline="")
+    writer = csv.writer(made, lineterminator="\n")
+    writer.writerow(map(_quote_formula, columns))
+    writer.writerows(map(_quote_formula, row) for row in zip(*columns.values(), strict=True))
+    return made.getvalue()
 
 
 def _quote_formula(cell: Any) -> Any:
@@ -283,12 +267,10 @@ def _quote_formula(cell: Any) -> Any:
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
 
 
-def require_ending(path: Path) -> None:
-    """Refuse unsupported file suffixes."""
-    if path.suffix.lower() not in ENDINGS:
-        raise RecordError(f"{path} ends in no known format; expected {' or '.join(ENDINGS)}: name it so.")
-    if path.suffix.lower() == ".parquet":
-        extra("pyarrow", "logs", "A Parquet file")
+def _describe_row(row: Row) -> str:
+    """Describe a result without an answer."""
+    what = " ".join(part for part in (row.joint, row.day, "; ".join(row.changes)) if part)
+    return f"{what}, {row.outcome}: {short(row.sentence, _LONGEST)}"
 
 
 def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:

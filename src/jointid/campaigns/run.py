@@ -22,7 +22,7 @@ from jointid import Estimate, __version__
 from jointid.campaigns.cases import Case, Found, Outcome, Row, finite
 from jointid.campaigns.engines import Engine
 from jointid.campaigns.paths import digest
-from jointid.campaigns.store import Results
+from jointid.campaigns.store import Store
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, Work, ignore_progress
 from jointid.common.parallel import THREADS
@@ -146,10 +146,8 @@ class Ran:
 def run_cases(
     cases: Callable[[], Iterable[Case]],
     engine: Engine,
-    results: Results,
+    store: Store,
     *,
-    name: str = "",
-    has: Callable[[str], bool] = lambda _: True,
     carry: Carry = run_case,
     progress: Progress = ignore_progress,
 ) -> Ran:
@@ -158,26 +156,22 @@ def run_cases(
     Args:
         cases: returns a new iterator each time; cases need not fit into memory.
         engine: executes them.
-        results: keeps them.
-        name: of the campaign.
-        has: whether a case, by its hash, belongs to this shard.
+        store: keeps the results.
         carry: the function of a case.
         progress: receives number done, rate and time left.
     """
-    results.list_cases(name, (case.content_hash for case in cases()))
-    finished = Counter(results.has_result(one) for case in cases() if has(one := case.content_hash))
-    left = finished[False]
+    finished = Counter(map(store.has_result, dict.fromkeys(case.content_hash for case in cases())))
     made = dict.fromkeys(Outcome, 0)
-    if left:
-        work = Work(progress, "cases", left, "cases")
+    if finished[False]:
+        work = Work(progress, "cases", finished[False], "cases")
 
         def keep(row: Row) -> None:
-            if not results.has_result(row.content_hash):
-                results.add([row])
+            if not store.has_result(row.content_hash):
+                store.add(row)
                 made[row.outcome] += 1
                 work.add()
 
-        waiting = (case for case in cases() if has(one := case.content_hash) and not results.has_result(one))
+        waiting = (case for case in cases() if not store.has_result(case.content_hash))
         try:
             while affected := _run_together(waiting, engine, carry, keep):
                 progress(
@@ -185,9 +179,9 @@ def run_cases(
                     f"{'is' if len(affected) == 1 else 'are'} tried again, one at a time"
                 )
                 for case in affected:
-                    _run_single(case, engine, results, carry, keep)
+                    _run_single(case, engine, store, carry, keep)
         finally:
-            work.reach(left)
+            work.reach(finished[False])
     return Ran(finished.total(), finished[True], made)
 
 
@@ -216,12 +210,12 @@ def _run_together(waiting: Iterator[Case], engine: Engine, carry: Carry, keep: K
                     keep(row)
 
 
-def _run_single(case: Case, engine: Engine, results: Results, carry: Carry, keep: Keep) -> None:
+def _run_single(case: Case, engine: Engine, store: Store, carry: Carry, keep: Keep) -> None:
     """Execute a case without others, and set it aside after two deaths."""
     while True:
         with engine.open(1) as workers:
             row = _result(workers.executor.submit(on_one_core, carry, case), engine)
-        if row is None and results.count_death(case.content_hash) >= _DEATHS:
+        if row is None and store.count_death(case.content_hash) >= _DEATHS:
             row = Row.of(
                 case,
                 Outcome.SET_ASIDE,

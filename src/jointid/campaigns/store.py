@@ -1,225 +1,136 @@
-"""Result database of the client, on its local disk.
+"""Results of a campaign: one file of lines, each on the disk before its result counts as finished.
 
-Each result is committed before it counts as finished, so that a kill or a full disk loses none. Write-ahead logging
-allows concurrent readers, but needs shared memory, which network disks lack.
+A line is the result of a case, or the death of a worker at one; the last result of a case counts. A kill or a full disk
+may tear the last line, whose case is then made again.
 """
 
 from __future__ import annotations
 
 import contextlib
-import sqlite3
-import sys
-import time
-from collections.abc import Iterable, Iterator, Sequence
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
-from jointid.campaigns.cases import Outcome, Row, read_time
+from jointid.campaigns.cases import Outcome, Row, canonical
 from jointid.common.errors import RecordError
-from jointid.common.text import short
+from jointid.common.files import lock, open_file
 
-DATABASE = "campaign.sqlite"
-SHARD_FILES = "shard-*-of-*.jsonl"
-"""Names of the results of shards, which stand in another folder than a database."""
-_LOCK = "campaign.lock"
-_FORMAT = 1
-_LONGEST = 2**24  # bytes of a result
-_PATIENCE = 60.0  # s that a reader may hold the database
-_NETWORK = (
-    "nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "9p", "ceph", "glusterfs", "afs", "ncpfs", "ocfs2", "gfs2",
-    "pvfs2", "orangefs", "panfs", "wekafs", "davfs", "fuse.sshfs", "fuse.s3fs", "fuse.gcsfuse", "fuse.rclone",
-    "fuse.ceph", "fuse.glusterfs", "fuse.juicefs", "fuse.blobfuse", "fuse.beegfs", "fuse.mount-s3",
-)  # fmt: skip
-_TABLES = (
-    "CREATE TABLE listed (hash TEXT PRIMARY KEY) WITHOUT ROWID",
-    "CREATE TABLE results (hash TEXT PRIMARY KEY, stored REAL NOT NULL, row TEXT NOT NULL)",
-    "CREATE TABLE deaths (hash TEXT PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID",
-    "CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
-)
+RETRIED = (Outcome.REFUSED, Outcome.FAILED, Outcome.SET_ASIDE)
+"""Outcomes that are tried again where that is asked for; an answer that is not reliable stays."""
 
 
-class Results(Protocol):
-    """Storage of a campaign's results: a database or a shard's file."""
+class Store:
+    """The results of a campaign; see `open_store`."""
 
-    def list_cases(self, name: str, hashes: Iterable[str]) -> int:
-        """Store the campaign's cases, and return their number; rows of others are hidden."""
+    def __init__(self, path: Path, descriptor: int, *, again: bool = False) -> None:
+        self._path, self._descriptor, self._retried = path, descriptor, set[str]()
+        self._rows, self._deaths = dict[str, Row](), Counter[str]()
+        whole = self._read()
+        if again:
+            self._retried = {row.content_hash for row in self._rows.values() if row.outcome in RETRIED}
+            self._deaths.clear()
+        with _explain(path):
+            os.ftruncate(descriptor, whole)  # without the line that a kill has torn
 
     def has_result(self, content_hash: str) -> bool:
-        """Test whether a case has a result."""
+        """Test whether a case needs no work."""
+        return content_hash in self._rows and content_hash not in self._retried
 
-    def add(self, rows: Sequence[Row]) -> None:
-        """Store results atomically; existing ones stay."""
+    def add(self, row: Row) -> None:
+        """Keep a result; it is on the disk when this returns."""
+        self._append({"row": asdict(row)})
+        self._rows[row.content_hash] = row
+        self._retried.discard(row.content_hash)
 
     def count_death(self, content_hash: str) -> int:
         """Count a death by a case running alone, and return the total."""
+        self._append({"death": content_hash})
+        self._deaths[content_hash] += 1
+        return self._deaths[content_hash]
 
+    def rows_of(self, hashes: Iterable[str]) -> tuple[Row, ...]:
+        """Return the results of cases, in an order that depends on no engine."""
+        found = [self._rows[one] for one in dict.fromkeys(hashes) if one in self._rows]
+        return tuple(sorted(found, key=lambda row: row.place))
 
-class Database:
-    """Results of a campaign in a client's folder; see `open_database`."""
-
-    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
-        self._path, self._connection = path, connection
-
-    def list_cases(self, name: str, hashes: Iterable[str]) -> int:
-        """See `Results`."""
-        with _explain(self._path), self._connection as transaction:
-            transaction.execute("DELETE FROM listed")
-            transaction.executemany("INSERT OR IGNORE INTO listed VALUES (?)", ((one,) for one in hashes))
-            about = {"name": name, "format": str(_FORMAT)}
-            transaction.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", about.items())
-            return int(transaction.execute("SELECT count(*) FROM listed").fetchone()[0])
-
-    def has_result(self, content_hash: str) -> bool:
-        """See `Results`."""
+    def _append(self, line: dict[str, Any]) -> None:
+        content = (canonical(line) + "\n").encode("utf-8", "surrogatepass")
         with _explain(self._path):
-            found = self._connection.execute("SELECT 1 FROM results WHERE hash = ?", (content_hash,))
-            return found.fetchone() is not None
+            while content:  # a disk that takes a part of it says why at the next attempt
+                content = content[os.write(self._descriptor, content) :]
+            os.fsync(self._descriptor)
 
-    def add(self, rows: Sequence[Row]) -> None:
-        """Store results in one transaction, durable on return."""
-        with _explain(self._path), self._connection as transaction:
-            transaction.executemany(
-                "INSERT OR IGNORE INTO results VALUES (?, ?, ?)",
-                [(row.content_hash, time.time(), row.text()) for row in rows],
-            )
+    def _read(self) -> int:
+        """Take in the lines, and return the size of those that are whole."""
+        whole = 0
+        with _explain(self._path), open_file(self._path) as file:
+            for number, line in enumerate(file, 1):
+                try:
+                    said = json.loads(line)
+                except (ValueError, RecursionError) as error:
+                    if not line.endswith(b"\n") and line.startswith(b"{"):
+                        break  # torn by a kill
+                    raise self._foreign(number, error) from error
+                try:
+                    self._take(said)
+                except ValueError as error:
+                    raise self._foreign(number, error) from error
+                whole += len(line)
+                if not line.endswith(b"\n"):
+                    whole += os.write(self._descriptor, b"\n")
+                    break
+        return whole
 
-    def count_death(self, content_hash: str) -> int:
-        """See `Results`."""
-        with _explain(self._path), self._connection as transaction:
-            transaction.execute(
-                "INSERT INTO deaths VALUES (?, 1) ON CONFLICT (hash) DO UPDATE SET count = count + 1", (content_hash,)
-            )
-            return int(transaction.execute("SELECT count FROM deaths WHERE hash = ?", (content_hash,)).fetchone()[0])
+    def _foreign(self, number: int, error: Exception) -> RecordError:
+        return RecordError(
+            f"{self._path}, line {number} is no result of a campaign ({error}); name another file by --out."
+        )
 
-    def forget_failures(self) -> int:
-        """Delete failed results, to be retried; return their number."""
-        with _explain(self._path), self._connection as transaction:
-            transaction.execute("DELETE FROM deaths")
-            done = str(Outcome.IDENTIFIED)
-            return transaction.execute(
-                "DELETE FROM results WHERE json_extract(row, '$.outcome') <> ?", (done,)
-            ).rowcount
+    def _take(self, said: Any) -> None:
+        match said:
+            case {"row": dict(row)}:
+                made = Row.read(json.dumps(row))
+                self._rows[made.content_hash] = made
+            case {"death": str(content_hash)}:
+                self._deaths[content_hash] += 1
+            case _:
+                raise ValueError("neither a row nor a death")
 
 
 @contextlib.contextmanager
-def open_database(folder: Path) -> Iterator[Database]:
-    """Yield the database of an existing folder for its single writer."""
-    require_local_disk(folder)
-    if any(folder.glob(SHARD_FILES)):
-        raise RecordError(f"{folder} has the results of shards; name another folder by --out, or go on with work.")
-    path = folder / DATABASE
-    with (
-        _explain(path),
-        contextlib.closing(_lock(folder)),
-        contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection,
-    ):
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")  # a result outlives a power cut, too
-        there = _require_own_tables(path, connection)
-        connection.executescript(";".join(table for table in _TABLES if table not in there))
-        found = dict(connection.execute("SELECT key, value FROM about").fetchall()).get("format", str(_FORMAT))
-        if found != str(_FORMAT):
-            raise RecordError(
-                f"{path} is of format {found}, and this jointid knows {_FORMAT}; use the one that wrote it."
-            )
-        yield Database(path, connection)
+def open_store(path: Path, *, again: bool = False) -> Iterator[Store]:
+    """Yield the results in a file, for one process at a time.
 
-
-def _lock(folder: Path) -> sqlite3.Connection:
-    """Lock a folder for one client; the system releases it."""
-    connection = sqlite3.connect(folder / _LOCK, timeout=0.0, isolation_level=None)
+    Args:
+        path: of the file; it is made if it is not there.
+        again: whether what was refused, failed or set aside counts as not done.
+    """
+    with _explain(path):
+        if path.exists():
+            open_file(path).close()  # which refuses a pipe or a device
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(path, flags, 0o666)
     try:
-        connection.execute("BEGIN EXCLUSIVE")
-    except sqlite3.OperationalError as error:
-        connection.close()
-        if "locked" not in str(error):
-            raise
-        raise RecordError(
-            f"Another campaign is at work in {folder}; wait for its end, or name another folder by --out."
-        ) from error
-    return connection
-
-
-def read_database(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
-    """Campaign name, number of cases, and results with storage time."""
-    path = folder / DATABASE
-    with _explain(path), contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection:
-        if not _require_own_tables(path, connection):
-            return "", 0, []  # it has only just started
-        about = dict(connection.execute("SELECT key, value FROM about").fetchall())
-        (total,) = connection.execute("SELECT count(*) FROM listed").fetchone()
-        found = connection.execute("SELECT hash, stored, row FROM results JOIN listed USING (hash)")
-        try:
-            rows = [(read_time(stored), Row.read(text, named)) for named, stored, text in found]
-        except ValueError as error:
-            raise RecordError(f"{path} holds what is no result ({error}); name another folder.") from error
-        return str(about.get("name", "")), int(total), rows
-
-
-def _require_own_tables(path: Path, connection: sqlite3.Connection) -> set[str]:
-    """Return the tables that are there; refuse any other content, such as a view or a trigger, which computes."""
-    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
-    there = {sql for (sql,) in connection.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
-    if foreign := there.difference(_TABLES):
-        raise RecordError(
-            f"{path} holds {short(min(foreign))}, which no campaign has; name the folder of a campaign by --out."
-        )
-    return there
+        if lock(descriptor) is False:
+            raise RecordError(
+                f"Another campaign is at work on {path}; wait for its end, or name another file by --out."
+            )
+        yield Store(path, descriptor, again=again)
+    finally:
+        os.close(descriptor)
 
 
 @contextlib.contextmanager
 def _explain(path: Path) -> Iterator[None]:
-    """Say in a sentence why a database cannot be used."""
     try:
         yield
-    except sqlite3.OperationalError as error:
+    except OSError as error:
+        reason = (error.strerror or type(error).__name__).lower()
         raise RecordError(
-            f"{path} cannot be used ({error}); what is finished is kept: free space there, or mend its rights, and "
+            f"{path} cannot be used ({reason}); what is finished is kept: free space there, or mend its rights, and "
             "give the same command again."
         ) from error
-    except sqlite3.DatabaseError as error:
-        raise RecordError(f"{path} is no database of a campaign ({error}); name another folder by --out.") from error
-
-
-def require_local_disk(folder: Path, mounts: str | None = None) -> None:
-    """Refuse a folder on a network disk, which could corrupt the database.
-
-    Args:
-        folder: that is there.
-        mounts: text of /proc/self/mountinfo; that of this machine when None, where the system has one.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from jointid.campaigns.store import require_local_disk
-        >>> require_local_disk(Path("/data/a"), "36 35 98:0 / /data rw - nfs4 server:/data rw")
-        Traceback (most recent call last):
-        ...
-        jointid.common.errors.RecordError: /data/a is on a disk in a network (nfs4), ...
-    """
-    place = str(folder.resolve())
-    kind = "a share of Windows" if place.startswith("\\\\") else _file_system(place, mounts)
-    if kind is not None and (kind.startswith(_NETWORK) or kind == "a share of Windows"):
-        raise RecordError(
-            f"{folder} is on a disk in a network ({kind}), where the results' database could be spoiled; name a folder "
-            "on a local disk by --out, or let shards write there: jointid campaign work --shard 1/4."
-        )
-
-
-def _file_system(place: str, mounts: str | None) -> str | None:
-    """File system type of a path; None if unknown."""
-    if mounts is None:
-        if sys.platform != "linux":
-            return None
-        try:
-            mounts = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="surrogateescape")
-        except OSError:
-            return None
-    found = ("", "")
-    for line in mounts.splitlines():
-        before, _, after = line.partition(" - ")
-        if len(before.split()) < 5 or not after.split():
-            continue
-        point = before.split()[4].replace("\\040", " ")  # of two mounted on one point the later one is seen
-        if (place == point or place.startswith(point.rstrip("/") + "/")) and len(point) >= len(found[0]):
-            found = point, after.split()[0]
-    return found[1] or None

@@ -21,8 +21,8 @@ from cyclopts import App, CycloptsError, Group, UnknownOptionError
 
 from jointid import __version__
 from jointid.apps import SIGNALLED
-from jointid.apps.cli import campaign as campaigns
 from jointid.apps.cli import console, endings, streams
+from jointid.apps.cli.campaign import campaign
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.demo import demo
 from jointid.apps.cli.diagnose import diagnose
@@ -36,8 +36,7 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import remove_rooms
 
 if TYPE_CHECKING:
-    from cyclopts.help import HelpPanel
-    from rich.console import Console, ConsoleOptions
+    pass
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 
@@ -66,20 +65,6 @@ def _versions() -> str:
     return "\n".join(lines)
 
 
-def _spread(console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
-    """Print a panel of help, with the commands within a command below it."""
-    from cyclopts.help import DefaultFormatter
-
-    entries = []
-    for entry in panel.entries:
-        entries.append(entry)
-        name = entry.display_labels[0]
-        for one in (word for word in _FAMILIES.get(name, ()) if not word.startswith("-")):
-            first = (_FAMILIES[name][one].help or "").partition("\n")[0]
-            entries.append(entry.copy(positive_names=(f"{name} {one}",), description=first))
-    DefaultFormatter()(console, options, panel.copy(entries=entries))
-
-
 app = App(
     name="jointid",
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
@@ -89,14 +74,11 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-campaign = App(name="campaign", help="Many joints and runs, here or on a cluster.", help_format="plaintext")
-_FAMILIES = {"campaign": campaign}
 
 _START, _IDENTIFY, _ASK, _USE, _MANY = (
-    Group(name, sort_key=place, help_formatter=_spread)
+    Group(name, sort_key=place)
     for place, name in enumerate(("Start", "Identify", "Ask what the result is worth", "Use the result", "Many"))
 )
-_WITHIN = Group("Commands")
 _EXAMPLES: dict[str, dict[Callable[..., Any], str]] = {
     "": {
         demo: "jointid demo",
@@ -116,13 +98,7 @@ _EXAMPLES: dict[str, dict[Callable[..., Any], str]] = {
         simulate: "jointid simulate joint.toml --estimate estimate.json --out run.csv",
         export: "jointid export joint.toml --estimate estimate.json --out joint.urdf",
     },
-    "jointid demo --fleet": {
-        campaigns.run: "jointid campaign run campaign.toml --out results",
-        campaigns.work: "jointid campaign work campaign.toml --shard 1/4 --out results",
-        campaigns.status: "jointid campaign status results",
-        campaigns.report: "jointid campaign report results",
-        campaigns.export: "jointid campaign export results --out results.csv",
-    },
+    "jointid demo --fleet": {campaign: "jointid campaign campaign.toml"},
     "the drive of a robot": {payload: "jointid payload robot.toml --without empty.csv --with loaded.csv"},
 }
 """An example of each command, by what writes the folder that it runs in."""
@@ -135,21 +111,15 @@ def _ending(command: Callable[..., Any]) -> str:
     return f"Example{folder}:\n  {_EXAMPLES[where][command]}\n{_ENDING}"
 
 
-_ORDER: tuple[tuple[App, Group, tuple[Any, ...]], ...] = (
-    (app, _START, (demo, inspect, serve, reproduce)),
-    (app, _IDENTIFY, (identify, learn_controller, report, payload)),
-    (app, _ASK, (diagnose, validate, compare)),
-    (app, _USE, (tune, design, simulate, export)),
-    (app, _MANY, (campaign,)),
-    (campaign, _WITHIN, (campaigns.run, campaigns.work, campaigns.status, campaigns.report, campaigns.export)),
-)
-for parent, group, commands in _ORDER:
-    for place, command in enumerate(commands):
-        if isinstance(command, App):
-            command.group, command.sort_key = group, place
-            parent.command(command)
-        else:
-            parent.command(command, group=group, sort_key=place, help_epilogue=_ending(command))
+for _group, _commands in (
+    (_START, (demo, inspect, serve, reproduce)),
+    (_IDENTIFY, (identify, learn_controller, report, payload)),
+    (_ASK, (diagnose, validate, compare)),
+    (_USE, (tune, design, simulate, export)),
+    (_MANY, (campaign,)),
+):
+    for _place, _command in enumerate(_commands):
+        app.command(_command, group=_group, sort_key=_place, help_epilogue=_ending(_command))
 
 
 def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoReturn:

@@ -1,0 +1,76 @@
+"""A file of results from somebody else: what was edited, is another file or none is refused, and kept as it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from jointid.campaigns.cases import Case, Outcome, Row
+from jointid.campaigns.paths import digest
+from jointid.campaigns.run import run_case
+from jointid.campaigns.store import open_store
+from jointid.common.errors import RecordError
+from tests.campaigns.conftest import JOINT
+
+HASH = "a" * 64
+
+
+def row() -> Row:
+    return Row(HASH, "axis", "a.npy", "", (), Outcome.IDENTIFIED, "Found.", "", versions={"jointid": "1"})
+
+
+def large(raw: dict[str, Any]) -> str:
+    return json.dumps(raw | {"error_percent": 0}).replace('"error_percent": 0', f'"error_percent": 1{"0" * 400}')
+
+
+EDITS: list[Callable[[dict[str, Any]], str]] = [
+    lambda _: "[" * 100_000,
+    large,
+    lambda raw: json.dumps(raw | {"error_percent": "x"}),
+    lambda raw: json.dumps(raw | {"error_percent": float("inf")}),
+    lambda raw: json.dumps(raw | {"simulations": [1]}),
+    lambda raw: json.dumps(raw | {"converged": 7}),
+    lambda raw: json.dumps(raw | {"versions": ["jointid"]}),
+    lambda raw: json.dumps(raw | {"versions": {"jointid": 1}}),
+    lambda raw: json.dumps(raw | {"found": {"inertia": {"value": float("nan"), "std": 1.0, "unit": "kg"}}}),
+    lambda raw: json.dumps(raw | {"joint": 3}),
+    lambda raw: json.dumps([raw]),
+]
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_a_row_that_was_edited_is_refused(tmp_path: Path, edit: Callable[[dict[str, Any]], str]) -> None:
+    path = tmp_path / "results.jsonl"
+    path.write_text(f'{{"row": {edit(json.loads(row().text()))}}}\n{{"death": "{HASH}"}}\n')
+    before = path.read_bytes()
+    with pytest.raises(RecordError), open_store(path):
+        pass
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("text", ["t,q\n1,2\n", "[joint]", '{"fit": 1}', '{"fit": 1}\n', "{\n", '{"row": 1}\n{"row"'])
+def test_another_file_is_refused_and_stays_as_it_is(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "results.jsonl"
+    path.write_text(text)
+    with pytest.raises(RecordError), open_store(path):
+        pass
+    assert path.read_text() == text
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
+@pytest.mark.parametrize("made", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
+def test_a_pipe_or_a_device_ends_no_campaign(tmp_path: Path, made: Callable[[Path], None]) -> None:
+    record, path = tmp_path / "run.csv", tmp_path / "results.jsonl"
+    for one in (record, path):
+        made(one)
+    with pytest.raises(RecordError):
+        digest(record)
+    assert run_case(Case("axis", JOINT, str(record), "")).outcome is Outcome.REFUSED
+    with pytest.raises(RecordError), open_store(path):
+        pass
