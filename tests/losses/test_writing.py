@@ -94,7 +94,7 @@ CAMPAIGN = '[sweep]\n"filtering.cutoff" = [40.0, 50.0]\n[fleet]\njoint = "joint.
 def test_a_campaign_on_a_full_disk_loses_nothing(place: Path) -> None:
     """What is finished at one size is there at the next, and on a free disk the same command goes on."""
     (place / "campaign.toml").write_text(CAMPAIGN)
-    words, before = ["campaign", "run", "campaign.toml", "--out", "results", "--workers", "1", "-q"], contents(place)
+    words, before = ["campaign", "campaign.toml", "--workers", "1", "-q"], contents(place)
     for turn in range(max(COUNT // 4, 3)):
         ended = run_program(*words, folder=place, most=40_000 * turn // max(COUNT // 4, 3))
         require_calm(ended, (2,))

@@ -216,11 +216,7 @@ def test_a_full_device_is_refused_before_anything_runs() -> None:
 
 
 OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
-    "campaign export": ("results", {"--out": "x.csv"}),
-    "campaign report": ("results", {"--html": "x.html", "--markdown": "x.md", "--csv": "x.csv"}),
-    "campaign run": ("campaign.toml", {"--out": "x"}),
-    "campaign status": ("results", {}),
-    "campaign work": ("campaign.toml --shard 1/2", {"--out": "x"}),
+    "campaign": ("campaign.toml", {"--out": "x", "--html": "x.html", "--csv": "x.csv"}),
     "compare": ("estimate.json other.json", {"--json": "x.json"}),
     "learn-controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
     "inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png", "--write": "x.toml"}),
@@ -246,9 +242,6 @@ _READ = {
     "ROBOT",
     "--without",
     "--with",
-    "CAMPAIGN",
-    "RESULTS",
-    "--shared",
     "FILE",
     "SOURCE",
     "BEFORE",

@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from importlib import metadata
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from cyclopts import App, CycloptsError, Group, UnknownOptionError
 
@@ -35,9 +35,6 @@ from jointid.apps.cli.simulate import reproduce, simulate
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import remove_rooms
 
-if TYPE_CHECKING:
-    pass
-
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 
 _GONE = {
@@ -50,6 +47,11 @@ _GONE = {
     "diagnose springs": "give --laws to jointid diagnose",
     "diagnose friction": "give --laws to jointid diagnose",
     "diagnose intervals": "jointid.intervals in Python follows the criterion",
+    "campaign run": "jointid campaign FILE runs what is missing, and reports",
+    "campaign work": "jointid campaign FILE --dask ADDRESS has the workers of a cluster",
+    "campaign status": "the file of the results has a line for each case that is done",
+    "campaign report": "jointid campaign FILE runs what is missing, and reports",
+    "campaign export": "jointid campaign FILE --csv writes the table of the results",
 }
 """What to use instead of a command that is no longer there."""
 
