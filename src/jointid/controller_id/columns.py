@@ -14,7 +14,6 @@ with its sum, a6. Each law has some of the coefficients, or couples them: a casc
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,25 +34,20 @@ _ERROR, _SPEED, _FED, _FED_FILTERED, _SUM, _COMMAND, _FILTERED, _CHANNEL, _CHANN
 _VISCOUS, _BENT, _SIGN, _ONE = _BESIDE
 EVERY = np.eye(13)
 """All coefficients free."""
-_OF_TAPS = (_SPEED, _FED_FILTERED, _FILTERED)  # those that the velocity's filter is in
 
 
 def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Columns of the module's equation as logged, (samples, 13).
 
-    `numbers` needs those of the filters and the reference's delay. With free taps, the velocity columns belong to the
-    first tap; then `F D q`, `F D r` and `F q` of each later tap follow.
+    `numbers` needs those of the filters and the reference's delay.
     """
     rate, period = structure.rate, log.period / structure.rate
     lead, slope = _LEAD * rate, _SLOPE * rate
     inputs = log.inputs(rate, structure.interpolation, structure.average)
     r, q = (_prepend_line(inputs[:, i] - inputs[0, POSITION], lead, slope) for i in (REFERENCE, POSITION))
     r = _delay(r, numbers.get("reference_delay", 0.0) / period)
-    velocity, torque = _filters(structure, numbers)
-    filtered = np.column_stack([q, r])
-    if not structure.taps:
-        filtered = _filter_signals(velocity, filtered, period)
-    speed = _differentiate(filtered, period)
+    velocity, torque = filters_of(structure, numbers)
+    speed = _differentiate(_filter_signals(velocity, np.column_stack([q, r]), period), period)
     e, fed = r - q, _differentiate(r, period)
     w, direction = (np.concatenate([np.full(lead, x[0]), x]) for x in inputs[:, [REFERENCE_VELOCITY, DIRECTION]].T)
     w, direction = (_delay(one, numbers.get("reference_delay", 0.0) / period) for one in (w, direction))
@@ -66,21 +60,16 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
         fed = (r[last] - r[np.maximum(last - structure.every, 0)]) / (structure.every * period)
         e, w = e[last], w[last]
     e_sum, fed_sum, speed_sum, w_sum = (_running_sum(one, lead) * period for one in (e, fed, speed[:, 0], w))
-    later_taps: list[FloatArray] = []
-    for tap in range(1, structure.taps):
-        later = np.vstack([np.zeros((tap, 2)), speed[:-tap]])
-        later_taps += [later[:, 0], later[:, 1], _running_sum(later[:, 0], lead) * period]
     found = np.column_stack([
         e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
         viscous, bent, direction, np.ones(r.size),
-        *later_taps,
     ])  # fmt: skip
     return log.to_log(_filter_signals(torque, found, period)[lead:], rate)
 
 
 def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Torque injected before the limit, as logged, (samples, 1)."""
-    rate, (_, torque) = structure.rate, _filters(structure, numbers)
+    rate, (_, torque) = structure.rate, filters_of(structure, numbers)
     signal = log.inputs(rate, structure.interpolation)[:, [INJECTED]]
     return log.to_log(_filter_signals(torque, signal, log.period / rate), rate)
 
@@ -146,40 +135,12 @@ def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray
 def design(structure: Structure, ki: float, free: bool = False) -> FloatArray:
     """Matrix from a law's linear numbers to coefficients, (columns of `columns`, numbers).
 
-    Free taps, times the velocity gain, replace it.
-
     Args:
         structure: of the law.
         ki: of a cascade.
         free: whether all columns have independent coefficients.
     """
-    later = max(structure.taps - 1, 0)
-    if free:
-        return np.eye(EVERY.shape[0] + len(_OF_TAPS) * later)
-    parts = coefficient_columns(structure, ki)
-    mixed = np.column_stack(list(parts.values()))
-    if not later:
-        return mixed
-    gain = parts["velocity_gain" if structure.cascade else "derivative_gain"]
-    beside = gain.copy()
-    beside[list(_OF_TAPS)] = 0.0  # what the gain multiplies whatever its filter
-    taps = np.hstack([np.tile(beside, (later, 1)), np.kron(np.eye(later), gain[list(_OF_TAPS)])])
-    return np.hstack([np.vstack([mixed, np.zeros((taps.shape[1] - mixed.shape[0], mixed.shape[1]))]), taps.T])
-
-
-def split_taps(structure: Structure, found: FloatArray) -> tuple[FloatArray, dict[str, float]]:
-    """Split coefficients of `columns` into those of the equation, (13,), and later taps.
-
-    The taps are those of the velocity; with free columns, the reference's may differ.
-    """
-    gains = found[: EVERY.shape[0]].copy()
-    if not structure.taps:
-        return gains, {}
-    later = found[EVERY.shape[0] :].reshape(-1, len(_OF_TAPS))
-    gains[list(_OF_TAPS)] += later.sum(axis=0)
-    whole = gains[_SPEED] or 1.0
-    taps = {f"velocity_filter.{i}": float(one / whole) for i, one in enumerate(later[:, 0], 1)}
-    return gains, taps
+    return EVERY if free else np.column_stack(list(coefficient_columns(structure, ki).values()))
 
 
 def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
@@ -190,11 +151,6 @@ def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: f
         known["velocity_feedforward"] = known["velocity_gain"] * known.get("velocity_feedforward", 0.0)
     parts = coefficient_columns(structure, known.get("integral_gain", 0.0))
     return np.asarray(gain * sum(known[name] * part for name, part in parts.items()))
-
-
-def _filters(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:
-    """Filters of a structure, without free taps."""
-    return filters_of(replace(structure, velocity_filter="none") if structure.taps else structure, numbers)
 
 
 def _prepend_line(signal: FloatArray, lead: int, slope: int) -> FloatArray:

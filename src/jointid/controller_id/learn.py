@@ -13,12 +13,12 @@ from jointid.common.parallel import one_thread
 from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, covariance, order_rates
 from jointid.controller_id.learned_controller import Alternative, LearnedController, LearnedNumber
-from jointid.controller_id.limitations import INTERRUPTED, fill_from_declaration, list_equivalents, list_limitations
+from jointid.controller_id.limitations import INTERRUPTED, fill_from_declaration, list_limitations
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.ranking import ALIKE, Rival
 from jointid.controller_id.regression import compare_with_regression
 from jointid.controller_id.search import search
-from jointid.controller_id.structures import INTEGRAL, Structure, is_tap
+from jointid.controller_id.structures import INTEGRAL, Structure
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.models.controllers import Controller, shift_start, unit_of_number
 from jointid.records.record import Record
@@ -162,7 +162,6 @@ def _build_result(
         structure=best.structure,
         numbers=_numbers_with_intervals(task, best, known, like_it),
         correlation=known.correlation,
-        equivalent=(*list_equivalents(best.structure), *(o.structure for o in others if o.apart < SAME)),
         alternatives=others,
         limitations=(
             *list_limitations(task.log, best.structure, alike, beside),
@@ -225,7 +224,5 @@ def _is_same_part(name: str, one: Structure, other: Structure) -> bool:
 
 def _unit_of(made: Controller, name: str, record: Record) -> str:
     assert record.torque is not None and record.motor_position is not None
-    if is_tap(name):
-        return ""
     named = "constant_feedforward" if name == INTEGRAL else name  # both are held in the controller's output
     return unit_of_number(made, named, record.motor_position.unit, record.torque.unit)

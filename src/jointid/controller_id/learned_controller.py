@@ -88,7 +88,6 @@ class LearnedController(Documented):
         structure: of the law; its text is the description.
         numbers: those that were learned.
         correlation: of their errors, in that order.
-        equivalent: forms of the same equation, by `Equivalence`, and structures with the same torque to rounding.
         alternatives: other structures, the likeliest first.
         limitations: what the record leaves open about the law, by `LimitationCode`.
         rms: of the residual, in the torque's unit. share: of the torque's rms.
@@ -107,7 +106,6 @@ class LearnedController(Documented):
     structure: Structure
     numbers: tuple[LearnedNumber, ...]
     correlation: FloatArray
-    equivalent: tuple[Message | Structure, ...]
     alternatives: tuple[Alternative, ...]
     limitations: tuple[Message, ...]
     rms: float
@@ -144,11 +142,6 @@ class LearnedController(Documented):
     def interrupted(self) -> bool:
         """Whether the search was interrupted."""
         return any(one.code is LimitationCode.INTERRUPTED for one in self.limitations)
-
-    @property
-    def equivalent_laws(self) -> tuple[str, ...]:
-        """The descriptions of the equivalent laws."""
-        return tuple(map(str, self.equivalent))
 
     @property
     def another_law(self) -> bool:
@@ -201,9 +194,6 @@ class LearnedController(Documented):
         """Numbers, other structures and limitations."""
         del details
         facts = common_facts(self.resampled, None)
-        same = [str(one) for one in self.equivalent if isinstance(one, Message)]  # the others are alike
-        if same:
-            facts = (*facts, ("the same law", "; ".join(same)))
         noise = (
             f"; noise of the torque {number(self.torque_noise, 2)} {self.torque_unit}, of the position "
             f"{number(self.position_noise, 2)} {self.position_unit}"

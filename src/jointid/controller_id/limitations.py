@@ -1,4 +1,4 @@
-"""Undetermined properties of a learned law, and equivalent forms."""
+"""Undetermined properties of a learned law."""
 
 from __future__ import annotations
 
@@ -11,32 +11,14 @@ from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.regression import LAGS, BesideRegression
-from jointid.controller_id.structures import VELOCITY, Structure
+from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Controller, numbers_of, with_numbers
-from jointid.records.record import Tap
-
-
-class Equivalence(StrEnum):
-    """Another form of the same equation, its gains combined otherwise."""
-
-    PD = auto()
-    PD_ON_DIFFERENCE = auto()
-    VISCOUS_FEEDFORWARD = auto()
-    PID_ON_DIFFERENCE = auto()
-    REFERENCE_VELOCITY_WEIGHT = auto()
 
 
 class LimitationCode(StrEnum):
     """Properties of the controller that a record does not determine."""
 
-    NO_INTEGRAL = auto()
     LIMIT_NOT_REACHED = auto()
-    ANTI_WINDUP_NOT_TESTED = auto()
-    TORQUE_FILTER_HIDDEN = auto()
-    DELAY_NOT_VISIBLE = auto()
-    TORQUE_LOGGED_LATE = auto()
-    PERIOD_UNCERTAIN = auto()
-    INTERPOLATION_ASSUMED = auto()
     INDISTINGUISHABLE = auto()
     AS_DECLARED = auto()
     INTERRUPTED = auto()
@@ -69,27 +51,6 @@ def _torque_per_unit(controller: Any) -> float:
     return float(getattr(controller, "gain", 1.0) * getattr(controller, "ratio", 1.0))
 
 
-def list_equivalents(structure: Structure) -> Iterator[Message]:
-    """Yield the equivalent forms of a law, with their gains."""
-    code, velocity, gains = (
-        Equivalence,
-        structure.reference_velocity,
-        "its position_gain = kp kv and derivative_gain = kv",
-    )
-    plain = velocity == "full" and structure.velocity_filter == "none" and structure.every == 1
-    if structure.law == "P-P" and velocity == "none" and structure.every == 1:
-        yield Message(code.PD, f'PD with reference_velocity = "none", {gains}')
-    if structure.law == "P-P" and plain:
-        yield Message(code.PD_ON_DIFFERENCE, f'PD with reference_velocity = "difference", {gains}')
-    if structure.law == "P-P" and velocity == "share":
-        yield Message(code.VISCOUS_FEEDFORWARD, "P-P with viscous_feedforward = kv velocity_feedforward instead")
-    if structure.law == "P-PI" and plain:
-        gains = "its gains kv (kp + ki), kv (1 - ki T) and kv kp ki"
-        yield Message(code.PID_ON_DIFFERENCE, f'PID with reference_velocity = "difference", {gains}')
-    if not structure.cascade and VELOCITY in structure.feedforward and velocity == "difference":
-        yield Message(code.REFERENCE_VELOCITY_WEIGHT, "the same with a larger weight of the reference's velocity")
-
-
 def list_limitations(
     log: LoopRecord, structure: Structure, alike: tuple[Structure, ...], beside: BesideRegression
 ) -> Iterator[Message]:
@@ -103,12 +64,6 @@ def list_limitations(
             "is another, and what is left is no noise; declare the law from the drive's documentation.",
             {"law": beside.law, "regression": beside.regression},
         )
-    if not structure.integrates:
-        yield Message(
-            code.NO_INTEGRAL,
-            "No integral action is visible in this record: it contributes less than 0.1 % of the torque, or there is "
-            "none.",
-        )
     if not structure.limited:
         assert log.record.torque is not None
         largest, unit = float(abs(log.torque).max()), log.record.torque.unit
@@ -116,36 +71,6 @@ def list_limitations(
             code.LIMIT_NOT_REACHED,
             f"The limit is not reached in this record; it is above {number(largest, 4)} {unit}, the largest torque.",
             {"torque": largest, "unit": unit},
-        )
-    elif structure.integrates:
-        yield Message(
-            code.ANTI_WINDUP_NOT_TESTED,
-            "The behaviour of the integral at the limit (anti_windup) was not tested; it is assumed to stop.",
-        )
-    if structure.torque_filter == "none":
-        yield Message(code.TORQUE_FILTER_HIDDEN, "A torque filter whose effect is below the noise cannot be detected.")
-    if log.record.tap is Tap.COMMAND:
-        yield Message(
-            code.DELAY_NOT_VISIBLE,
-            'A delay between the controller\'s output and the acting torque is not visible at the tap "command"; take '
-            "delay from the drive's documentation.",
-        )
-        if structure.late:
-            yield Message(
-                code.TORQUE_LOGGED_LATE,
-                f"The log shows the torque {structure.late} samples later than the position it depends on; declare "
-                'tap = "measured" for the torque, so that the delay is visible in it, or shift the log.',
-                {"samples": structure.late},
-            )
-    if structure.rate > 1 or any(other.rate != structure.rate for other in alike):
-        yield Message(
-            code.PERIOD_UNCERTAIN,
-            "The loop's period follows only from the lag of its velocity; a velocity filter may have the same effect.",
-        )
-        yield Message(
-            code.INTERPOLATION_ASSUMED,
-            "Between the log's samples the reference is assumed to follow the controller's interpolation, and the "
-            "position a cubic spline. Where that is wrong, the errors are larger than the intervals.",
         )
     if alike:
         said = f"This record does not distinguish this law from: {'; '.join(map(str, alike))}."

@@ -21,7 +21,6 @@ from jointid.controller_id.regression import CompressedFrame, Regression, Regres
 from jointid.controller_id.structure_moves import list_laws
 from jointid.controller_id.structures import (
     COMMON,
-    FREE_TAPS,
     INTEGRAL_GAINS,
     INTERPOLATIONS,
     LATE,
@@ -66,15 +65,15 @@ def score(one: NumberedStructure, rows: float) -> float:
 def rank(task: Task, best: FittedLaw, others: list[FittedLaw]) -> list[Rival]:
     """Rank structures by likelihood.
 
-    Of two with equal filters (free taps equal any difference) and torques equal within `MATERIAL`, the one with fewer
-    numbers ranks first, since direction-dependent encoder errors can be significant.
+    Of two with equal filters and torques equal within `MATERIAL`, the one with fewer numbers ranks first, since
+    direction-dependent encoder errors can be significant.
     """
     own, rivals = criterion(best, best), []
     for one in others:
         worse, distance = criterion(one, best) - own, torque_difference(task, one, best)
         more = one.structure.parts - best.structure.parts
         first, second = one.structure, best.structure
-        same_velocity = first.velocity_filter == second.velocity_filter or first.taps or second.taps
+        same_velocity = first.velocity_filter == second.velocity_filter
         if distance < MATERIAL and more and same_velocity and first.torque_filter == second.torque_filter:
             if more > 0:
                 continue  # the same law with a part that does nothing
@@ -198,7 +197,7 @@ def _fit_all_frames(regression: Regression, weighting: Weighting, progress: Prog
 
 def _frames(plain: Structure) -> Iterator[Structure]:
     """Yield clocks with common filters, and the log's clock with all filter pairs."""
-    for filtered in (*VELOCITY_FILTERS, FREE_TAPS):
+    for filtered in VELOCITY_FILTERS:
         like = replace(plain, velocity_filter=filtered)
         yield like
         if filtered in COMMON:

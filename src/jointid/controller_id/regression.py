@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.controller_id.columns import coefficient_columns, columns, design, injected_torque, response, split_taps
+from jointid.controller_id.columns import coefficient_columns, columns, design, injected_torque, response
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise, lagged_columns, regress, signal_and_past
-from jointid.controller_id.structures import INTERPOLATIONS, LATE, NumberedStructure, Structure, bounds, without_taps
+from jointid.controller_id.structures import INTERPOLATIONS, LATE, NumberedStructure, Structure, bounds
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, REFERENCE_VELOCITY
 
 _DEPENDENT = 1e-9  # of a column: what is left of it beside the others is rounding
@@ -127,7 +127,7 @@ class Regression:
             free: whether all coefficients are free.
         """
         late = [structure.late] if late is None else late
-        mixed, given = design(structure, numbers.get("integral_gain", 0.0), free), without_taps(numbers)
+        mixed = design(structure, numbers.get("integral_gain", 0.0), free)
         X = (columns(self.log, structure, numbers) @ mixed) * self.kept[:, np.newaxis]
         Y = self._targets(structure, numbers, late)
         scale = column_norms(X)
@@ -136,13 +136,12 @@ class Regression:
         multiples, residuals = mixed @ coefficients, Y - X @ coefficients
         found = []
         for i, n in enumerate(late):
-            gains, taps = split_taps(structure, multiples[:, i])
-            known = given | taps
-            magnitude = response(self.log, structure, known, gains)
+            gains = multiples[:, i]
+            magnitude = response(self.log, structure, numbers, gains)
             spectrum = np.fft.rfft(residuals[:, i]) * self._weights(weighting, magnitude)
             cost = float(np.linalg.norm(np.fft.irfft(spectrum, self.log.samples)) ** 2)
             like = replace(structure, late=n)
-            found.append(RegressionFit(like, known, cost, gains, magnitude, residuals[:, i]))
+            found.append(RegressionFit(like, dict(numbers), cost, gains, magnitude, residuals[:, i]))
         return found
 
     def compress(
@@ -175,7 +174,7 @@ class Regression:
         """Optimise a structure's nonlinear numbers; `free` as in `fit_gains`."""
         from scipy.optimize import least_squares  # itself: `solvers` search for an end, and this stops long before
 
-        initial = without_taps(one.numbers)
+        initial = one.numbers
         names = list(initial)
         low, high = np.array([bounds(n, self.log.period, one.structure.rate) for n in names]).reshape(-1, 2).T
 

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-import timeit
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Progress, Work, describe_time, follow, ignore_progress
+from jointid.common.messages import Detail, Progress, Work, follow, ignore_progress
 from jointid.controller_id.fitting import FittedLaw, Task, fit
 from jointid.controller_id.noise import Noise
 from jointid.controller_id.ranking import (
-    FRAMES,
-    LAWS,
     MATERIAL,
     Rival,
     drop_failures,
@@ -39,29 +34,14 @@ from jointid.controller_id.regression import (
 )
 from jointid.controller_id.structure_moves import list_neighbours, list_simpler, remove_part
 from jointid.controller_id.structures import (
-    LONGEST,
-    NumberedStructure,
     Structure,
     bounds,
     convert_numbers,
-    is_tap,
-    known_taps,
-    list_known_taps,
     may_be_negative,
     starts,
 )
 
-_FITTING, _NEARBY, _JUDGING = (
-    "fitting the likeliest laws",
-    "trying what is near the best",
-    "judging on the whole record",
-)
-
-_PROBED = 4  # periods per sample of the regression that the time of a search is expected from
-_REGRESSIONS = {FRAMES: 500.0, LAWS: 800.0, _FITTING: 3000.0, _NEARBY: 300.0, _JUDGING: 150.0}
-"""Regressions like it that each stage takes as long as, measured on records of 1000 to 60,000 samples."""
-_SMALL = 60000.0  # and those of few rows, by which laws are screened
-_NOT_YET = 99.0  # % at most, before the end
+_NEARBY, _JUDGING = "trying what is near the best", "judging on the whole record"
 
 _SEGMENT = 4000  # samples that a search looks at
 _JUDGED = 20  # rivals that the whole record judges
@@ -72,51 +52,8 @@ _REMOVABLE = (
 _EXPLAINS = 0.8  # of the cost without: a limit that leaves more was a torque that only lingered
 _SIEVE = ((80, 3), (24, 6), (12, 6))  # laws of the survey that are fitted, each time under a better noise, and how well
 _DAMPED = 1.01 * bounds("velocity_filter.damping", 1.0, 1)[0]  # what is below has run to the bound
-_CANCELLING = 3.0  # sum of the sizes of free taps, whose sum is 1
 _SCREENING = 2  # steps of Gauss and Newton after which a candidate is judged, and perhaps left
 _PROMISING = 20  # candidates that are fitted to the end in a round
-
-
-class _Course:
-    """Progress of a search in % of the expected time, from progress of its stages."""
-
-    def __init__(self, progress: Progress, seconds: Mapping[str, float]) -> None:
-        self._progress, self._seconds, self._reached = progress, seconds, 0.0
-        self._work = Work(progress, "learning the controller", 100.0, "%")
-
-    def __call__(self, message: str) -> None:
-        """Pass a sentence on."""
-        self._progress(message)
-
-    def draw(self, what: str, done: float, total: float, unit: str) -> None:
-        """Update a stage's progress; of a repeated one, the increment."""
-        del unit
-        stages = list(self._seconds)
-        before = sum(self._seconds[one] for one in stages[: stages.index(what)])
-        reached = (before + self._seconds[what] * done / (total or 1.0)) / sum(self._seconds.values())
-        if reached > self._reached:
-            self._reached = reached
-            self._work.reach(min(100.0 * reached, _NOT_YET))
-
-    def end(self) -> None:
-        """Report completion."""
-        self._work.reach(100.0)
-
-
-def _expect_seconds(task: Task, stretch: Task) -> dict[str, float]:
-    """Predict the time of each stage from a few timed regressions."""
-    own = replace(regression(stretch.log), own=True)
-    weighting, frame, longer = initial_weighting(own), Structure(rate=_PROBED), task.log.samples / stretch.log.samples
-    compressed = own.compress(frame, {}, weighting, [0])
-    each = _time_work(partial(own.fit_gains, frame, {}, weighting))
-    seconds = {stage: many * each for stage, many in _REGRESSIONS.items()}
-    of_few_rows = _time_work(partial(compressed.costs, frame, None))
-    return seconds | {LAWS: seconds[LAWS] + _SMALL * of_few_rows, _JUDGING: longer * seconds[_JUDGING]}
-
-
-def _time_work(work: Callable[[], object]) -> float:
-    """Median time of a few runs, s."""
-    return float(np.median(timeit.repeat(work, number=1, repeat=7)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,31 +120,25 @@ class _SearchData:
 def search(task: Task, progress: Progress = ignore_progress) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
     """Return the best structure, its close rivals and True.
 
-    Candidates come from a segment and are judged on the whole record. An interrupt after the first fit returns the best
-    so far, no rivals, and False.
+    Candidates come from a segment and are judged on the whole record. An interrupt returns the best law so far, no
+    rivals, and False; before the first law is fitted there is none.
     """
     channel = task.log.record.reference_velocity is not None
     stretch = task.select_strongest(_SEGMENT)
-    seconds = _expect_seconds(task, stretch)
-    progress(
-        f"learning the controller from {task.log.samples} samples; this takes some "
-        f"{describe_time(sum(seconds.values()))}, and an interrupt keeps the best law so far"
-    )
-    course = _Course(progress, seconds)
-    data, likeliest, best, ended = _start_search(stretch, channel, course)
-    whole = replace(data, task=task, regression=replace(regression(task.log), own=True))
-    path = [best]
+    progress(f"learning the controller from {task.log.samples} samples; an interrupt keeps the best law so far")
+    whole = replace(regression(task.log), own=True)
+    path: list[FittedLaw] = []
     try:
-        if ended:
-            others = _search_nearby(data, likeliest, path, channel, course)
-            return *_judge_on_whole_record(whole, path[-1], others, course), True
+        data, likeliest = _start_search(stretch, channel, path, progress)
+        others = _search_nearby(data, likeliest, path, channel, progress)
+        data = replace(data, task=task, regression=whole)
+        return *_judge_on_whole_record(data, path[-1], others, progress), True
     except KeyboardInterrupt:
-        pass
-    finally:
-        course.end()
+        if not path:
+            raise
     best = path[-1]
     progress(f"interrupted; fitting the best law so far to the whole record: {best.structure}")
-    best = whole.refit(best, initial_weighting(whole.regression)) or best
+    best = _SearchData(task, whole, best.structure.limited).refit(best, initial_weighting(whole)) or best
     return _refit_under_own_noise(task, best), (), False
 
 
@@ -240,31 +171,19 @@ def _search_nearby(
 
 
 def _start_search(
-    task: Task, channel: bool, progress: Progress
-) -> tuple[_SearchData, list[RegressionFit], FittedLaw, bool]:
-    """Return search data, likely laws, the best of them and True; False if interrupted."""
+    task: Task, channel: bool, path: list[FittedLaw], progress: Progress
+) -> tuple[_SearchData, list[RegressionFit]]:
+    """Return search data and likely laws; the best of them begins the path."""
     data = _SearchData(task, replace(regression(task.log), own=True))
-    try:
-        weighting, late = screen_frames(data.regression, progress)
-        candidates = _shorten_taps(
-            data, rank_candidates(data.regression, weighting, late, channel, progress), weighting
-        )
-        candidates = candidates[: _SIEVE[0][0]]
-        likeliest = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in candidates)
-    except KeyboardInterrupt:
-        progress("interrupted before any law was fitted: there is none to keep yet")
-        raise
-    work, ended = Work(progress, _FITTING, sum(keep for keep, _ in _SIEVE), "laws"), True
-    try:
-        for keep, evaluations in _SIEVE:
-            refined = (
-                data.regression.refine(one, weighting, False, evaluations) for one in work.along(likeliest[:keep])
-            )
-            trimmed = [_trim(data, one, weighting) for one in refined]
-            likeliest = unique_structures(sorted(trimmed, key=partial(score, rows=weighting.noise.rows)))
-            weighting = data.regression.weighting(likeliest[0])
-    except KeyboardInterrupt:
-        ended = False
+    weighting, late = screen_frames(data.regression, progress)
+    candidates = rank_candidates(data.regression, weighting, late, channel, progress)[: _SIEVE[0][0]]
+    likeliest = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in candidates)
+    work = Work(progress, "fitting the likeliest laws", sum(keep for keep, _ in _SIEVE), "laws")
+    for keep, evaluations in _SIEVE:
+        refined = (data.regression.refine(one, weighting, False, evaluations) for one in work.along(likeliest[:keep]))
+        trimmed = [_trim(data, one, weighting) for one in refined]
+        likeliest = unique_structures(sorted(trimmed, key=partial(score, rows=weighting.noise.rows)))
+        weighting = data.regression.weighting(likeliest[0])
     fitted = (data.to_law(one, weighting.noise) for one in likeliest)
     best = next((one for one in fitted if one is not None), None)
     if best is None:
@@ -275,33 +194,8 @@ def _start_search(
         )
     work.reach(work.total)
     data, best = _add_limit(data, best)
-    return data, likeliest, best, ended
-
-
-def _shorten_taps(
-    data: _SearchData, candidates: list[NumberedStructure], weighting: Weighting
-) -> list[NumberedStructure]:
-    """Reduce free taps to the needed number, or to a named difference.
-
-    All laws begin with the maximal number, since removing single taps would take long. A named difference has no free
-    numbers, so that laws are ranked again.
-    """
-    # What a regression does not find, as a delay, is rough where it begins.
-    best = min((one for one in candidates if one.structure.taps), key=lambda one: len(one.numbers), default=None)
-    if best is None:
-        return candidates
-    rows, kinds = weighting.noise.rows, (*(f"taps {n}" for n in range(2, LONGEST + 1)), *list_known_taps())
-    like = (replace(best.structure, velocity_filter=kind) for kind in kinds)
-    fitted = drop_failures(data.fit_gains(one, best.numbers, weighting) for one in like)
-    # A gain that is negative is taken away later beside a named difference; free taps may be bent to make up for it.
-    fitted = [one for one in fitted if not (one.structure.taps and _is_invalid(law_numbers(one, data.task.gain)))]
-    kind = min(fitted, key=lambda one: score(one, rows)).structure.velocity_filter
-    named = (
-        replace(one.structure, velocity_filter=kind) if one.structure.taps else one.structure for one in candidates
-    )
-    shortened = [replace(one, structure=structure) for one, structure in zip(candidates, named, strict=True)]
-    ranked = shortened if kind.startswith("taps") else sorted(shortened, key=partial(score, rows=rows))
-    return unique_structures(ranked)
+    path.append(best)
+    return data, likeliest
 
 
 def _trim(data: _SearchData, one: RegressionFit, weighting: Weighting) -> RegressionFit:
@@ -317,13 +211,7 @@ def _trim(data: _SearchData, one: RegressionFit, weighting: Weighting) -> Regres
 
 
 def _is_invalid(numbers: Mapping[str, float]) -> bool:
-    """Test for negative gains, damping at its bound, or cancelling taps.
-
-    Cancelling taps react to frequencies above the informative ones, and fit quantisation.
-    """
-    taps = [value for name, value in numbers.items() if is_tap(name)]
-    if abs(1.0 - sum(taps)) + sum(map(abs, taps)) > _CANCELLING:
-        return True
+    """Test for negative gains, or damping at its bound."""
     undamped = any(name.endswith("damping") and value < _DAMPED for name, value in numbers.items())
     return undamped or any(value < 0 for name, value in numbers.items() if not may_be_negative(name))
 
@@ -399,19 +287,12 @@ def _fit_nearby(data: _SearchData, best: FittedLaw, structures: Iterable[Structu
 
 
 def _prune(task: Task, best: FittedLaw) -> FittedLaw:
-    """Remove parts with negligible effect after refitting.
-
-    Free taps become a named difference if it gives the same torque.
-    """
+    """Remove parts with negligible effect after refitting."""
 
     def unless_other_torque(structure: Structure) -> FittedLaw:
         fitted = fit(task, structure, convert_numbers(structure, best.numbers), best.noise, _SCREENING)
         return best if fitted is None or torque_difference(task, fitted, best) >= MATERIAL else fitted
 
-    for kind in known_taps(best.structure.taps) if best.structure.taps else ():
-        best = unless_other_torque(replace(best.structure, velocity_filter=kind))
-        if not best.structure.taps:
-            break
     for name in best.structure.names:
         if name in _REMOVABLE and name in best.structure.names:
             best = unless_other_torque(remove_part(best.structure, name))

@@ -11,10 +11,8 @@ from jointid.controller_id.structures import (
     CONSTANT,
     FEEDFORWARDS,
     FIELDS,
-    FREE_TAPS,
     INTERPOLATIONS,
     LATE,
-    LONGEST,
     MEANS,
     RATES,
     SLOWER,
@@ -23,7 +21,6 @@ from jointid.controller_id.structures import (
     VELOCITY_FILTERS,
     Law,
     Structure,
-    known_taps,
 )
 
 
@@ -75,9 +72,6 @@ def list_simpler(structure: Structure) -> Iterator[Structure]:
         yield replace(structure, reference_velocity="full")
     if structure.torque_filter != "none":
         yield replace(structure, torque_filter="none")
-    if structure.taps:
-        fewer = [f"taps {structure.taps - 1}"] if structure.taps > 2 else []
-        yield from (replace(structure, velocity_filter=one) for one in (*fewer, *known_taps(structure.taps)))
     if structure.velocity_filter != "none":
         yield canonical(replace(structure, velocity_filter="none"))
     if structure.reference_delay:
@@ -108,7 +102,7 @@ def list_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
 
 def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
     yield from _other_laws(structure, channel)
-    yield from (replace(structure, velocity_filter=one) for one in (*VELOCITY_FILTERS, *_near_taps(structure)))
+    yield from (replace(structure, velocity_filter=one) for one in VELOCITY_FILTERS)
     for part in FEEDFORWARDS:
         allowed = not (part == CONSTANT and structure.integrates)
         allowed &= not (part == VELOCITY and structure.law == "P-P" and structure.reference_velocity != "channel")
@@ -122,16 +116,6 @@ def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
         yield from (replace(structure, average=n, reference_delay=False) for n in (*AVERAGED, *near) if n > 1)
     yield from _other_rates(structure)
     yield from (replace(structure, late=n) for n in (0, *LATE))
-
-
-def _near_taps(structure: Structure) -> Iterator[str]:
-    """Yield neighbouring filters of free taps: the maximum, one more and one fewer."""
-    if structure.rate > 1:  # the log shows too little of them
-        return
-    yield FREE_TAPS
-    if structure.taps:
-        yield from (f"taps {n}" for n in (structure.taps - 1, structure.taps + 1) if 2 <= n <= LONGEST)
-        yield from known_taps(structure.taps)
 
 
 def _move_filter(structure: Structure) -> Iterator[Structure]:
@@ -152,7 +136,7 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
 
     The position loop of a law faster than the log runs at its rate or the log's.
     """
-    for rate in (1, *RATES) if not structure.taps else (1,):
+    for rate in (1, *RATES):
         slower = rate if structure.every > 1 else 1
         mean = _mean_over_same_time(structure.velocity_filter, rate / structure.rate)
         for way in INTERPOLATIONS if rate > 1 else INTERPOLATIONS[:1]:

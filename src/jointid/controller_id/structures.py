@@ -26,8 +26,6 @@ Law = Literal["P-P", "P-PI", "PD", "PID"]
 MEANS = (2, 3, 4, 6, 8, 16)  # samples of the moving averages that are tried
 VELOCITY_FILTERS = ("none", *(f"mean {n}" for n in MEANS), "first order", "second order")
 COMMON = ("none", "mean 2", "mean 4", "first order", "second order")  # velocity filters that are tried in every law
-LONGEST = 8  # taps at most of a velocity that is a weighted difference
-FREE_TAPS = f"taps {LONGEST}"  # the velocity filter of free taps that a search begins with
 TORQUE_FILTERS = ("none", "first order", "second order", "notch")
 
 RATES = (2, 4, 8, 16)  # periods per log sample of a loop faster than the log
@@ -50,8 +48,7 @@ class Structure:
         law: "P-P" and "P-PI" are cascades; see `jointid.models.controllers.laws`.
         reference_velocity: of a PD or PID: "none", "difference", filtered like the position's, or "channel". Of a
             cascade: "none", "share" of the reference's difference, "full", or a share of the "channel".
-        velocity_filter: "none", "mean 2", ..., "first order" or "second order"; of weighted differences of the
-            position "taps N", all free, or one that `known_taps` names.
+        velocity_filter: "none", "mean 2", ..., "first order" or "second order".
         feedforward: others than the velocity's of a cascade, of `FEEDFORWARDS`.
         torque_filter: "none", "first order", "second order" or "notch".
         reference_delay: whether the law sees the reference later.
@@ -86,12 +83,6 @@ class Structure:
     def integrates(self) -> bool:
         """True if it has an integral."""
         return self.law in ("P-PI", "PID")
-
-    @property
-    def taps(self) -> int:
-        """Number of free velocity taps, 0 for other filters."""
-        kind, _, count = self.velocity_filter.partition(" ")
-        return int(count) if kind == "taps" else 0
 
     @property
     def frame(self) -> Structure:
@@ -203,75 +194,24 @@ _DELAYS = (0.3, 0.7, 1.3, 1.7, 2.3, 2.7, 3.3, 3.7)
 
 
 def _filter_names(place: str, kind: str) -> list[str]:
-    if kind.startswith("taps"):  # the first is what the others leave of 1
-        return [f"{place}.{at}" for at in range(1, int(kind.split()[1]))]
     return [f"{place}.{name}" for name in _FILTERS.get(kind, {})]
-
-
-def is_tap(name: str) -> bool:
-    """Test for a free velocity tap, in which the torque is linear."""
-    return name.rpartition(".")[2].isdigit()
-
-
-def without_taps(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Numbers of a law that its regression does not find."""
-    return {name: value for name, value in numbers.items() if not is_tap(name)}
 
 
 def may_be_negative(name: str) -> bool:
     """Test for a number of either sign."""
-    return name in (INTEGRAL, "constant_feedforward") or is_tap(name)
-
-
-def known_taps(samples: int) -> Iterator[str]:
-    """Yield the named velocity filters with a number of taps.
-
-    "mean N" is the first difference over N samples, "slope N" the least-squares line through the last N + 1 positions,
-    "means K M" the difference over K samples of a mean of M.
-    """
-    yield f"mean {samples}"
-    if samples > 2:
-        yield f"slope {samples}"
-    yield from (f"means {k} {samples + 1 - k}" for k in range(2, (samples + 1) // 2 + 1))
-
-
-def list_known_taps() -> tuple[str, ...]:
-    """Named velocity filters of all numbers of taps."""
-    return tuple(kind for samples in range(2, LONGEST + 1) for kind in known_taps(samples))
-
-
-def _weights(kind: str) -> tuple[float, ...]:
-    """Taps of a named velocity filter (see `known_taps`)."""
-    word, *counts = kind.split()
-    sizes = [int(one) for one in counts]
-    if word == "slope":  # of a line by least squares, in differences: n, 2 (n - 1), 3 (n - 2), ...
-        n = sizes[0]
-        raw = [(j + 1) * (n - j) for j in range(n)]
-        return tuple(one / sum(raw) for one in raw)
-    if len(sizes) == 1:
-        return (1.0 / sizes[0],) * sizes[0]
-    taps = [1.0]
-    for n in sizes:
-        taps = [sum(taps[max(0, j - n + 1) : j + 1]) / n for j in range(len(taps) + n - 1)]
-    return tuple(taps)
+    return name in (INTEGRAL, "constant_feedforward")
 
 
 def _spell_filter(kind: str) -> str:
-    word, *counts = kind.split()
-    if word == "mean":
-        return f"mean of {counts[0]} samples"
-    if word == "means":
-        return f"mean of {counts[0]} samples of a mean of {counts[1]}"
-    if word == "slope":
-        return f"line through {int(counts[0]) + 1} positions"
-    return f"of {counts[0]} free taps" if word == "taps" else kind
+    word, _, count = kind.partition(" ")
+    return f"mean of {count} samples" if word == "mean" else kind
 
 
 def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
     """Yield start values of nonlinear numbers: from a similar structure, or on a grid."""
     places: list[Iterable[dict[str, float]]] = []
     for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
-        names = [] if kind.startswith("taps") else _filter_names(place, kind)  # the regression finds taps
+        names = _filter_names(place, kind)
         if all(name in known for name in names):
             places.append([{name: known[name] for name in names}])
         else:
@@ -368,11 +308,9 @@ def filters_of(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filt
 def _filter(kind: str, place: str, numbers: Mapping[str, float]) -> Filter | tuple[float, ...]:
     if kind == "none":
         return (1.0,)
-    if kind.startswith("taps"):
-        later = tuple(numbers[name] for name in _filter_names(place, kind))
-        return (1.0 - sum(later), *later)
-    if kind.startswith(("mean", "slope")):
-        return _weights(kind)
+    if kind.startswith("mean"):
+        samples = int(kind.split()[1])
+        return (1.0 / samples,) * samples
     made = {name: numbers[f"{place}.{name}"] for name in _FILTERS[kind]}
     if kind == "first order":
         return FirstOrder(**made)

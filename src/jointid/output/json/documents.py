@@ -138,7 +138,7 @@ SHAPES: Mapping[str, Shape] = {
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
     "Diagnosis": document_shape(
         "jointid.diagnosis/1",
-        "name method answer explained as_declared feed_forward zeros cause tool sentences reasons axes",
+        "name method answer explained as_declared feed_forward zeros cause sentences reasons axes",
     ),
     "RobotCause": keys("name joints words value"),
     "EncoderZero": keys("joint zero stderr residual residual_without"),
@@ -174,8 +174,7 @@ SHAPES: Mapping[str, Shape] = {
     # Controller and tuning
     "LearnedController": document_shape(
         "jointid.learned_loop/1",
-        "record resampled numbers correlation in_drive equivalent=equivalent_laws alternatives "
-        "regression_percent=100*regression_share",
+        "record resampled numbers correlation in_drive alternatives regression_percent=100*regression_share",
         structure=lambda learned: str(learned.structure),
         law=_law,
         sentences=lambda learned: [str(one) for one in learned.limitations],
