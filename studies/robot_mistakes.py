@@ -26,7 +26,7 @@ from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.robots import RobotLoop
 from tests.estimation.robots.twin import arm
-from tests.robots_plants import inertial, seven, six
+from tests.robots_plants import seven, six
 
 _STEP, _SECONDS, _NOISE, _COUNT = 2e-3, 6.0, 0.01, 2e-6  # s, s, of each torque, and rad of the encoders
 _OFF = 0.1  # of each link's inertial parameters: the model's own masses are off by so much
@@ -194,13 +194,6 @@ def _upside_down(robot: Robot, seed: int) -> Truth:
     return Truth(replace(robot, gravity=-robot.gravity), declared(robot, seed))
 
 
-def _with_tool(robot: Robot, seed: int) -> Truth:
-    tool = inertial(0.3 * float(robot.inertials[:, 0].sum()) ** 0.5, (0.02, 0.03, 0.12), (0.004, 0.004, 0.002))
-    bodies = robot.inertials.copy()
-    bodies[-1] += tool
-    return Truth(robot.with_inertials(bodies), declared(robot, seed))
-
-
 def _longer(robot: Robot, seed: int) -> Truth:
     links = list(robot.links)
     links[2] = replace(links[2], origin=1.4 * links[2].origin + np.array([0.0, 0.03, 0.0]))
@@ -248,7 +241,6 @@ MISTAKES = (
     Mistake("zero", _at(2, "zero"), _logged(lambda q, u: (_moved(q, 2, 0.5), u))),
     Mistake("order of joints", _any("order"), _logged(lambda q, u: (q[:, ::-1], u[:, ::-1]))),
     Mistake("base", _any("base"), _upside_down),
-    Mistake("missing tool", _any("tool"), _with_tool),
     Mistake("wrong model", _any("geometry"), _longer),
     Mistake("delay", _any("log_delay"), _logged(lambda q, u: (q, _late(u, 4)))),
     Mistake("refresh", _at(1, "update_time"), _logged(lambda q, u: (q, _held(u, 1, 10)))),
@@ -287,7 +279,6 @@ def say(truth: Truth, seed: int) -> list[tuple[str, int]]:
     assert isinstance(diagnosis, Diagnosis)
     if diagnosis.cause is not None:
         said.append((diagnosis.cause.name, names.index(diagnosis.cause.joints[0]) + 1 if diagnosis.cause.joints else 0))
-    said += [("tool", 0)] if diagnosis.tool else []
     said += [(one.test.name, k + 1) for k, axis in enumerate(diagnosis.axes) for one in axis.faults.findings]
     said += [("zero", names.index(one.joint) + 1) for one in diagnosis.zeros]
     said += [("log_delay", 0) for one in found.checks.warnings if "late" in one]

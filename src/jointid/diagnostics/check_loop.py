@@ -172,9 +172,7 @@ def search_faults(
     return check, state
 
 
-def bound_second_mode(
-    state: SearchState, found: TestResults, known: Mapping[str, float], symbol: str = ""
-) -> Message | None:
+def bound_second_mode(state: SearchState, found: TestResults, known: Mapping[str, float]) -> Message | None:
     """Return how much stiffer a spring is behind which a part of the load swings; None where that is in its interval.
 
     Of each mode that was tried, the part of the load is the largest within two deviations of its test, up to half.
@@ -201,7 +199,7 @@ def bound_second_mode(
     more, share, mode = max(bounds)
     if more * values["stiffness"] <= INTERVAL * known.get("stiffness", math.inf):
         return None
-    symbol = symbol or next(p.symbol for p in joint.parameters if p.name == "stiffness")
+    symbol = next(p.symbol for p in joint.parameters if p.name == "stiffness")
     said = (
         f"that the load is rigid is assumed: if {number(100 * share, 2)} % of it swings at {number(mode, 2)} Hz, which "
     )

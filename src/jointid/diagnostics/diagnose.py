@@ -17,7 +17,6 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.axis_faults import Follows, find_axis_faults, find_follower
 from jointid.diagnostics.axis_laws import list_axes, screen_laws, search_laws
 from jointid.diagnostics.axis_parameters import AxisParameter, parameters_by_axis
-from jointid.diagnostics.axis_springs import bound_second_modes
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.check_loop import list_laws, search_faults
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
@@ -26,7 +25,7 @@ from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
 from jointid.diagnostics.law_comparison import order_laws
 from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law, compare_robot_laws
-from jointid.diagnostics.robot_causes import describe_tool, find_copied_reference, find_robot_cause, find_springs
+from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_springs
 from jointid.diagnostics.search_state import LoopTests, SearchState
 from jointid.estimation.identify import LARGEST, plan_windows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -201,11 +200,12 @@ def diagnose_robot(
     )  # fmt: skip
     better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
     zeros: tuple[EncoderZero, ...] = ()
-    cause, tool = find_copied_reference(robot, records), ""
+    cause = find_copied_reference(robot, records)
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
     if cause is None and estimate.settings.method == "idim" and not all(one.is_small for one in axes):
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
-    if isinstance(part.setup, RobotLoop) and not any(robot.flexible) and any(one.left > POOR_FIT for one in axes):
+    poor = any(one.left > POOR_FIT for one in axes) and not any(robot.flexible)
+    if cause is None and poor and isinstance(part.setup, RobotLoop):
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # a robot that cannot be fitted has others
             cause = find_springs(part.setup, records, estimate.settings.filtering)
     if cause is not None and cause.explained > explained:
@@ -213,9 +213,7 @@ def diagnose_robot(
         cause = None if zeros else cause
     else:
         cause = None
-        if estimate.settings.method == "idim" and robot.has_masses and all(one.explained for one in axes):
-            tool = describe_tool(robot, records, estimate.settings.filtering)
-    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better, zeros, cause, tool)
+    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better, zeros, cause)
 
 
 def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
@@ -253,15 +251,13 @@ def _find_faults(
         there = replace(part, setup=first.setup, values=np.append(parameters.values(other.x), part.values[x.size :]))
         after = torques_of_robot(estimate, first.records, there)
         faults, follows, explained = find_axis_faults(after, units, level, frictions)
-    of_springs = {p.name: (p.stderr, p.symbol) for p in estimate.params.rows if p.stderr}
-    assumed = bound_second_modes(part, part.setup, records, estimate.settings.filtering, torques, of_springs)
     symbols, of_parameters = {p.name: p.symbol for p in parameters.parameters}, parameter_units(part.model, parameters)
     return [
         replace(
             one, findings=(*filter(None, [found]), *one.findings), undecided=undecided, symbols=symbols,
-            units={**one.units, **of_parameters}, assumed=None if found or one.findings else swings,
+            units={**one.units, **of_parameters},
         )
-        for one, found, undecided, swings in zip(faults, other.found, other.undecided, assumed, strict=True)
+        for one, found, undecided in zip(faults, other.found, other.undecided, strict=True)
     ], follows, explained  # fmt: skip
 
 

@@ -204,7 +204,6 @@ class Diagnosis(Documented):
         feed_forward: "gravity" or "inverse-model" where the controllers leave much less with it; None otherwise.
         zeros: encoder zeros that are not the model's, with which the model leaves less.
         cause: of the whole log or model, that explains more than the faults of single axes.
-        tool: a sentence on a body that the model's own masses lack; "" where they lack none.
     """
 
     name: str
@@ -214,7 +213,6 @@ class Diagnosis(Documented):
     feed_forward: str | None = None
     zeros: tuple[EncoderZero, ...] = ()
     cause: RobotCause | None = None
-    tool: str = ""
 
     @property
     def explained(self) -> bool:
@@ -251,11 +249,6 @@ class Diagnosis(Documented):
         """Other controller laws that matter and are not excluded, by axis."""
         open_ones = [axis for axis in self.axes if axis.faults.undecided is not None]
         return tuple(_of_axis(axis, axis.faults.reasons[-1]) for axis in open_ones)
-
-    @property
-    def assumed(self) -> tuple[Message, ...]:
-        """Assumptions about links behind springs that may matter, by axis."""
-        return tuple(_of_axis(axis, axis.faults.assumed) for axis in self.axes if axis.faults.assumed is not None)
 
     @property
     def untested(self) -> tuple[str, ...]:
@@ -295,7 +288,6 @@ class Diagnosis(Documented):
             )
         if self.cause is not None:
             found.append(sentence(str(self.cause)))
-        found += [self.tool] if self.tool else []
         found += [
             f"{one.joint}: {one}. Check the encoder's zero, and give zero = {one.zero:.4g} in its table."
             for one in self.zeros

@@ -405,7 +405,7 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress, fail
     residual = Verdict(
         Subject.REPEATABLE,
         Status.PASSED,
-        (Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little"), *found.assumed),
+        (Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little"),),
     )
     bad = [joint.name for joint in found.axes if not joint.explained]
     if bad or found.zeros or found.cause:

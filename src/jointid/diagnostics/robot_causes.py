@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.text import join, number
 from jointid.estimation.robots.descents import Descents
 from jointid.estimation.robots.didim import identify_rigid_robot
@@ -32,7 +32,6 @@ from jointid.estimation.robots.zeros import EncoderZero, find_zeros
 from jointid.estimation.starts.robot_springs import StartOfSprings, bound_springs, frequency_row
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import friction_columns
-from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass
@@ -48,7 +47,6 @@ _STEPS, _STEP, _SHOWN = 4, 1e-4, 1e-3  # of a descent; of its largest slope, bel
 _FAR = 0.5  # rad, m, or the logarithm of a factor: the longest step
 _TWO = 2  # joints: one alone has none of these causes
 _SAME = 1e-9  # of the travel
-_SEEN, _BY_TOOL, _HEAVY, _RANK_OF_TOOL = 0.02, 0.5, 0.3, 1e-7  # of the torques, of that, of the last link's mass
 _REST = 0.02  # of the largest speed: below, Coulomb friction is left out
 _ZEROS = tuple(np.pi / 6 * k for k in range(-5, 7) if k)  # rad
 _GEARS = tuple(math.log(one) for one in (0.1, 0.3, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 10.0))
@@ -250,39 +248,6 @@ def find_copied_reference(robot: Robot, records: Sequence[Record]) -> RobotCause
         f"the motor position of {join(names)} is its reference: log what the encoder measures, not what was asked for"
     )
     return RobotCause("reference_is_position", tuple(names), words, None, math.inf)
-
-
-def describe_tool(robot: Robot, records: Sequence[Record], filtering: Filtering) -> str:
-    """Return a sentence on a body on the last link that the masses of a model lack; "" where it lacks none.
-
-    The model's own masses are compared with the torques, beside any rotors and friction.
-    """
-    case, n, size = _thin(robot, records, filtering), len(robot), len(SYMBOLS)
-    q, v, a = (one @ np.linalg.inv(robot.coupling).T for one in (case.q, case.v, case.a))
-    columns = inverse_columns(robot, q, v, a)
-    known, last = columns[:, :, : size * n], columns[:, :, size * (n - 1) : size * n]
-    beside = np.concatenate([columns[:, :, size * n :], friction_columns(robot, v)], axis=2)
-    by = np.maximum(np.linalg.norm(case.torque, axis=0), np.finfo(float).tiny) * math.sqrt(n)
-
-    def stack(values: FloatArray) -> FloatArray:
-        moving = (case.moving / by)[:, :, np.newaxis]
-        return np.asarray((values * moving).reshape(-1, values.shape[2]))
-
-    y = stack(case.torque[:, :, np.newaxis] - known @ robot.inertials.ravel()[:, np.newaxis])[:, 0]
-    left, body = list[float](), np.zeros(size)
-    for W in (stack(beside), stack(np.concatenate([last, beside], axis=2))):
-        sizes = column_norms(W)
-        values = np.linalg.lstsq(W / sizes, y, rcond=_RANK_OF_TOOL)[0] / sizes
-        left.append(float(np.linalg.norm(y - W @ values)))
-        body = values[:size]
-    mass, carried = float(body[0]), float(robot.inertials[-1, 0])
-    if left[0] < _SEEN or left[1] > _BY_TOOL * left[0] or mass < _HEAVY * carried:
-        return ""
-    centre = ", ".join(f"{one:.3f}" for one in body[1:4] / mass)
-    return (
-        f"The model's masses leave {100 * left[0]:.3g} % of the torques, and {100 * left[1]:.3g} % with {mass:.3g} kg "
-        f"more on the last link, at {centre} m there: if a tool is mounted, the model lacks it."
-    )
 
 
 def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Case:

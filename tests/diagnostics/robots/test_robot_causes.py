@@ -22,8 +22,8 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from tests.estimation.robots.test_rigid_robots import recorded
-from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of, with_payload
-from tests.robots_plants import inertial, six, two
+from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of
+from tests.robots_plants import six, two
 
 FILTERING = Filtering(cutoff=10.0, decimation=15, position_cutoff=20.0)
 
@@ -148,14 +148,6 @@ def test_an_axis_without_a_residual_takes_nothing_from_what_faults_explain() -> 
     assert _explained(before, after, [slice(0, 1), slice(1, 3)]) == pytest.approx(0.875)
 
 
-def test_a_tool_that_the_model_lacks_is_said() -> None:
-    tool = inertial(1.5, (0.02, 0.03, 0.1), (0.004, 0.004, 0.002))
-    records = list(records_of(with_payload(arm(3), tool), 2, noise=0.02))
-    found = diagnosed(arm(3), records)
-    assert found.cause is None and found.explained and found.tool.startswith("The model's masses leave ")
-    assert found.tool in found.sentences and not diagnosed(arm(3), list(records_of(arm(3), 2, noise=0.02))).tool
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("hertz", "named"),
@@ -195,3 +187,14 @@ def test_springs_in_three_of_six_joints_are_named() -> None:
     cause = find_springs(rigid, records, identified(rigid, records).settings.filtering)
     assert cause is not None and cause.joints == ("joint1", "joint2", "joint3")
     assert "declare them, or identify below" in cause.words
+
+
+def test_a_copied_reference_is_named_before_springs() -> None:
+    twin = two((9.0, None))
+    loop = replace(twin.loop(), robot=twin.loop().robot.rigid)
+    records, _ = recorded(twin.loop(), twin.records(4.0, multisine=0.01), 0.005)
+    copied = [replace(one, motor_position=one.reference) for one in records]
+    estimate = identify(copied, loop, checks=False)
+    assert estimate.fit.filtered_error > 0.15
+    cause = diagnose_robot(estimate, copied).cause
+    assert cause is not None and cause.name == "reference_is_position"
