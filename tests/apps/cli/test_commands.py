@@ -32,7 +32,6 @@ from jointid.output.report import tune_to_limit
 from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_table, write_table
-from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.writing import write
 from jointid.simulation.excitation import trapezoids
@@ -286,24 +285,6 @@ offset = { start = 0.1 }
     found = json.loads(out.read_text(encoding="utf-8"))
     assert found["relative_error_percent"] <= 1e-4
     assert abs(found["parameters"]["inertia"]["value"] / 0.05 - 1) <= 1e-6
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".mat", ".tsv"])
-def test_the_twin_is_written_in_every_format_that_is_read(suffix: str, tmp_path: Path) -> None:
-    out = tmp_path / f"twin{suffix}"
-    assert run("simulate", "--twin", "L30", "--added-mass", "--noise", "white", "--seed", 5, "--out", out, "-q") == 0
-    names = ("torque", "reference", "motor_position", "load_position", "injected")
-    record = read(out, {name: name for name in names}, kind="prismatic")
-    made = twin("L30", added_mass=True, noise="white", seed=5).record
-    for name in names[:4]:
-        assert np.array_equal(getattr(record, name).values, getattr(made, name).values)
-
-
-def test_simulate_needs_something_to_simulate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert run("simulate") == 2
-    assert "needs a joint file; name one, or give --twin" in capsys.readouterr().err
-    assert run("simulate", "--twin", "L19") == 2
-    assert "--twin needs --out" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -564,7 +545,6 @@ MISTAKES = {
     "unknown command": (("identfy", EMPS), "identfy"),
     "unknown option": (("identify", EMPS, "--recrod", "x.mat"), "--recrod"),
     "unknown method": (("identify", EMPS, "--method", "magic"), '--method. Choose from: "didim", "idim"'),
-    "unknown method of a report": (("report", EMPS, "--method", "magic"), '--method. Choose from: "didim"'),
     "unknown minimiser": (("identify", EMPS, "--set", "method.minimiser=simplex"), "simplex"),
     "no frequency": (("identify", EMPS, "--set", "method.frequency=fast"), "fast"),
     "frequency of a rigid joint": (("identify", EMPS, "--set", "method.frequency=30"), 'set joint.model = "flexible"'),
@@ -629,7 +609,10 @@ file = "b.csv"
     ("words", "sentence"),
     [
         (("report", EMPS, "--held-out", "nope.csv"), "nope.csv cannot be opened"),
-        (("report", EMPS, "--method", "didim", "--plan", "nope"), 'The goal "nope" names nope, which is no free'),
+        (
+            ("report", EMPS, "--set", "method.name=didim", "--plan", "nope"),
+            'The goal "nope" names nope, which is no free',
+        ),
         (("design", EMPS, "--goal", "nope"), 'The goal "nope" names nope, which is no free'),
     ],
 )

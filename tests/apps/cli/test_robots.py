@@ -201,8 +201,8 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
         ),
         (("simulate", joint, "--estimate", tmp_path / "none.json"), "none.json cannot be"),
         (
-            ("export", joint, "--out", tmp_path / "a.xml", "--fixed"),
-            "bodies behind their gears.*--fixed is for a joint",
+            ("export", joint, "--out", tmp_path / "a.xml", "--side", "load"),
+            "bodies behind their gears.*--side is for a joint",
         ),
         (("tune", joint), "Tuning takes one joint"),
         (("diagnose", joint, "--laws"), "A comparison of laws takes one joint"),

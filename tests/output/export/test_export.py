@@ -85,7 +85,7 @@ def test_an_interval_holds_what_the_model_lacks(folder: Path) -> None:
 
 def test_fixed_values_are_kept_and_paths_lead_to_the_same_record(folder: Path) -> None:
     (folder / "below").mkdir()
-    assert exported(folder, "below/fixed.toml", "--fixed") == 0
+    assert exported(folder, "below/fixed.toml", "--set", "export.values=fixed") == 0
     file = ji.load(folder / "below" / "fixed.toml")
     assert not any(parameter.free for parameter in file.parameters.values())
     assert file.values() == TABLE_2 | {"offset": -3.0}
@@ -174,7 +174,7 @@ def test_mistakes_are_told_in_a_sentence(folder: Path, capsys: pytest.CaptureFix
         '".pdf" is no language that a joint is exported to; expected one of joint-file (.toml)'
         in capsys.readouterr().err
     )
-    assert exported(folder, "a.mo", "--timestep", 1e-4) == 2
+    assert exported(folder, "a.mo", "--set", "export.timestep=1e-4") == 2
     assert "modelica has no setting timestep; it has none: leave it out." in capsys.readouterr().err
     assert exported(folder, "a.mo", "--side", "motor") == 2
     assert "there are no numbers of the motor side" in capsys.readouterr().err

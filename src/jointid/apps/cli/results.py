@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from jointid.apps.cli.console import (
     DEFAULTS,
     Changes,
-    FilteringName,
     Flag,
     Options,
     deliver,
@@ -24,7 +23,8 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import Aside
-from jointid.estimation.methods.registry import MethodName
+
+_EXPORT = "export."  # the beginning of a change that is a setting of the written language
 
 if TYPE_CHECKING:
     from jointid import Estimate, Report
@@ -42,9 +42,6 @@ def report(
     html: Path | None = None,
     markdown: Path | None = None,
     figures: Path | None = None,
-    method: MethodName | None = None,
-    filtering: FilteringName | None = None,
-    friction: str | None = None,
     no_profiles: Flag = False,
     no_tuning: Flag = False,
     plan: str | None = None,
@@ -61,9 +58,6 @@ def report(
         html: the page, one file that opens without a network; report.html where nothing else is asked for.
         markdown: folder for the same as Markdown, report.md, and its figures as SVG.
         figures: folder for the figures as PNG and SVG, for a paper.
-        method: as for identify.
-        filtering: as for identify.
-        friction: as for identify.
         no_profiles: do not follow the criterion along the parameters where it is no parabola.
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
         plan: also plan the next test, for a goal as of design, within the limits of the file; it takes a minute.
@@ -86,10 +80,9 @@ def report(
         require_extra(plots=True)
     outputs.spare("--held-out", held_out)
     outputs.spare("--estimate", estimate)
-    choices = {"method": method, "filtering": filtering, "friction": friction}
-    file = options.load(joint, outputs, **choices | ({} if estimate is None else read_choices(estimate)))
+    file = options.load(joint, outputs, **({} if estimate is None else read_choices(estimate)))
     html_name = "report.html" if page is None else page.name
-    asked = {"axis": options.axis, **choices, "plan": plan, "held_out": held_out and held_out.name}
+    asked = {"axis": options.axis, "plan": plan, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
     if isinstance(file, JointFile):
         if plan is not None:
@@ -159,7 +152,7 @@ def require_goal(file: JointFile, plan: str) -> None:
     if file.method.name != "didim":
         raise MethodError(
             f"A test is planned from an answer of didim, and this joint is identified by {file.method.name}; add "
-            "--method didim, or leave --plan out."
+            "--set method.name=didim, or leave --plan out."
         )
     own = [file.parameters.get(p.name, p) for p in file.joint.parameters]
     parse_goal(plan, {p.name: file.joint.unit(p) for p in own if p.free})
@@ -246,13 +239,6 @@ def export(
     out: Path,
     format: str | None = None,  # noqa: A002
     side: Literal["motor", "load"] | None = None,
-    fixed: Flag = False,
-    period: float | None = None,
-    delay: float | None = None,
-    timestep: float | None = None,
-    control: Literal["torque", "pd"] | None = None,
-    stall_torque: float | None = None,
-    no_load_speed: float | None = None,
 ) -> None:
     """Write an estimate for another tool.
 
@@ -265,19 +251,13 @@ def export(
         joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified
             from the record that it names; MJCF and URDF have bodies that fit.
         estimate: what identify --json wrote; of a joint file it is needed.
-        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
+        changes: a key of the joint file and its value, as method.frequency=30, or a setting of the language, as
+            export.timestep=1e-3; may be given several times.
         axis: of a robot file the name of the one joint that the estimate is of.
         out: the file to write.
         format: the language by its name, as joint-file, instead of the one the ending of the file means.
         side: of a transmission, whose numbers are written; without it the load's for URDF, MJCF and actuators, and else
             the side that was identified.
-        fixed: of a joint file: the values are kept, instead of being starts.
-        period: of a state space, in s, to sample it with; without it the record's sample time.
-        delay: of a state space, in s, from a sample of the torque to its effect; without it as identified.
-        timestep: in s, of MJCF; of the physics of Isaac Lab, mjlab and USD, of which a delay is a number.
-        control: of MJCF: an actuator takes the torque, or the commands of the declared law.
-        stall_torque: of Isaac Lab, mjlab and USD, in N m or N behind the gear: the motor's torque at standstill.
-        no_load_speed: likewise its speed without torque, in rad/s or m/s.
     """
     from jointid.config import JointFile
     from jointid.estimation.result.estimate import law_fingerprint
@@ -288,15 +268,12 @@ def export(
     outputs = Outputs({"--out": out})
     outputs.spare("--estimate", estimate)
     choices = {} if estimate is None else answers.read_choices(estimate)
-    file = Options(changes=changes, axis=axis).load(joint, outputs, **choices)
-    given = {
-        "values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep,
-        "control": control, "stall_torque": stall_torque, "no_load_speed": no_load_speed,
-    }  # fmt: skip
-    settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    of_file = tuple(one for one in changes if not one.startswith(_EXPORT))
+    file = Options(changes=of_file, axis=axis).load(joint, outputs, **choices)
+    settings = dict(map(_setting, (one for one in changes if one.startswith(_EXPORT))))
     language = find_language(format or out.suffix.lower()).name
     if not isinstance(file, JointFile):
-        _refuse_options("A robot is written as bodies behind their gears", {"--side": side, "--fixed": fixed})
+        _refuse_options("A robot is written as bodies behind their gears", {"--side": side})
         found = _read_or_identify(file, estimate)
         if language == "urdf" and file.model_path.suffix.lower() == ".urdf":
             settings |= {"model": file.model_path, "locked": file.locked}
@@ -318,6 +295,15 @@ def export(
     exported.save(out)
     show(exported)
     show(f"Written: {out}")
+
+
+def _setting(change: str) -> tuple[str, Any]:
+    """Return name and value of a setting of an export's language, as ``export.timestep=1e-3`` has them."""
+    key, _, text = change.removeprefix(_EXPORT).partition("=")
+    try:
+        return key.strip(), float(text)
+    except ValueError:
+        return key.strip(), text.strip()
 
 
 def _read_or_identify(file: RobotFile, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, fresh_folder, listen, ready, show
+from jointid.apps.cli.console import DEFAULTS, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
 from jointid.common.text import in_words, interval
@@ -15,28 +15,20 @@ if TYPE_CHECKING:
     from jointid.config import JointFile
     from jointid.config.robot_file import RobotFile
 
-Loop = Literal["L19", "L30"]
-Noise = Literal["disturbance", "white", "none"]
-
 
 def simulate(
-    joint: Path | None = None,
+    joint: Path,
     /,
     *,
     options: Options = DEFAULTS,
     estimate: Path | None = None,
     out: Path | None = None,
-    twin: Loop | None = None,
-    added_mass: Flag = False,
-    noise: Noise = "disturbance",
-    seed: int = 1,
 ) -> None:
     """Simulate a joint or a robot under its controller.
 
     It is driven by the reference of a record, and what its drive would log is written.
     The reference of --record, and the injected signal if it has one, drive the loop; --json takes a summary. The
-    parameters are those of an estimate, or the fixed values and starts of the file. With --twin no joint file is
-    needed: the paper's flexible axis is simulated, under one of its two loops.
+    parameters are those of an estimate, or the fixed values and starts of the file.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
@@ -44,35 +36,17 @@ def simulate(
         estimate: what identify --json wrote; its parameters are used.
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
-        twin: the paper's digital twin instead, under this loop.
-        added_mass: of the twin: with 10 kg on the load.
-        noise: of the twin: a force inside the loop, white noise on the log, or none.
-        seed: of the twin's noise.
     """
     outputs = Outputs({"--json": options.json, "--out": out})
     outputs.spare("--estimate", estimate)
-    if twin is not None:
-        if (
-            out is None
-            or options.changes
-            or any(g is not None for g in (joint, options.record, estimate, options.json))
-        ):
-            raise MethodError(
-                "--twin needs --out, and takes no joint file, --record, --set, --estimate or --json; give only where "
-                "to write."
-            )
-        _simulate_twin(twin, added_mass, noise, seed, out, options)
-    elif joint is None:
-        raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
-    else:
-        from jointid.config import JointFile
-        from jointid.output import json as answers
+    from jointid.config import JointFile
+    from jointid.output import json as answers
 
-        file = options.load(joint, outputs, **({} if estimate is None else answers.read_choices(estimate)))
-        if isinstance(file, JointFile):
-            _simulate_joint(file, estimate, out, options)
-        else:
-            _simulate_robot(file, estimate, out, options)
+    file = options.load(joint, outputs, **({} if estimate is None else answers.read_choices(estimate)))
+    if isinstance(file, JointFile):
+        _simulate_joint(file, estimate, out, options)
+    else:
+        _simulate_robot(file, estimate, out, options)
 
 
 def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, options: Options) -> None:
@@ -140,18 +114,6 @@ def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, op
         show(f"Written: {out}")
     if options.json is not None:
         write(documents.robot_simulation_answer(robot, found, astray), options.json)
-
-
-def _simulate_twin(loop: Loop, added_mass: bool, noise: Noise, seed: int, out: Path, options: Options) -> None:
-    from jointid import twin, write
-
-    ready(options.progress, derivatives=False)
-    axis = twin(loop, added_mass=added_mass, noise=noise, seed=seed)
-    write(axis.record, out)
-    symbols = {p.name: p.symbol for p in axis.loop.joint.parameters}
-    truth = ", ".join(f"{symbols[name]} {value:g}" for name, value in axis.truth.items())
-    show(f"{axis.record.name}, {noise} noise of {axis.noise:.3g} N at 1 kHz: {truth}")
-    show(f"Written: {out}")
 
 
 def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet: Quiet = False) -> None:
