@@ -10,7 +10,6 @@ import os
 import re
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,16 +19,16 @@ import pytest
 import jointid
 from jointid.apps.cli import main
 from jointid.apps.cli.app import _GONE
-from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Message
 from jointid.config import JointFile, load
 from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import INTEGRAL, Structure
 from jointid.models.controllers import PID, Cascade, FirstOrder
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.report import tune_to_limit
-from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
+from jointid.paper.twin import JOINT_FILE, TABLE_2, twin
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_table, write_table
 from jointid.records.record import Record
@@ -92,9 +91,7 @@ def test_the_table_of_the_readme_is_what_the_demo_prints(printed_demo: tuple[Pat
             assert float(text) == pytest.approx(float(expected), rel=0.02)  # another machine rounds elsewhere
 
 
-def test_the_demo_writes_a_folder_to_play_with(
-    demo: Path, brief: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_demo_writes_a_folder_to_play_with(demo: Path) -> None:
     assert {path.name for path in demo.iterdir()} == {"record.csv", "joint.toml", "estimate.json", "torque.png"}
     answer = json.loads((demo / "estimate.json").read_text(encoding="utf-8"))
     for name, value in TABLE_2.items():
@@ -102,61 +99,19 @@ def test_the_demo_writes_a_folder_to_play_with(
         assert abs(found["value"] - value) <= 3 * found["std"], name
     assert abs(answer["parameters"]["stiffness"]["value"] / 8e5 - 1) <= 0.01
     assert answer["channels"] == ["torque", "reference", "injected"]
-    text = (demo / "joint.toml").read_text(encoding="utf-8")
-    changed = tmp_path / "joint.toml"
-    changed.write_text(text.replace("cutoff = 60.0", "cutoff = 50.0"), encoding="utf-8")
-    assert run("identify", changed, "--record", brief) == 0
-    said = capsys.readouterr()
-    assert "K12" in said.out
-    assert "identifying the joint as rigid" in said.err and "torque error" not in said.err
 
 
 @pytest.mark.slow
-def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(
-    tmp_path: Path, brief: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(tmp_path: Path, brief: Path) -> None:
     out, picture = tmp_path / "tuning.json", tmp_path / "loop.png"
     (tmp_path / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
-    words = (
-        "--record",
-        brief,
-        "--no-notch",
-        "--phase-margin",
-        "50",
-        "--json",
-        out,
-        "--figure",
-        picture,
-        "-q",
-    )
+    words = ("--record", brief, "--no-notch", "--phase-margin", "50", "--json", out, "--figure", picture, "-q")
     assert run("tune", tmp_path / "joint.toml", *words) == 0
-    said = capsys.readouterr().out
-    assert "proposed, worst case" in said
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.tuning/1"
     assert answer["notch"] is None
     assert answer["proposed"]["worst"]["phase_degrees"] >= 49.7
     assert picture.stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
-    reference = trapezoids((0.042, 0.125), 0.83, 0.2, 1e-3, duration=8.0)
-    force = 10.0 * np.random.default_rng(1).standard_normal(reference.size)
-    stiff = {**TABLE_2, "stiffness": 1e9, "damping": 1e4}
-    write(simulated_record(loop, reference, stiff, sample_time=1e-3, disturbance=force), tmp_path / "record.csv")
-    text = JOINT_FILE.replace("frequency = 30.0", "# frequency = 30.0")
-    (tmp_path / "joint.toml").write_text(f"{text}\n[transmission]\nratio = 1\n", encoding="utf-8")
-    assert run("identify", tmp_path / "joint.toml", "-q", "--details", "--json", tmp_path / "refused.json") == 0
-    said = capsys.readouterr().out
-    assert "the stiffness is refused; its lower bound" in said
-    assert said.count("transmission") == 1
-    assert run("validate", tmp_path / "joint.toml", "--estimate", tmp_path / "refused.json") == 2
-    assert (
-        "cannot be determined from this record, so this estimate predicts no torque; identify the joint as rigid"
-        in capsys.readouterr().err
-    )
 
 
 @pytest.mark.slow
@@ -287,18 +242,6 @@ offset = { start = 0.1 }
     assert abs(found["parameters"]["inertia"]["value"] / 0.05 - 1) <= 1e-6
 
 
-@pytest.mark.slow
-def test_pulses_may_be_declared_after_the_limit_as_the_report_says(emps_path: Path, tmp_path: Path) -> None:
-    """Its 14 samples beyond the limit are no reason to refuse the record: both declarations must work."""
-    text = EMPS.read_text(encoding="utf-8")
-    assert 'at = "before_limit"' in text
-    (tmp_path / "joint.toml").write_text(text.replace("before_limit", "after_limit"), encoding="utf-8")
-    pulses, out, check = emps_path.with_name("DATA_EMPS_PULSES.mat"), tmp_path / "out.json", tmp_path / "check.json"
-    assert run("identify", tmp_path / "joint.toml", "--record", emps_path, "--json", out, "-q") == 0
-    assert run("validate", tmp_path / "joint.toml", "--record", pulses, "--estimate", out, "--json", check, "-q") == 0
-    assert json.loads(check.read_text(encoding="utf-8"))["relative_error_percent"] <= 5.5
-
-
 def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.json"
     words = ("--record", emps_path, "--method", "idim", "--filtering", "published", "-q", "--json", out)
@@ -325,29 +268,7 @@ def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_flexible_axis_by_command(brief: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    flexible = JOINT_FILE.replace('"rigid"', '"flexible"').replace("cutoff = 5.0", "cutoff = 60.0")
-    (tmp_path / "joint.toml").write_text(flexible, encoding="utf-8")
-    out = tmp_path / "out.json"
-    words = ("identify", tmp_path / "joint.toml", "--record", brief, "--json", out, "-q")
-
-    def stiffness() -> float:
-        return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stiffness"]["value"])
-
-    assert run(*words, "--set", "method.frequency=30") == 0
-    said = capsys.readouterr().out
-    assert "by least squares" in said
-    assert "Nyquist" not in said
-    assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
-    assert run(*words, "--set", "method.frequency=30", "--filtering", "as-printed") == 0
-    assert "its Nyquist frequency at 41.7 Hz, below the cut-off of 60 Hz" in unwrapped(capsys.readouterr().out)
-    assert run(*words, "--set", "method.minimiser=nelder-mead", "--set", "method.frequency=30") == 0
-    assert "by Nelder-Mead" in capsys.readouterr().out
-    assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
-
-
-@pytest.mark.slow
-def test_several_records_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_several_records_by_command(tmp_path: Path) -> None:
     write(twin(noise="white", seed=1).record, tmp_path / "light.csv")
     write(twin(noise="white", seed=2, added_mass=True).record, tmp_path / "heavy.csv")
     for name in ("light.csv", "heavy.csv"):
@@ -364,9 +285,6 @@ own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "dampin
     joint, out = tmp_path / "joint.toml", tmp_path / "out.json"
     joint.write_text(JOINT_FILE + listed, encoding="utf-8")
     assert run("identify", joint, "--json", out) == 0
-    said = capsys.readouterr()
-    assert "record 2      heavy, 10.000 kg added to the load" in said.out
-    assert "by itself" in said.err
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.estimate/1" and answer["log"] is None
     assert set(answer["parameters"]) == {"load_inertia", "offset"}
@@ -376,12 +294,6 @@ own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "dampin
     assert len(answer["correlation"]) == len(answer["free"])
     words = [word for name in ("light", "light") for word in ("--record", tmp_path / f"{name}.csv")]
     assert run("identify", joint, "-q", *words) == 2
-    assert "Records 1 and 2 are the same record" in capsys.readouterr().err
-    # One that is named is identified alone.
-    assert (
-        run("identify", joint, "-q", "--record", tmp_path / "light.csv") == 0
-    )  # one that is named is identified alone
-    assert "of light" in unwrapped(capsys.readouterr().out)
 
 
 @pytest.fixture
@@ -394,24 +306,8 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
 
     def learn_controller(record: Record, **_: object) -> LearnedController:
         return LearnedController(
-            controller,
-            "P-P",
-            (),
-            nothing,
-            (),
-            (),
-            (),
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            1.0,
-            nothing,
-            "N m",
-            "rad",
-            record.name,
-            None,
-        )
+            controller, "P-P", (), nothing, (), (), 0.0, 0.0, 0.0, 0.0, 1.0, nothing, "N m", "rad", record.name, None,
+        )  # fmt: skip
 
     monkeypatch.setattr("jointid.controller_id.learn.learn_controller", learn_controller)
     return controller
@@ -449,27 +345,6 @@ name = "idim"
     assert not Path(made.source.file).is_absolute()
     assert made.record().name == "run 1"
     assert "# of the morning" in (folder / "out.toml").read_text(encoding="utf-8")
-
-
-def test_a_learned_joint_file_names_the_record_that_was_given(
-    tmp_path: Path, learned: Cascade, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "logs").mkdir()
-    (tmp_path / "axes").mkdir()
-    time = np.arange(400) * 1e-3
-    log = Table({"t": time, "torque": np.cos(time), "position": np.sin(time), "reference": np.sin(time)})
-    write_table(tmp_path / "logs" / "today.csv", log)
-    (tmp_path / "joint.toml").write_text(
-        "[joint]\nkind = 'revolute'\n[record]\nfile = 'of another day.csv'\n[drive]\nprofile = 'generic'\n",
-        encoding="utf-8",
-    )
-    monkeypatch.chdir(tmp_path)
-    assert run("learn-controller", "joint.toml", "--record", "logs/today.csv", "--write", "axes/out.toml", "-q") == 0
-    made = load(tmp_path / "axes" / "out.toml")
-    assert made.source.file == "../logs/today.csv"
-    monkeypatch.chdir("/")
-    assert made.record().name == "today"
-    assert made.controller == learned
 
 
 def test_from_an_unknown_controller_to_an_answer(
@@ -538,41 +413,36 @@ def test_an_interrupted_search_is_written_and_said(
     assert "interrupted" in capsys.readouterr().out
 
 
-MISTAKES = {
-    "no such record": (("identify", EMPS, "--record", "nothing.mat"), "nothing.mat cannot be opened"),
-    "no such joint file": (("identify", "nothing.toml"), "nothing.toml cannot be opened"),
-    "no joint file": (("identify",), "JOINT"),
-    "unknown command": (("identfy", EMPS), "identfy"),
-    "unknown option": (("identify", EMPS, "--recrod", "x.mat"), "--recrod"),
-    "unknown method": (("identify", EMPS, "--method", "magic"), '--method. Choose from: "didim", "idim"'),
-    "unknown minimiser": (("identify", EMPS, "--set", "method.minimiser=simplex"), "simplex"),
-    "no frequency": (("identify", EMPS, "--set", "method.frequency=fast"), "fast"),
-    "frequency of a rigid joint": (("identify", EMPS, "--set", "method.frequency=30"), 'set joint.model = "flexible"'),
-    "option that is a setting": (("identify", EMPS, "--frequency", "30"), "give --set method.frequency=VALUE"),
-    "setting of no command": (("inspect", EMPS, "--harmonics", "3"), "--harmonics. See jointid --help."),
-    "no estimate": (("validate", EMPS, "--estimate", EMPS), "is no JSON file"),
-    "unwritable folder": (("demo", EMPS / "inside"), "cannot be made a folder"),
-}
-
-
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("identify", EMPS, "--record", "nothing.mat"),
+        ("identify", "nothing.toml"),
+        ("identify",),
+        ("identfy", EMPS),
+        ("identify", EMPS, "--recrod", "x.mat"),
+        ("identify", EMPS, "--method", "magic"),
+        ("identify", EMPS, "--set", "method.minimiser=simplex"),
+        ("identify", EMPS, "--set", "method.frequency=30"),
+        ("identify", EMPS, "--frequency", "30"),
+        ("inspect", EMPS, "--harmonics", "3"),
+        ("validate", EMPS, "--estimate", EMPS),
+        ("demo", EMPS / "inside"),
+    ],
+)
 def test_a_mistake_is_one_sentence_and_exit_code_2(
-    mistake: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str | Path, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words, expected = MISTAKES[mistake]
     assert run(*words) == 2
     said = capsys.readouterr()
     assert said.out == ""
-    assert expected in said.err
     assert said.err.startswith("jointid: ")
     assert "Traceback" not in said.err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_listed_records_alone_are_examined_and_planned_from(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_listed_records_alone_are_examined_and_planned_from(tmp_path: Path) -> None:
     reference = trapezoids((1.0, 2.0), 10.0, 2.0, 1e-3, duration=2.0)
     for name in ("a", "b"):
         write_table(tmp_path / f"{name}.csv", Table({"r": reference, "i": np.zeros(reference.size)}))
@@ -597,56 +467,33 @@ file = "b.csv"
         encoding="utf-8",
     )
     assert run("diagnose", joint) == 3
-    said = capsys.readouterr().out
-    assert [said.count(f"{name}: The torque is 0 N m in every sample") for name in ("a", "b")] == [1, 1]
     assert run("diagnose", joint, "--json", tmp_path / "found.json") == 2
-    assert "--json holds one record" in capsys.readouterr().err
     assert run("design", joint) == 2
-    assert "Planned from a.csv, the first of [[records]]; name another by --record." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"),
+    "words",
     [
-        (("report", EMPS, "--held-out", "nope.csv"), "nope.csv cannot be opened"),
-        (
-            ("report", EMPS, "--set", "method.name=didim", "--plan", "nope"),
-            'The goal "nope" names nope, which is no free',
-        ),
-        (("design", EMPS, "--goal", "nope"), 'The goal "nope" names nope, which is no free'),
+        ("report", EMPS, "--held-out", "nope.csv"),
+        ("report", EMPS, "--set", "method.name=didim", "--plan", "nope"),
+        ("design", EMPS, "--goal", "nope"),
     ],
 )
 def test_a_file_or_goal_that_is_not_there_is_refused_before_the_joint_is_identified(
-    words: tuple[str | Path, ...], sentence: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: tuple[str | Path, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(JointFile, "identify", None)
     assert run(*words) == 2
-    assert sentence in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [("report", "--markdown", "x"), ("design",)])
 def test_what_needs_a_record_whole_refuses_one_in_windows_before_the_joint_is_identified(
-    words: tuple[str, ...], demo: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: tuple[str, ...], demo: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(demo)
     monkeypatch.setattr(JointFile, "identify", None)
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", 10**8)
     assert run(words[0], "joint.toml", "-q", *words[1:]) == 2
-    assert "The estimate is of a record in windows" in capsys.readouterr().err
-
-
-def test_what_could_not_be_written_is_refused_before_anything_runs(
-    demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for words, sentence in (
-        (("--figure", tmp_path / "t.bmp"), ".png, .svg, .pdf"),
-        (("--json", tmp_path / "none" / "out.json"), "there is no folder"),
-        (("--json", tmp_path), "it is a folder"),
-    ):
-        assert run("identify", demo / "joint.toml", "-q", *words) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert sentence in said.err
 
 
 def test_the_rigid_example_finds_the_sums(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -675,63 +522,6 @@ def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
     assert "in broken" in capsys.readouterr().err, "the traceback"
 
 
-def test_debug_shows_the_traceback_of_a_mistake_and_keeps_its_exit_code(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for words in ((), ("--debug",)):
-        assert run("identify", tmp_path / "none.toml", *words) == 2
-        said = capsys.readouterr().err
-        assert ("Traceback" in said) == bool(words)
-        assert "jointid: " in said.splitlines()[-1]
-
-
-def test_the_help_has_groups_and_a_line_for_each_command_and_names_the_page_of_exit_codes(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert run("--help") == 0
-    said = capsys.readouterr().out
-    places = [said.index(f"─ {group} ─") for group in ("Start", "Identify", "Ask what the result is worth", "Many")]
-    assert places == sorted(places)
-    for name in commands():
-        assert re.search(rf"^│ {name} +[A-Z].*\. +│$", said, re.MULTILINE), name
-        assert run(*name.split(), "--help") == 0
-        ending = capsys.readouterr().out.splitlines()[-3:]
-        assert ending[0].startswith("Example") and ending[1].startswith(f"  jointid {name}"), name
-        assert ending[2] == "Exit codes and --debug: docs/commands.md"
-    page = Path(__file__).resolve().parents[3] / "docs" / "commands.md"
-    assert "## Exit codes" in page.read_text(encoding="utf-8")
-
-
-def test_a_library_s_warnings_are_shown_to_who_asks_for_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import jointid.config
-
-    def overflows(*_: object, **__: object) -> None:
-        warnings.warn("overflow encountered in multiply", RuntimeWarning, stacklevel=1)
-        raise JointFileError("There is no such file.")
-
-    monkeypatch.setattr(jointid.config, "load", overflows)
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
-        for words in (("-q",), ("--debug",)):
-            assert run("identify", tmp_path / "joint.toml", *words) == 2
-            assert ("RuntimeWarning: overflow" in capsys.readouterr().err) == ("--debug" in words)
-
-
-def test_an_interruption_is_said(
-    demo: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import jointid.config
-
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(jointid.config, "load", interrupted)
-    assert run("identify", demo / "joint.toml") == 130
-    assert "Interrupted" in capsys.readouterr().err
-
-
 def test_a_demo_that_is_interrupted_before_its_record_leaves_no_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -751,16 +541,6 @@ def test_a_demo_that_is_interrupted_before_its_record_leaves_no_folder(
 def test_the_friction_of_the_real_axis(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = friction_of(emps_path, "asymmetric-stribeck", tmp_path / "out.json", capsys)
     assert found == pytest.approx(-9.3, abs=0.2)  # beside the delay within a sample that is identified with it
-
-
-@pytest.mark.slow
-def test_nine_seconds_of_it_tell_directions_apart_beside_the_delay(
-    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    record = tmp_path / "record.mat"
-    write_table(record, Table({name: values[:9000] for name, values in read_table(emps_path).columns.items()}))
-    found = friction_of(record, "asymmetric-stribeck", tmp_path / "out.json", capsys)
-    assert found == pytest.approx(-9.2, abs=1.0)  # as of the whole record
 
 
 def friction_of(record: Path, law: str, out: Path, capsys: pytest.CaptureFixture[str]) -> float:
@@ -799,20 +579,6 @@ def test_every_command_and_option_is_documented() -> None:
     for name, arguments in found.items():
         options = {word for argument in arguments for word in argument.names if word.startswith("-")}
         assert documented[name] == options, name
-
-
-def test_numbers_in_answers_are_finite(demo: Path) -> None:
-    def numbers(value: object) -> list[float]:
-        if isinstance(value, dict):
-            return [n for item in value.values() for n in numbers(item)]
-        if isinstance(value, list):
-            return [n for item in value for n in numbers(item)]
-        return [float(value)] if isinstance(value, (int, float)) else []
-
-    text = (demo / "estimate.json").read_text(encoding="utf-8")
-    assert "NaN" not in text
-    assert "Infinity" not in text
-    assert np.all(np.isfinite(numbers(json.loads(text))))
 
 
 @pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("2", "2")])

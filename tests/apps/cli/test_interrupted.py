@@ -12,7 +12,6 @@ import pytest
 import jointid as ji
 from jointid.apps.cli import main
 from jointid.common.errors import MethodError
-from jointid.common.messages import Suspicion, Suspicions
 from jointid.config import JointFile, loads
 
 JOINT = """
@@ -95,19 +94,3 @@ def test_a_wrong_gain_is_suspected_before_the_whole_search_and_no_reason_is_repe
     assert "times too large" in told[likeliest]
     searched = next(i for i, line in enumerate(told) if line.startswith("searching for the cause"))
     assert likeliest < searched, "before the identification ends"
-
-
-def test_a_reason_is_told_again_only_where_more_than_its_numbers_differ() -> None:
-    told: list[str] = []
-    listener = Suspicions(told.append)
-    for brief, why in (
-        ("below 5 Hz", "The inertia is -3.2e-4 kg; check the gain."),
-        ("below 1 Hz", "The inertia is 7 kg; check the gain."),
-        ("below 0.2 Hz", "The record is too short."),
-    ):
-        listener(Suspicion(brief, why))
-    first, second, third = told
-    assert first == "below 5 Hz: The inertia is -3.2e-4 kg; check the gain."
-    assert second == "below 1 Hz"
-    assert third == "below 0.2 Hz: The record is too short."
-    assert listener.latest == "The record is too short."

@@ -13,10 +13,8 @@ import numpy as np
 import pytest
 
 from jointid.apps.cli.places import Outputs
-from jointid.apps.cli.streams import replace_unshowable
 from jointid.common.errors import RecordError
 from jointid.common.files import beside, write_folder, write_whole
-from jointid.config import load
 from jointid.output import json as answers
 from jointid.records.formats import Table, write_table
 from tests.apps.cli.test_commands import EMPS, run
@@ -84,51 +82,6 @@ def test_no_command_writes_over_what_it_reads(
     assert contents(place) == before
 
 
-LONG = "x" * 300
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="long names")
-@pytest.mark.parametrize(
-    "command",
-    (
-        f"inspect {LONG}.csv",
-        f"identify {LONG}.toml",
-        f"identify joint.toml --record {LONG}.csv",
-        f"identify joint.toml --json {LONG}.json",
-        f"compare {LONG}.json estimate.json",
-        f"report joint.toml --html {LONG}.html",
-        f"simulate joint.toml --out {LONG}.csv",
-    ),
-)
-@pytest.mark.usefixtures("place")
-def test_a_name_that_no_file_can_have_is_a_sentence(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(*command.split()) == 2
-    said = capsys.readouterr().err
-    assert f"{LONG}." in said
-    assert "is longer than the name of a file may be" in said
-
-
-def test_the_sentence_names_both(place: Path) -> None:
-    with pytest.raises(RecordError, match=r"^--figure and --residuals are both a.png; name two places.$"):
-        Outputs(figures={"--figure": Path("a.png"), "--residuals": Path("a.png")})
-    with pytest.raises(RecordError, match=r"^--json link.png is the file that --record names, which would be replaced"):
-        Outputs({"--json": Path("link.png")}).spare("--record", Path("record.csv"))
-    with pytest.raises(RecordError, match=r"^--json record.csv is the file that joint.toml names"):
-        Outputs({"--json": Path("record.csv")}).spare("joint.toml", *load("joint.toml").inputs())
-    (place / "bag").mkdir()
-    (place / "bag" / "bag.mcap").write_bytes(b"")
-    with pytest.raises(RecordError, match="is the file that SOURCE names"):
-        Outputs({"TARGET": Path("bag/bag.mcap")}).spare("SOURCE", Path("bag"))
-    Outputs({"--json": Path("/dev/null"), "--out": Path("/dev/null")})
-
-
-def test_the_demo_does_not_write_over_another_s_files(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = contents(place)
-    assert run("demo", place, "-q") == 2
-    assert "joint.toml is there, and is not, or is no longer, what the demo writes" in capsys.readouterr().err
-    assert contents(place) == before
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="rights and links")
 def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> None:
     (tmp_path / "old.json").write_text("old", encoding="utf-8")
@@ -188,14 +141,6 @@ def test_a_disk_without_an_order_to_store_is_written_and_one_that_fails_is_not(
     with pytest.raises(RecordError, match="input/output error"):
         write_whole(tmp_path / "a.json", "new")
     assert contents(tmp_path) == {"a.json": b"old"}
-
-
-def test_an_output_without_the_characters_gets_others() -> None:
-    def shown(text: str, encoding: str) -> bytes:
-        error = UnicodeEncodeError(encoding, text, 0, len(text), "")
-        return replace_unshowable(error)[0]  # type: ignore[return-value]
-
-    assert shown("±█é\udcff中", "ascii") == b"+-#e\\udcff?"
 
 
 def test_a_file_that_is_read_only_is_refused_before_anything_runs(

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from itertools import count
 
-import numpy as np
 import pytest
 from rich.console import Console
 
@@ -17,19 +16,13 @@ from jointid.apps.cli import console
 from jointid.apps.cli.terminal import Bars
 from jointid.common.messages import (
     Detail,
-    Pace,
     Suspicion,
-    Work,
     describe_pace,
     describe_time,
     follow,
     ignore_progress,
     name_progress,
 )
-from jointid.common.parameters import Parameter, Quantity
-from jointid.common.text import ordinal
-from jointid.estimation.descent import History
-from jointid.uncertainty.resampling import Bootstrapping, bootstrap_estimate
 
 
 class Drawn:
@@ -82,24 +75,6 @@ def test_work_of_unknown_length_tells_what_is_done_and_how_fast() -> None:
     assert not bars._progress.live.is_started
 
 
-@pytest.fixture(scope="module")
-def flexible_twin() -> tuple[ji.Record, ji.Estimate]:
-    """The twin's record from torque alone, and its estimate."""
-    axis = ji.twin(noise="white")
-    record = axis.record.without("motor_position", "load_position")
-    return record, ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
-
-
-@pytest.mark.slow
-def test_tuning_is_drawn_to_its_end(flexible_twin: tuple[ji.Record, ji.Estimate]) -> None:
-    _, estimate = flexible_twin
-    drawn = Drawn()
-    ji.tune(estimate, progress=drawn)
-    assert {one[0] for one in drawn.drawn} == {"tuning"}
-    done = [one[1] for one in drawn.drawn]
-    assert done == sorted(done) and done[-1] == drawn.drawn[0][2]
-
-
 def test_the_first_pass_over_a_log_is_drawn_too() -> None:
     loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=30.0)
@@ -110,23 +85,6 @@ def test_the_first_pass_over_a_log_is_drawn_too() -> None:
     first, second = [one for one in drawn.drawn if one[0] == "passing over the log"][:2]
     assert first == ("passing over the log", 0, math.inf, "windows")
     assert second == ("passing over the log", 1, math.inf, "windows")
-
-
-def test_a_bar_is_told_of_every_step() -> None:
-    drawn = Drawn()
-    work = Work(drawn, "profiling", 3, "quantities")
-    assert list(work.along("abc")) == ["a", "b", "c"]
-    assert drawn.drawn == [("profiling", n, 3, "quantities") for n in (0, 1, 2, 3)]
-
-
-def test_a_bootstrap_tells_its_draws() -> None:
-    drawn, random = Drawn(), np.random.default_rng(0)
-    J, free = random.standard_normal((2000, 1)), [Parameter("inertia", "ZZ", Quantity.INERTIA)]
-    bootstrap_estimate(
-        free, np.ones(1), random.standard_normal(2000), J, settings=Bootstrapping(draws=50), progress=drawn
-    )
-    assert drawn.drawn[-1][1:] == (50, 50, "draws")
-    assert drawn.drawn[10][1] == 10
 
 
 def test_bars_show_rate_and_time_left_and_leave_nothing_behind() -> None:
@@ -167,57 +125,3 @@ def test_details_are_for_who_asks_for_them(monkeypatch: pytest.MonkeyPatch, caps
     told = search(console.listen(quiet=False))
     assert told[1] == "iteration 0: torque error 17 %" and told[2].endswith("check the gain.")
     assert told[3] == "record 2: iteration 1: torque error 10 %"
-
-
-def test_a_long_stage_says_now_and_then_how_long_it_has_gone_on(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    seconds = count()
-    monkeypatch.setattr("time.monotonic", lambda: float(next(seconds)))
-    listener = console.Lines()
-    listener("searching the spring")
-    for number in range(25):
-        listener(Detail(f"iteration {number}"))
-    listener(Pace("bootstrapping: 2 of 15 draws, 9 s left"))
-    for number in range(12):
-        listener(Detail(f"draw {number}"))
-    said = capsys.readouterr().err.splitlines()
-    assert said[:3] == ["searching the spring", *(f"searching the spring: {n} s so far" for n in (10, 20))]
-    assert said[3] == "bootstrapping: 2 of 15 draws, 9 s left" and said[4].startswith("searching the spring: ")
-
-
-def test_a_terminal_rewrites_the_line_of_the_stage() -> None:
-    file = io.StringIO()
-    bars = Bars(Console(file=file, force_terminal=True, width=80))
-    for message in ("reading", "searching the spring", Detail("iteration 3: torque error 17 %")):
-        bars(message)
-    assert [task.description for task in bars._progress.tasks] == ["searching the spring"]
-    bars.draw("bootstrapping", 1, 40, "draws")
-    assert [task.description for task in bars._progress.tasks] == ["bootstrapping"]
-    bars("checking loop and log, " + 10 * "which takes a while, ")
-    bars.clear()
-    assert "which takes a while" in file.getvalue() and "torque error" not in file.getvalue()
-    assert not bars._progress.live.is_started
-
-
-def test_another_start_does_not_read_as_divergence() -> None:
-    said: list[str] = []
-    history = History(said.append)
-    history.begin()
-    history.tell(1, 0.09)
-    history.tell(2, 0.04)
-    history.begin()
-    history.tell(3, 0.3)
-    history.tell(4, 0.02)
-    assert said == [
-        "iteration 1: torque error 9.0000 %",
-        "iteration 2: torque error 4.0000 %",
-        "start 2, iteration 3: torque error 30.0000 % (best so far 4.0000 %)",
-        "start 2, iteration 4: torque error 2.0000 %",
-    ]
-
-
-def test_places_in_a_row_are_said_as_people_do() -> None:
-    assert [ordinal(n) for n in (1, 2, 3, 4, 11, 12, 13, 21, 22, 101, 111)] == [
-        "1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "22nd", "101st", "111th",
-    ]  # fmt: skip
