@@ -568,17 +568,9 @@ def test_an_estimate_with_ripple_is_validated_and_simulated(
     assert "ripple and drift are left out" in capsys.readouterr().err
 
 
-def test_every_command_and_option_is_documented() -> None:
+def test_every_command_is_documented() -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    documented = {}
-    for section in page.split("\n## `jointid ")[1:]:
-        name = re.match(r"[a-z-]+", section)[0]
-        documented[name] = set(re.findall(r"`(--?[a-z-]+)`", section))
-    found = commands()
-    assert set(documented) == set(found)
-    for name, arguments in found.items():
-        options = {word for argument in arguments for word in argument.names if word.startswith("-")}
-        assert documented[name] == options, name
+    assert set(re.findall(r"^## `jointid ([a-z-]+)", page, re.MULTILINE)) == set(commands())
 
 
 @pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("2", "2")])
