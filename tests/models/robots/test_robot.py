@@ -63,3 +63,10 @@ def test_a_coupled_wrist() -> None:
 def test_as_many_joints_as_links() -> None:
     with pytest.raises(MethodError, match="2 joints and 3 links"):
         Robot(ARM.links, ARM.joints[:2])
+
+
+def test_a_joint_whose_spring_does_not_give_keeps_the_friction_behind_it() -> None:
+    joint = RobotJoint("one", 0.1, 1.0, 2.0, coulomb_backwards=2.5, spring=JointSpring(1e3, viscous=3.0, coulomb=0.5))
+    stiff = joint.rigid
+    assert (stiff.viscous, stiff.viscous_backwards, stiff.coulomb, stiff.coulomb_backwards) == (4.0, None, 2.5, 3.0)
+    assert stiff.values["viscous_backwards"] == 4.0

@@ -211,15 +211,23 @@ class RobotJoint:
 
     @property
     def rigid(self) -> RobotJoint:
-        """The joint whose spring does not give."""
-        if not isinstance(self.model, FlexibleJoint):
+        """The joint whose spring does not give: what the link's side takes is added to the motor's."""
+        if self.spring is None or not isinstance(self.model, FlexibleJoint):
             return self
-        whole = self.model.rigid
+        whole, viscous, coulomb = self.model.rigid, self.spring.viscous, self.spring.coulomb
+        back, held = self.viscous_backwards, self.coulomb_backwards
         beside = {name.removeprefix("motor_").removeprefix("load_") for name in self.numbers}
         numbers = {p.name: of_whole(p, self.values) for p in whole.parameters if p.name in beside}
         return replace(
-            self, friction=self.friction and whole.friction, spring=None, numbers=numbers,
-        )  # fmt: skip
+            self,
+            viscous=self.viscous + viscous,
+            coulomb=self.coulomb + coulomb,
+            viscous_backwards=None if back is None else back + viscous,
+            coulomb_backwards=None if held is None else held + coulomb,
+            friction=self.friction and whole.friction,
+            spring=None,
+            numbers=numbers,
+        )
 
     @property
     def values(self) -> dict[str, float]:
