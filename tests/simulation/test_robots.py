@@ -323,6 +323,7 @@ def test_outcomes() -> None:
     run = simulate(wild, records)
     assert run.outcome is RobotOutcome.DIVERGED
     assert np.all(np.isfinite(run.torque))
+    assert simulate(loop, records, steps=65).outcome is RobotOutcome.FINISHED  # as many as are asked for
     stiff = RobotNumbers.of(two((None, 16.0)).robot)
     assert outcome(loop, replace(stiff, springs=1e8 * stiff.springs)) is RobotOutcome.TOO_STIFF
 

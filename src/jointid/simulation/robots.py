@@ -35,7 +35,7 @@ from jointid.simulation.simulated import FINISHED, TORQUE_OF
 FINE, COARSE = 0.5, 1.0
 """Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
 
-_STEPS = 64  # per part of a period, at most
+_STEPS = 64  # per part of a period, at most that are chosen
 _POSES = 5  # along the reference, at which the fastest motion is searched for
 _MORE = 2  # pieces per step and part, at most, beside a thousand
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
@@ -281,12 +281,13 @@ def run_robot(
     start, outcome = np.zeros(masses), RobotOutcome.INVALID
     taken = 1 if steps is None else steps
     if possible:
-        longest = float(np.max(clock.lengths))
-        taken = choose_steps(experiment.tree, experiment.references, longest, carried) if steps is None else steps
-        # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.
-        outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
-        taken = taken if steps else math.ceil(taken * FINE / stride)
-    rows = (_MORE * clock.steps * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
+        outcome = RobotOutcome.FINISHED
+        if steps is None:
+            taken = choose_steps(experiment.tree, experiment.references, float(np.max(clock.lengths)), carried)
+            # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.
+            outcome = outcome if taken <= _STEPS else RobotOutcome.TOO_STIFF
+            taken = math.ceil(taken * FINE / stride)
+    rows = (_MORE * clock.steps * parts * taken + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
     bodies = carried.bodies
     tape = RobotTape.empty(clock.steps * parts, rows, bodies)
     if outcome is RobotOutcome.FINISHED:
