@@ -22,6 +22,7 @@ from jointid.models.linear import (
     sampled_position,
     state_response,
 )
+from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.tuning.margins import NAMES, Margins, all_margins, grid, joint_set, spectral_radius
 from studies.margins import random_drive
@@ -231,6 +232,19 @@ def test_a_rigid_joint_answers_as_one_over_its_impedance() -> None:
     np.testing.assert_allclose(
         frequency_response(RigidJoint("prismatic"), RIGID, hertz, "load_position"), velocity / s, rtol=1e-9
     )
+
+
+def test_a_spring_that_carries_the_load_is_in_the_answer() -> None:
+    joint = RigidJoint("revolute", gravity=Gravity("link", Counterbalance(rate=-800.0)))
+    values = {p.name: 0.0 for p in joint.parameters} | {"inertia": 2.0, "viscous": 3.0, "counterbalance_rate": -800.0}
+    s = 2j * math.pi * np.array([0.5])
+    found = frequency_response(joint, values, np.array([0.5]), "motor_position")
+    np.testing.assert_allclose(found, 1 / (2.0 * s**2 + 3.0 * s + 800.0), rtol=1e-9)
+    flexible = FlexibleJoint("revolute", gravity=joint.gravity)
+    stiff = {p.name: 0.0 for p in flexible.parameters} | {
+        "motor_inertia": 1.0, "load_inertia": 1.0, "load_viscous": 3.0, "stiffness": 1e9, "counterbalance_rate": -800.0,
+    }  # fmt: skip
+    np.testing.assert_allclose(frequency_response(flexible, stiff, np.array([0.5]), "load_position"), found, rtol=1e-5)
 
 
 def test_a_load_answers_through_spring_and_damper() -> None:

@@ -207,7 +207,7 @@ class LinearJoints:
         poles = np.linalg.eigvals(self.A)
         last = np.take_along_axis(poles, np.argmax(np.abs(poles), axis=1)[:, np.newaxis], axis=1)[:, 0]
         rate = np.abs(last)
-        load = np.sqrt(-self.A[:, 3, 2])
+        load = np.sqrt(np.abs(self.A[:, 3, 2]))
         pairs = [(rate, -last.real / rate), (load, -0.5 * self.A[:, 3, 3] / load)]
         return np.stack([np.column_stack([w / (2 * math.pi), ratio]) for w, ratio in pairs], axis=1)
 
@@ -226,9 +226,10 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
         c, laws = joint.coefficients(values), joint.smooth(values)
         spring = SmoothSpring() if laws is None else laws.spring
         swings = spring.swing_share, spring.swing_stiffness, spring.swing_damping
+        rate = 0.0 if joint.gravity is None else joint.gravity.coefficients(values)[3]
         for way in ways:
             viscous = (c[4 + way], c[8 + way])[:masses]
-            made.append(drive_matrices((c[0], c[1])[:masses], viscous, c[2], c[3], swings=swings))
+            made.append(drive_matrices((c[0], c[1])[:masses], viscous, c[2], c[3], rate, swings))
     return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))
 
 

@@ -1,7 +1,7 @@
 """Open-loop response, stability and margins of a sampled law and joints.
 
 The loop is cut at the torque: ``L(z) = -F(z) P(z)``, F the law's response to the motor position and P the joint's,
-sampled exactly under a held and delayed torque (`models.linear.SampledDrive`). Limits and position-dependent gravity, a
+sampled exactly under a held and delayed torque (`models.linear.SampledDrive`). Limits and gravity that turns with the link, a
 weak spring, are ignored. For a multirate law, L is the component at the frequency itself, without images; its stability
 is exact over a whole cycle.
 

@@ -97,7 +97,7 @@ def tune(
     Raises:
         MethodError: the estimate has no controller, no deviations, a refused stiffness, or a nonlinear spring.
 
-    Limits: the loop is linear, unsaturated and sliding; Coulomb friction also holds a joint at rest. Position-dependent
+    Limits: the loop is linear, unsaturated and sliding; Coulomb friction also holds a joint at rest. A link's turning
     gravity, further modes, and images in multirate loops are not in the margins; stability includes the latter.
     """
     settings = settings or Tuning()
@@ -236,7 +236,7 @@ def _notes(estimate: Estimate, present: LoopMargins) -> list[str]:
             f"a rigid joint says nothing outside the band it was compared in{upto}: no mode is in these margins"
         )
     if joint.gravity is not None and joint.gravity.varies:
-        found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
+        found.append("gravity is left out of the loop where it turns with the link, and of the constant feed-forward")
     if joint.ripple is not None:
         found.append("the ripple over the position is left out of the loop and of the feed-forward")
     if isinstance(joint.friction, StribeckFriction):
