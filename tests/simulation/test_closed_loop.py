@@ -329,6 +329,12 @@ def test_units_of_mass_length_and_time_do_not_matter() -> None:
     assert np.max(np.abs(again.torque / force - run.torque)) <= 1e-9 * np.max(np.abs(run.torque))
 
 
+def test_a_disturbance_has_a_value_for_each_sample() -> None:
+    loop = ClosedLoop(RigidJoint("prismatic"), EMPS)
+    with pytest.raises(MethodError):
+        simulated_record(loop, REFERENCE, RIGID, sample_time=T, disturbance=np.zeros(REFERENCE.size - 1))
+
+
 def test_a_simulated_record_is_what_was_simulated() -> None:
     loop = ClosedLoop(FlexibleJoint("prismatic"), EMPS)
     made = simulated_record(loop, REFERENCE, FLEXIBLE, sample_time=T, encoder_step=1e-6)

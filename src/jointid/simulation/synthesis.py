@@ -115,7 +115,8 @@ def simulated_record(
         name: of the record.
 
     Raises:
-        MethodError: the loop cannot be simulated with these values; the sentence says why.
+        MethodError: the loop cannot be simulated with these values, or the disturbance is not as long as the reference;
+            the sentence says which.
     """
     kind = loop.joint.kind
     position, force = POSITION_UNIT[kind], loop.joint.force_unit
@@ -134,6 +135,11 @@ def simulated_record(
         name=name,
     )
     experiment = prepare(loop, driven)
+    if disturbance is not None and np.size(disturbance) != np.size(reference):
+        raise MethodError(
+            f"A disturbance has a value for each sample of the reference, {np.size(reference)}; received "
+            f"{np.size(disturbance)}: give as many."
+        )
     if disturbance is None:
         run = require_success(simulate_joint(loop, experiment, values, initial))
     else:
