@@ -1,9 +1,9 @@
 """Open-loop response, stability and margins of a sampled law and joints.
 
 The loop is cut at the torque: ``L(z) = -F(z) P(z)``, F the law's response to the motor position and P the joint's,
-sampled exactly under a held and delayed torque (`models.linear.SampledDrive`). Limits and gravity that turns with the link, a
-weak spring, are ignored. For a multirate law, L is the component at the frequency itself, without images; its stability
-is exact over a whole cycle.
+sampled exactly under a held and delayed torque (`models.linear.SampledDrive`). Limits and gravity that turns with the
+link, a weak spring, are ignored. For a multirate law, L is the component at the frequency itself, without images; its
+stability is exact over a whole cycle.
 
 All crossings count, since a lightly damped mode crosses several times. The response is interpolated linearly on a grid
 that is dense near modes (`grid`): within 0.3 % of python-control's result on polynomials.

@@ -97,8 +97,9 @@ def tune(
     Raises:
         MethodError: the estimate has no controller, no deviations, a refused stiffness, or a nonlinear spring.
 
-    Limits: the loop is linear, unsaturated and sliding; Coulomb friction also holds a joint at rest. A link's turning
-    gravity, further modes, and images in multirate loops are not in the margins; stability includes the latter.
+    Limits: the loop is linear, unsaturated and sliding; Coulomb friction also holds a joint at rest. Gravity that
+    turns with the link, further modes, and images in multirate loops are not in the margins; stability includes the
+    latter.
     """
     settings = settings or Tuning()
     if estimate.checks.bounds:
