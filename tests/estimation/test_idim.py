@@ -14,7 +14,6 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Rows, instrumental, ordinary, robust
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
-from jointid.models.disturbances import EncoderOffset
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
@@ -217,25 +216,14 @@ def test_an_axis_that_does_not_rest_keeps_all_rows() -> None:
     assert not any("rests" in str(one) for one in identify(record, RigidJoint("revolute"), IDIM()).checks.warnings)
 
 
-@pytest.mark.parametrize("effects", [(), (EncoderOffset(),), (EncoderOffset(side="motor"),)])
-def test_the_difference_of_two_encoders_zeros_is_found_whether_it_was_asked_for_or_not(
-    effects: tuple[EncoderOffset, ...],
-) -> None:
+def test_the_difference_of_two_encoders_zeros_is_found() -> None:
     axis, off = twin(noise="none"), 2e-4
     load = axis.record.load_position
     assert load is not None
     moved = axis.record.with_channels({"load_position": replace(load, values=load.values + off)})
     plain = identify(axis.record, axis.loop.joint, IDIM())
-    found = identify(moved, axis.loop.joint, IDIM(effects=effects))
+    found = identify(moved, axis.loop.joint, IDIM())
     assert [row.name for row in found.params.rows].count("encoder_offset") == 1
     assert found["stiffness"].value == pytest.approx(plain["stiffness"].value, rel=1e-3)
     force = (found["stiffness"].value or 0.0) * off
-    sign = 1.0 if effects and effects[0].side == "motor" else -1.0
-    assert found["encoder_offset"].value == pytest.approx(sign * force, rel=0.02)
-
-
-def test_a_rigid_joint_has_one_encoder() -> None:
-    axis = twin(noise="none")
-    for side in ("motor", "load"):
-        with pytest.raises(MethodError, match="A rigid joint has "):
-            identify(axis.record, RigidJoint("prismatic"), IDIM(effects=(EncoderOffset(side=side),)))  # type: ignore[arg-type]
+    assert found["encoder_offset"].value == pytest.approx(-force, rel=0.02)

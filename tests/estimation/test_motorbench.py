@@ -80,11 +80,6 @@ def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_b
         assert one.value is not None and abs(one.value - whole.value) < 2 * whole.stderr
 
 
-def test_encoders_that_are_said_to_have_one_zero_are_taken_at_their_word(bench: Bench) -> None:
-    with pytest.raises(ji.MethodError, match="load_inertia"):
-        ji.identify(both(bench), JOINT, ji.IDIM(encoders="same_zero"), filtering=FILTERING)
-
-
 @pytest.mark.slow
 def test_how_the_motion_is_differentiated_makes_no_difference(
     bench: Bench, hidden: ji.Estimate, monkeypatch: pytest.MonkeyPatch

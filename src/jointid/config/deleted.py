@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 DELETED: Mapping[str, str] = {
     "record.channels.*.bits": "decode the frames by the motor's own library, and log numbers.",
     "method.highpass": 'it was of the open loop; take method.name = "drive_side", which compares the torque.',
+    "method.encoders": "the difference of two encoders' zeros is estimated where the record shows it; leave it out.",
     "controller.filters_at": "the torque's filters stand before its limit; leave it out.",
     "controller.torque_feedforward_delay": "reference_delay delays the whole law's reference.",
     "controller.velocity_feedforward_delay": "reference_delay delays the whole law's reference.",

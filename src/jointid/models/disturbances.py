@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -64,19 +64,16 @@ class Drift:
         return {"force": both[:, :1], "viscous": both[:, 1:], "both": both}[self.of]
 
 
-@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class EncoderOffset:
-    """``K dq0`` on one side of the spring, ``-K dq0`` on the other: its force by the difference of two encoders' zeros.
+    """``K dq0`` on the load, ``-K dq0`` on the motor: the spring's force by the difference of two encoders' zeros.
 
     An encoder counts from where it was switched on, or from its own mark. Where the spring is at rest without a load,
-    the encoder of the other side reads dq0 more than that of `side`.
+    the motor's encoder reads dq0 more than the load's. The difference at a rest of the record is not enough: friction
+    may hold the spring wound up there.
     """
 
-    side: Side = setting("load", "whose encoder counts from elsewhere")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
+    side: ClassVar[Side] = "load"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -92,8 +89,6 @@ def require_effects(effects: Sequence[Effect], joint: Joint) -> None:
     """Raise a `MethodError` if effects do not fit a joint, or share a name."""
     if joint.model == "rigid" and any(effect.side == "load" for effect in effects):
         raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
-    if joint.model == "rigid" and any(isinstance(effect, EncoderOffset) for effect in effects):
-        raise MethodError("A rigid joint has one encoder, whose zero moves nothing; leave EncoderOffset out.")
     names = [p.name for p in (*joint.parameters, *effect_parameters(effects))]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

@@ -271,8 +271,6 @@ def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
         ji.identify(records[0], robot)
     with pytest.raises(MethodError, match=r"IDIM\.fixed is for a robot, and this is a rigid joint"):
         ji.identify(records[0], ji.RigidJoint("prismatic"), IDIM(fixed={"Fv": 1.0}))
-    with pytest.raises(MethodError, match=r"IDIM\.encoders is for a flexible joint, and this is a robot"):
-        ji.identify(records, robot, IDIM(encoders="same_zero"))
     with pytest.raises(MethodError, match=r"IDIM\.effects are of a joint, and this is a robot"):
         ji.identify(records, robot, IDIM(effects=(PositionHarmonics(0.1),)))
 

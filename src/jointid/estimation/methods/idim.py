@@ -100,12 +100,6 @@ class IDIM(Method):
         "controller is needed; without it ols for a joint, weighted for a robot",
     )
     effects: tuple[Effect, ...] = ()
-    encoders: Literal["as_logged", "same_zero"] = setting(
-        "as_logged",
-        "whether the encoders of motor and load may count from different zeros, whose difference is then estimated, or "
-        "are known to have the same",
-        systems=("flexible",),
-    )
     fixed: Mapping[str, float] = field(
         default_factory=dict,
         hash=False,
@@ -160,8 +154,7 @@ class IDIM(Method):
             return _Found(made, by_instruments(made.rows, columns, made.kept, made.free), effects)
 
         own = self.effects
-        stated = any(isinstance(effect, EncoderOffset) for effect in own)
-        if joint.model == "flexible" and self.encoders == "as_logged" and not stated and _zeros_differ(solve_with):
+        if joint.model == "flexible" and _zeros_differ(solve_with):
             own = (*own, EncoderOffset())
         unknown = [e for e in own if isinstance(e, PositionHarmonics) and e.period is None]
         if not unknown:

@@ -70,7 +70,7 @@ SHAPES: Mapping[str, Shape] = {
     },
     "PositionHarmonics": {"kind": always("harmonics"), **keys("period harmonics side")},
     "Drift": {"kind": always("drift"), **keys("of side")},
-    "EncoderOffset": {"kind": always("encoder_offset"), **keys("side")},
+    "EncoderOffset": {"kind": always("encoder_offset")},
     "Initial": _initial,
     "Resampled": {
         **keys("sample_time longest_gap clocks"),
