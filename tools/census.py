@@ -44,8 +44,8 @@ def count_commands() -> int:
 
     def leaves(one: object) -> int:
         names = [name for name in one if not name.startswith("-")]  # type: ignore[attr-defined]
-        below = sum(leaves(one[name]) for name in names)  # type: ignore[index]
-        return below + (one.default_command is not None)  # type: ignore[attr-defined]
+        below: list[int] = [leaves(one[name]) for name in names]  # type: ignore[index]
+        return sum(below) + int(one.default_command is not None)  # type: ignore[attr-defined]
 
     return leaves(app)
 
