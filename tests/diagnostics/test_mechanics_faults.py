@@ -136,28 +136,14 @@ def test_a_small_second_mode_is_found_by_a_search() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "seed", "named", "said"),
+    ("fault", "seed", "named"),
     [
-        ("saturation", 605, TORQUE_SATURATION, r"makes 1[234]\.?\d* .*% less torque than its current.*data sheet"),
-        pytest.param(
-            "gravity",
-            610,
-            GRAVITY,
-            r'the load hangs: its weight turns the joint.*\[gravity\] load = "link"',
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            "uneven friction",
-            622,
-            UNEVEN_FRICTION,
-            "the friction differs along the travel by 5",
-            marks=pytest.mark.slow,
-        ),
+        ("saturation", 605, TORQUE_SATURATION),
+        pytest.param("gravity", 610, GRAVITY, marks=pytest.mark.slow),
+        pytest.param("uneven friction", 622, UNEVEN_FRICTION, marks=pytest.mark.slow),
     ],
 )
-def test_what_adds_a_force_along_the_motion_is_named_with_its_size(
-    fault: str, seed: int, named: Fault, said: str
-) -> None:
+def test_what_adds_a_force_along_the_motion_is_named_with_its_size(fault: str, seed: int, named: Fault) -> None:
     made = spoiled(seed, fault, 5.0)
     assert made is not None
     check = faults_of(identify(made.record, made.axis.loop), made.record)
@@ -168,15 +154,6 @@ def test_what_adds_a_force_along_the_motion_is_named_with_its_size(
     ]
     assert test.fault is named
     assert abs(test.size) == pytest.approx(size, rel=0.25)
-    assert re.search(said, check.sentences[0])
-
-
-@pytest.mark.slow
-def test_two_faults_at_once_are_both_named_in_the_answer() -> None:
-    made = spoiled(632, "cubic spring, cogging", 5.0)
-    assert made is not None
-    said = ji.identify(made.record, made.axis.loop).answer.trust.words
-    assert "the spring is not linear" in said and "comes back with the motor's position" in said
 
 
 @pytest.mark.parametrize(
@@ -273,15 +250,6 @@ def test_a_spring_that_is_not_linear_has_no_stiffness_to_rely_on() -> None:
     )
     assert said is not None
     assert 5 <= int(said[1]) <= 100 * made.size  # at least so much, and not more than it is
-
-
-@pytest.mark.slow
-def test_a_stiffness_beside_a_friction_that_grows_with_the_load_is_not_relied_on() -> None:
-    made = spoiled(3003, "load-dependent friction")
-    assert made is not None
-    found = ji.identify(made.record, made.axis.loop)
-    assert Reason.FRICTION_NOT_AS_MODELLED in found.answer.trust.values["reasons"]
-    assert 'declare the joint with friction = "load-dependent"' in str(faults_of(found, made.record).sentences)
 
 
 @pytest.mark.slow

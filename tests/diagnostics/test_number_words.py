@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ import jointid as ji
 from jointid.config import loads
 from jointid.config.contents import JointFile
 from jointid.diagnostics.faults.fault import FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import describe_in_drive, number_fault
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -130,37 +128,3 @@ def test_a_number_is_told_as_the_drive_shows_it(
     """A longer time is a smaller gain, and the longer half of its interval is told."""
     test = FaultTest(number_fault(there.number), (), declared, size, std, size / std, 1e-9)
     assert describe_in_drive(there, test, {there.number: declared}, spread=True) == said
-
-
-def _check(*shown: DriveNumber) -> AxisFaults:
-    test = FaultTest(number_fault("velocity_gain"), (number_fault("gain"),), 5.5, -1.0, 0.1, -10.0, 1e-9)
-    law = {"velocity_gain": 5.5, "gain": 0.5}
-    units = {"torque": "N m", "position": "rad", "velocity": "rad/s"}
-    rival = replace(test, fault=number_fault("integral_gain"), alike=())
-    return AxisFaults(
-        (Finding(test, 4.5, (rival,), {}),), (test,), 0.05, {}, units,
-        law=law, shown={one.number: one for one in shown},
-    )  # fmt: skip
-
-
-def test_what_looks_alike_is_off_by_as_much() -> None:
-    """A gain in its unit and another one without have one share in common."""
-    [reason] = _check(GAIN, TIME).reasons
-    assert reason.brief == (
-        "the S-0-0100 velocity gain is 0.450 A s/rad, declared 0.55 A s/rad, or the gain is off by as much"
-    )
-    assert "which this loop cannot distinguish from the S-0-0100 velocity gain; the integral time would" in str(reason)
-    [reason] = _check(replace(GAIN, declared=None)).reasons
-    assert reason.brief == "the velocity gain is 18 % smaller than declared, or so is the gain"
-
-
-def test_the_times_of_a_pid_change_with_its_position_gain() -> None:
-    there = DriveNumber("position_gain", "position_gain", "A/rad", 1.0, declared=4.0)
-    time = DriveNumber("derivative_gain", "derivative_time", "ms", 1e3, declared=66.0, per="position_gain")
-    test = FaultTest(number_fault("position_gain"), (), 4.0, 0.4, 0.04, 10.0, 1e-9)
-    check = AxisFaults(
-        (Finding(test, 4.4, (), {}),), (test,), 0.05, {}, {"torque": "A", "position": "rad", "velocity": "rad/s"},
-        law={"position_gain": 4.0, "derivative_gain": 0.264}, shown={one.number: one for one in (there, time)},
-    )  # fmt: skip
-    expected = "the position gain is 4.40 A/rad, declared 4 A/rad, with the derivative time 60.0 ms"
-    assert check.reasons[0].brief == expected

@@ -9,13 +9,12 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.faults.fault import FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw, ParameterShift
+from jointid.diagnostics.faults.findings import AxisFaults, ParameterShift
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.faults.other_laws import (
     AVERAGED,
     LATE,
     MEASURED_VELOCITY,
-    PERIOD,
     PRESENT_SAMPLE,
     list_other_laws,
 )
@@ -106,38 +105,6 @@ def test_a_law_of_two_parts_is_named_as_both_and_neither_is_looked_for_again() -
     assert not {"measured_velocity", "present_sample"} & {*others}
     only = faults_of(identify(record, loop), record, LoopTests(faults=(MEASURED_VELOCITY.name, "delay")))
     assert first not in [one.test.name for one in only.findings]
-
-
-def test_laws_that_explain_as_much_are_told_once() -> None:
-    """Each of its own name; of rates one, with the others beside it; and what is left open is told as that only."""
-    declared = Cascade(position_gain=1.0, velocity_gain=1.0, integral_gain=50.0)
-    present, measured, both = list_other_laws(declared, T)
-    assert len({present.fault, measured.fault, both.fault}) == 3
-    rates = [
-        OtherLaw(
-            (PERIOD,),
-            f"the controller runs faster than the log, at {kilo} kHz",
-            f"its period, {1 / kilo} ms",
-            declared,
-            1e3 * kilo,
-        )
-        for kilo in (8, 2, 4)
-    ]
-    test = FaultTest(measured.fault, (), 0.0, 1.0, 0.1, 10.0, 1e-9)
-    changes = {"inertia": ParameterShift(1.0, 5.0)}
-    first = Finding(test, None, (), changes, measured, 0.01, (both, *rates))
-    check = AxisFaults(
-        (first,), (), 0.05, {"inertia": "ZZ"}, {"inertia": "kg", "torque": "N", "position": "m", "velocity": "m/s"}
-    )
-    [told] = check.sentences
-    assert told.startswith(f"{measured.words}: declare {measured.remedy}; or {both.words}, which this record does not")
-    faster = "the controller runs faster than the log, at"
-    of_all = f"{faster} 2 or 4 or 8 kHz, which this record does not tell apart: its period, 0.5 or 0.25 or 0.125 ms"
-    assert f"; or {of_all}" in told
-    open_ = replace(first, test=replace(test, fault=PERIOD), law=rates[2], alike=())
-    told, left = replace(check, undecided=open_).sentences
-    assert f"{faster} 2 or 8 kHz" in told
-    assert left.startswith(f"it may be that {faster} 4 kHz")
 
 
 def _quiet() -> Axis:

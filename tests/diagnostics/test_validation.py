@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import Cause, Prediction
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
@@ -33,19 +32,17 @@ def identified() -> tuple[ji.Estimate, ji.Record]:
     return ji.identify(record, LOOP, checks=False), record
 
 
-def answer(record: ji.Record) -> tuple[str, str]:
+def answer(record: ji.Record) -> str:
     checked = ji.validate(identified()[0], record)
     assert checked.to_document().title == checked.sentence
-    return checked.answer.code, checked.sentence
+    return str(checked.answer.code)
 
 
 def test_the_same_axis_is_predicted_and_a_changed_one_is_not() -> None:
-    code, words = answer(made(0.13, 2))
-    assert code is Prediction.PREDICTED
-    assert words.startswith("The joint predicts run2: it leaves ")
-    code, words = answer(made(0.13, 3, inertia=33.0))  # 10 %: far less is left than a right model may leave
-    assert code is Prediction.ANOTHER_JOINT
-    assert words.endswith("; its load is another there: identify it from this record, too, and compare both estimates.")
+    code = answer(made(0.13, 2))
+    assert code == Prediction.PREDICTED
+    code = answer(made(0.13, 3, inertia=33.0))  # 10 %: far less is left than a right model may leave
+    assert code == Prediction.ANOTHER_JOINT
 
 
 def test_what_differs_is_named() -> None:
@@ -53,10 +50,8 @@ def test_what_differs_is_named() -> None:
     soft = ji.ClosedLoop(LOOP.joint, replace(LAW, position_gain=15.0))
     found = ji.validate(identified()[0], made(0.13, 3, loop=soft))
     assert found.causes == (Cause.CONTROLLER,)
-    assert "its controller is another there: as declared, it does not make this torque" in found.sentence
     both = ji.validate(identified()[0], made(0.13, 3, coulomb=20.0, inertia=33.0).without("motor_position"))
     assert both.causes == ()
-    assert "its load, friction or controller differs there, or an axis that moves it" in both.sentence
 
 
 @pytest.mark.parametrize("amplitude", [20.0, 200.0])
@@ -69,7 +64,6 @@ def test_an_axis_that_moves_beside_it_is_named(amplitude: float) -> None:
     moved = record.with_channels({"torque": replace(record.torque, values=record.torque.values + force)})
     found = ji.validate(identified()[0], replace(moved, other_axes={"q2": ji.Channel(beside, "rad", RATE)}))
     assert found.causes == (Cause.COUPLED_AXES,)
-    assert "; q2 moved too, and the error follows them, which its model lacks: " in found.sentence
     assert ji.validate(identified()[0], moved).causes != found.causes
 
 
@@ -96,7 +90,7 @@ def test_positions_alone_are_predicted(inertia: float) -> None:
 
 
 def test_its_own_record_is_no_test_of_it() -> None:
-    assert answer(identified()[1])[0] is Prediction.OWN_RECORD
+    assert answer(identified()[1]) == Prediction.OWN_RECORD
     own = ji.validate(*identified())
     assert replace(own, axes=(replace(own.axes[0], filtered_error=0.4),)).answer.code is Prediction.OWN_RECORD
 
@@ -107,28 +101,18 @@ def test_each_of_several_records_is_an_own_one() -> None:
     assert {ji.validate(estimate, one).answer.code for one in records} == {Prediction.OWN_RECORD}
 
 
-def test_a_joint_is_asked_about_one_record() -> None:
-    estimate, record = identified()
-    with pytest.raises(MethodError, match="The estimate of a joint is validated on one record"):
-        ji.validate(estimate, [record])
-    with pytest.raises(MethodError, match="The estimate of a joint is diagnosed on its own record"):
-        ji.diagnose(estimate, [record])
-
-
 def test_without_a_joint_to_compare_with_nothing_is_promised() -> None:
     found = ji.validate(identified()[0], made(0.13, 2))
     alone = replace(found, axes=(replace(found.axes[0], attainable_error=None),))
     assert alone.answer.code is Prediction.NOT_COMPARED
-    assert "could not be found" in alone.sentence
 
 
 def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
     record = made(0.13, 4)
     assert record.torque is not None
     turned = record.with_channels({"torque": replace(record.torque, values=-record.torque.values)})
-    code, words = answer(turned)
-    assert code is Prediction.NOT_AS_DECLARED
-    assert "identify it from this record, too, and see what is said of the fit" in words
+    code = answer(turned)
+    assert code == Prediction.NOT_AS_DECLARED
 
 
 @pytest.mark.parametrize("inertia", [30.0, 33.0])
@@ -155,7 +139,6 @@ def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
         assert ji.validate(estimate, driven).answer.code is Prediction.PREDICTED, "as the declared controllers make it"
     there = ji.validate(estimate, recorded(replace(twin.loop(), robot=changed), other, 0.02)[0])
     assert there.answer.code is Prediction.ANOTHER_JOINT
-    assert "of the filtered torque of joint2, and one identified from it" in there.sentence
     assert there.axes[0].prediction is Prediction.PREDICTED
     assert there.causes == (Cause.FRICTION,)
     assert there.axes[1].attainable_error == pytest.approx(same.axes[1].filtered_error, rel=0.3)

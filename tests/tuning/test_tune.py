@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -13,7 +12,6 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
-from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.config import loads
 from jointid.estimation.methods.didim import DIDIM
@@ -23,7 +21,6 @@ from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.output.figures import draw
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import TABLE_2, twin
 from jointid.records.drives import Drive
@@ -36,7 +33,6 @@ from jointid.tuning.tuned import Tuned
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
 from tests.estimates import amended, identify
-from tests.text import unwrapped
 
 PERIOD = 1e-3
 REFERENCE = trapezoids((0.05, 0.12), 0.8, 0.2, PERIOD, duration=6.0)
@@ -108,13 +104,6 @@ def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estima
     )  # stiffer than it was, and with more phase
 
 
-def test_more_is_asked_and_less_is_given(estimate: Estimate, tuned: Tuned) -> None:
-    calm = tune(estimate, Tuning(phase_margin=60.0))
-    assert calm.proposed is not None and tuned.proposed is not None
-    assert math.degrees(calm.proposed.worst.phase) >= 59.7
-    assert calm.gains[1].after < tuned.gains[1].after
-
-
 def test_gains_are_told_as_the_drive_shows_them_and_in_si_beside() -> None:
     time = DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True, declared=200.0)
     controller = Cascade(position_gain=20.0, velocity_gain=2000.0, integral_gain=5.0)
@@ -122,20 +111,8 @@ def test_gains_are_told_as_the_drive_shows_them_and_in_si_beside() -> None:
     before, after = tuned.gains[-1].before, tuned.gains[-1].after
     assert before == 5.0
     assert tuned.gains[-1].in_drive == ("integral_time", pytest.approx(200.0), pytest.approx(1e3 / after), "ms")
-    said = tuned.sentence
-    assert re.match(
-        r"Set position gain Kv from 20\.0+ to [\d.]+ 1/s, velocity gain Kp from 2000 to [\d.]+ N per m/s and ", said
-    )
-    assert f"integral time Tn from 200.0 to {number(1e3 / after, 4)} ms: in the worst case the " in said
     far = any(not 1 / 3 <= gain.after / gain.before <= 3 for gain in tuned.gains)
-    assert said.endswith("in no margin.") == far
-    slow = replace(tuned, gains=tuple(replace(gain, after=4.0 * gain.before) for gain in tuned.gains))
-    assert "Set the gains in steps" in slow.sentence
-    assert " margin goes from " in said and str(tuned).startswith("Set position gain Kv")
-    rows = [" ".join(line.split()) for line in str(tuned).splitlines()]
-    told = f"integral_time 200.00 {number(1e3 / after)} ms integral_gain 5.0000, {number(after)} 1/s"
-    assert any(row.startswith(told) for row in rows), rows
-    assert any(re.match(r"position_gain 20.000 [0-9.]+ 1/s as shown", row) for row in rows)
+    assert ("Set the gains in steps" in tuned.sentence) == far
     assert to_dict(tuned)["gains"][-1]["in_drive"]["name"] == "integral_time"
 
 
@@ -163,10 +140,7 @@ integral_time = "400 ms"
     assert isinstance(law, PID)
     assert derivative[1:] == (pytest.approx(50.0), pytest.approx(1e3 * law.derivative_gain / law.position_gain), "ms")
     assert integral[1:] == (pytest.approx(400.0), pytest.approx(1e3 * law.position_gain / law.integral_gain), "ms")
-    assert "A s2/m" in str(tuned) and "controller units" not in str(tuned)
     assert tuned.feedforward[0].in_drive[1] == pytest.approx(estimate.values["inertia"] / 5.0)
-    plain = str(tune(estimate, Tuning(notch=False)))  # nothing says in which unit: what one of it is
-    assert "one of the controller units is 5.0000 N" in unwrapped(plain)
 
 
 @pytest.mark.slow
@@ -188,7 +162,6 @@ def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
     assert stiffness[0] > 1.2 * stiffness[1]
     true = true_margins(drive, with_it.proposed.controller)
     assert all(value >= getattr(with_it.proposed.worst, name) for value, name in zip(true, NAMES, strict=True))
-    assert "notch of the torque" in str(with_it)
     np.testing.assert_allclose(
         (with_it.notch.numerator, with_it.notch.denominator), with_it.notch.notch.coefficients(drive.period)
     )
@@ -250,7 +223,6 @@ def test_feed_forward_is_told_in_the_drives_units() -> None:
     assert inertia.drive == pytest.approx(1000 * inertia.value * one_count / motor / 2.0)
     assert (coulomb.drive_unit, inertia.drive_unit) == ("per mille", "per mille/(counts/s2)")
     assert inertia.after == pytest.approx(inertia.value / motor**2)
-    assert "per mille" in str(tune(estimate, drive=Drive(rated_torque=2.0, counts_per_turn=4096)))
     assert all(f.drive is None for f in tune(estimate, drive=Drive()).feedforward)
 
 
@@ -280,7 +252,6 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
     )
     assert found.present.estimate.stable
     assert not found.present.worst.stable
-    assert "no margin of it can be stated" in str(found)
     assert json.loads(dumps(to_dict(found)))["present"]["worst"]["stable"] is False
 
 
@@ -290,17 +261,6 @@ def test_the_answer_is_complete_and_finite(tuned: Tuned) -> None:
     assert answer["present"]["worst"]["gain"] < answer["present"]["estimate"]["gain"]
     assert answer["present"]["worst"]["reduction"] is None  # it may fall as far as it likes
     assert len(answer["proposed"]["response"]["hertz"]) == len(answer["proposed"]["response"]["size"])
-
-
-def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
-    joint, nyquist, size, phase = draw(tuned).axes
-    assert joint.get_ylabel() == "motor velocity per torque [m/s per N]"
-    assert [line.get_label() for line in size.lines][:2] == ["as it is", "proposed"]
-    assert len(size.collections) == len(phase.collections) == 2
-    assert nyquist.get_xlabel() == "real part of the loop [1]"
-    low, high = (np.degrees(one) for one in tuned.present.response.phase)
-    shown = np.asarray(phase.lines[0].get_ydata(), dtype=np.float64)
-    assert np.all((shown >= low - 1e-6) & (shown <= high + 1e-6))
 
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:

@@ -112,49 +112,52 @@ def test_torques_that_are_exchanged_are_named_at_both_joints() -> None:
     second, third = records[1], records[2]
     records[1], records[2] = replace(second, torque=third.torque), replace(third, torque=second.torque)
     estimate = identify(records, arm(3), IDIM())
-    assert "Do not rely on it yet: joint2: this is the torque of joint3" in estimate.sentence
     found = estimate.checks.diagnosis
     assert isinstance(found, Diagnosis)
     assert named(found) == [("joint2", "swapped_channels"), ("joint3", "swapped_channels")]
-    assert any("joint2: This is the torque of joint3" in one for one in found.sentences)
 
 
 def test_gravity_that_the_model_lacks_is_named() -> None:
     records = records_of(arm(2), 2, noise=0.05)
     found = diagnose_robot(identified(replace(arm(2), gravity=np.zeros(3)), records), records)
     assert found.cause is not None and found.cause.name == "gravity" and named(found) == []
-    assert "the model has no gravity: give it" in str(found.cause)
     assert diagnose_robot(identified(arm(2), records), records).cause is None
 
 
-def test_a_friction_that_grows_with_the_load_is_named() -> None:
-    records = records_of(arm(3), 2, noise=0.02)
-    v, torque = motion(2, 3)[1][:, 1], records[1].torque
+def more_current(torque: FloatArray) -> FloatArray:
+    return torque * (1.0 + 0.1 * (torque / np.max(np.abs(torque))) ** 2)
+
+
+def under_load(records: Sequence[Record], q: FloatArray, v: FloatArray) -> Sequence[Record]:
+    del q
+    torque = records[1].torque
     assert torque is not None
-    more = with_torque(records, 1, 0.1 * np.abs(torque.values) * np.sign(v))
-    found = diagnose_robot(identified(arm(3), more), more)
-    assert named(found) == [("joint2", "load_dependent_friction")]
-    assert found.axes[1].faults.findings[0].test.size == pytest.approx(0.09, abs=0.02)
-    assert any('declare the joint with friction = "load-dependent" (by didim)' in one for one in found.sentences)
+    return with_torque(records, 1, 0.1 * np.abs(torque.values) * np.sign(v))
 
 
-def test_a_torque_constant_that_falls_with_the_current_is_named() -> None:
-    def more_current(torque: FloatArray) -> FloatArray:
-        return torque * (1.0 + 0.1 * (torque / np.max(np.abs(torque))) ** 2)
+def along_the_travel(records: Sequence[Record], q: FloatArray, v: FloatArray) -> Sequence[Record]:
+    return with_torque(records, 1, 2.0 * np.sign(v) * (2.0 * (q - q.min()) / np.ptp(q) - 1.0))
 
-    records = logged_torque(records_of(arm(3), 2, noise=0.02), 1, more_current)
+
+@pytest.mark.parametrize(
+    ("change", "fault", "size", "within"),
+    [
+        (under_load, "load_dependent_friction", 0.09, 0.02),
+        (lambda records, q, v: logged_torque(records, 1, more_current), "torque_saturation", 0.09, 0.03),
+        (along_the_travel, "uneven_friction", 2.0, 0.2),
+    ],
+)
+def test_what_adds_to_the_torque_of_one_joint_is_named_with_its_size(
+    change: Callable[[Sequence[Record], FloatArray, FloatArray], Sequence[Record]],
+    fault: str,
+    size: float,
+    within: float,
+) -> None:
+    q, v, _ = motion(2, 3)
+    records = change(records_of(arm(3), 2, noise=0.02), q[:, 1], v[:, 1])
     found = diagnose_robot(identified(arm(3), records), records)
-    assert named(found) == [("joint2", "torque_saturation")]
-    assert found.axes[1].faults.findings[0].test.size == pytest.approx(0.09, abs=0.03)
-
-
-def test_a_friction_that_differs_along_the_travel_is_named() -> None:
-    records, (q, v, _) = records_of(arm(3), 2, noise=0.02), motion(2, 3)
-    way = 2.0 * (q[:, 1] - q[:, 1].min()) / np.ptp(q[:, 1]) - 1.0
-    more = with_torque(records, 1, 2.0 * np.sign(v[:, 1]) * way)
-    found = diagnose_robot(identified(arm(3), more), more)
-    assert named(found) == [("joint2", "uneven_friction")]
-    assert found.axes[1].faults.findings[0].test.size == pytest.approx(2.0, abs=0.2)
+    assert named(found) == [("joint2", fault)]
+    assert found.axes[1].faults.findings[0].test.size == pytest.approx(size, abs=within)
 
 
 def test_samples_that_are_missing_are_named_with_their_place() -> None:
@@ -189,8 +192,6 @@ def test_positions_in_degrees_are_named_by_the_limits_of_the_model() -> None:
     with pytest.raises(RecordError) as caught:
         identified(robot, in_degrees)
     assert len(caught.value.faults) == 3
-    assert caught.value.faults[0].startswith("joint1: The position travels ")
-    assert caught.value.faults[0].endswith('positions look like degrees: give unit = "deg".')
 
 
 def test_a_torque_that_is_refreshed_seldom_is_warned_of_at_its_joint() -> None:
@@ -206,11 +207,9 @@ def test_a_model_that_holds_leaves_noise() -> None:
     found = diagnose_robot(identified(arm(), records), records)
     assert found.explained and named(found) == []
     assert found.as_declared is None
-    assert "Whether the controllers are as declared is not asked" in found.answer
     assert all(one.whiteness is not None and one.whiteness.white for one in found.axes)
     told = [name for one in found.axes for name in one.names(Told.TOLD)]
     assert len(told) > 30
-    assert any("not significant" in one for one in found.sentences)
 
 
 @pytest.mark.slow
@@ -223,8 +222,6 @@ def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     follows = found.axes[3].follows
     assert follows is not None and follows[0] == STRIBECK.phrase
     assert named(found) == [("joint4", "stribeck")]
-    (said,) = (one for one in found.sentences if one.startswith("joint4: Towards standstill, below some 0."))
-    assert 'declare the joint with friction = "stribeck" or "asymmetric-stribeck" and stribeck_speed = 0.' in said
 
 
 def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() -> None:
@@ -247,11 +244,6 @@ def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
     assert not coloured.explained
     assert replace(coloured, whiteness=replace(joint.whiteness, p_value=0.01)).explained
     assert replace(coloured, left=0.02).explained
-    short = replace(joint, left=0.07, whiteness=None)
-    found = diagnose_robot(estimate, records)
-    said = replace(found, axes=(short, *found.axes[1:])).answer
-    assert said.startswith("The record is too short to tell whether what the model leaves of the torque of joint1 is n")
-    assert "but for noise" in replace(found, axes=(replace(short, left=0.01), *found.axes[1:])).answer
 
 
 @pytest.mark.slow
@@ -266,7 +258,6 @@ def test_controllers_that_make_the_torque_hold_and_others_do_not() -> None:
     records = logged_by(loop)
     found = asked(loop, records, loop.controllers)
     assert found.as_declared and found.explained
-    assert "declared controllers make the logged torques" in found.answer
     first, second = loop.controllers
     stiffer = asked(loop, records, (first, replace(second, position_gain=1.3 * second.position_gain)))  # type: ignore[type-var, attr-defined]
     assert [one.law_holds for one in stiffer.axes] == [True, False]
@@ -282,7 +273,6 @@ def test_noise_of_the_positions_is_neither_a_bent_gear_nor_another_law(seed: int
     records = with_noise(logged_by(loop, two().records(6.0, seed + 1)), seed, (1e-5, 3e-6, 5e-5)[seed % 3])
     found = asked(loop, records, loop.controllers)
     assert named(found) == [] and found.as_declared
-    assert not any("controller" in one for one in found.sentences)
 
 
 def test_another_law_is_named_in_spite_of_noise() -> None:
