@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -108,6 +107,9 @@ class LawComparison(Documented):
 
     kind: ClassVar[str]
     """Of the laws: "spring", say."""
+    simple: ClassVar[str]
+    """Name of the law that the others are told beside."""
+    article: ClassVar[str]
 
     record: str
     laws: tuple[JudgedLaw, ...]
@@ -121,8 +123,20 @@ class LawComparison(Documented):
 
     @property
     def answer(self) -> Message:
-        """The chosen law, and the key to declare."""
-        raise NotImplementedError
+        """The chosen law, and the key to declare: as declared, another of its kind, or no spring."""
+        found, values = self.shown, {self.kind: self.shown.name, "declared": self.declared}
+        simple = next(one for one in self.laws if one.name == self.simple)
+        left = f"{_format_share(found.kept)} of the torque where it was not fitted"
+        if found.name == RIGID:
+            words = f"The record shows no spring: a rigid joint leaves {left}, one with a linear spring "
+            words += f'{_format_share(simple.kept)}; declare the joint with model = "rigid", or identify how soft '
+            words += "the spring may be"
+            return Message("no_spring", words, values)
+        words = f"The record shows {self.article}{found.name} {self.kind}, {found.words}: it leaves {left}"
+        if found is not simple:
+            words += f", {self.article}{simple.name} one {_format_share(simple.kept)}"
+        code = "as_declared" if found.name == self.declared else f"another_{self.kind}"
+        return Message(code, words + self._beside(), values)
 
     @property
     def sentence(self) -> str:
@@ -157,65 +171,18 @@ RIGID = "none"
 """Name of the spring of a rigid joint, which is judged beside the laws."""
 
 
-class SpringShown(StrEnum):
-    """Answers to which spring a record shows, as codes."""
-
-    AS_DECLARED = "as_declared"
-    ANOTHER = "another_spring"
-    NONE = "no_spring"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SpringComparison(LawComparison):
     """The laws of a spring for one record, a rigid joint first; see `LawComparison`."""
 
-    kind = "spring"
-
-    @property
-    def answer(self) -> Message:
-        """The chosen spring, and the key to declare."""
-        found, by_name = self.shown, {one.name: one for one in self.laws}
-        linear = by_name[LinearSpring.name]
-        values = {"spring": found.name, "declared": self.declared}
-        left = f"{_format_share(found.kept)} of the torque where it was not fitted"
-        if found.name == RIGID:
-            words = f"The record shows no spring: a rigid joint leaves {left}, one with a linear spring "
-            words += f'{_format_share(linear.kept)}; declare the joint with model = "rigid", or identify how soft '
-            words += "the spring may be"
-            return Message(SpringShown.NONE, words, values)
-        if found.name == LinearSpring.name:
-            words = f"The record shows no other spring than a linear one, {found.words}, which leaves {left}"
-        else:
-            words = f"The record shows a {found.name} spring, {found.words}: it leaves {left}, a linear one "
-            words += _format_share(linear.kept)
-        code = SpringShown.AS_DECLARED if found.name == self.declared else SpringShown.ANOTHER
-        return Message(code, words + self._beside(), values)
-
-
-class FrictionShown(StrEnum):
-    """Answers to which friction a record shows, as codes."""
-
-    AS_DECLARED = "as_declared"
-    ANOTHER = "another_friction"
+    kind, simple, article = "spring", LinearSpring.name, "a "
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionComparison(LawComparison):
     """The laws of friction for one record; see `LawComparison`."""
 
-    kind = "friction"
-
-    @property
-    def answer(self) -> Message:
-        """The chosen friction, and the key to declare."""
-        found, by_name = self.shown, {one.name: one for one in self.laws}
-        simple = by_name[SymmetricFriction.name]
-        words = f"The record shows {found.name} friction, {found.words}: it leaves "
-        words += f"{_format_share(found.kept)} of the torque where it was not fitted"
-        if found is not simple:
-            words += f", symmetric friction {_format_share(simple.kept)}"
-        code = FrictionShown.AS_DECLARED if found.name == self.declared else FrictionShown.ANOTHER
-        return Message(code, words + self._beside(), {"friction": found.name, "declared": self.declared})
+    kind, simple, article = "friction", SymmetricFriction.name, ""
 
 
 def _format_share(share: float | None) -> str:

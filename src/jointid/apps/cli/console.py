@@ -22,7 +22,7 @@ from jointid.common.text import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jointid import Estimate, Record
+    from jointid import Estimate
     from jointid.apps.cli.terminal import Bars
     from jointid.config import JointFile
     from jointid.config.contents import File
@@ -135,10 +135,6 @@ class Inputs:
             elif suspicions.latest:
                 show(f"Not identified yet. Known so far: {suspicions.latest}")
             raise
-
-    def identify_by_didim(self, joint: Path, outputs: Outputs = NOTHING) -> tuple[Record, Estimate]:
-        """Identify the joint by didim whatever its file says, without checks, and return the record, too."""
-        return self.identify(self.load_joint(joint, outputs, method="didim"), checks=False)
 
 
 @Parameter(name="*")
