@@ -256,7 +256,7 @@ FAULTS = [
     (
         SMALLEST.replace('"i"', '"i", at = "after_limit"'),
         "record.channels.torque.at is not a known key; expected one of column, unit, gain, sign, timing, "
-        "sample_time, side, wrap, update_time, bits, optional, time, tap: leave it out.",
+        "sample_time, side, wrap, update_time, optional, time, tap: leave it out.",
     ),
     (
         SMALLEST.replace('{ column = "i" }', '"i"'),
@@ -369,8 +369,8 @@ FAULTS = [
     # the drive
     (
         SMALLEST + '[drive]\nprofile = "abc"',
-        'drive.profile: No drive profile is called "abc"; there are cia402, damiao, epos, generic, kuka, lerobot, mit, '
-        "moteus, pace, robstride, ros2, sage, sinamics, twincat, unitree, ur-rtde.",
+        'drive.profile: No drive profile is called "abc"; there are cia402, epos, generic, kuka, lerobot, mit, '
+        "moteus, pace, ros2, sage, sinamics, twincat, unitree, ur-rtde.",
     ),
     (
         SMALLEST + "[drive]\naxis = 0",

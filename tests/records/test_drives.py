@@ -208,7 +208,7 @@ def test_a_drive_that_cannot_be_is_refused() -> None:
     for wrong, part in (
         ({"rated_torque": -1.0}, "rated_torque is -1.0; expected a positive number"),
         ({"axis": 0}, "axis is 0; expected a whole number, 1 or more"),
-        ({"profile": "abc"}, 'profile is "abc"; expected "cia402", "damiao",'),
+        ({"profile": "abc"}, 'profile is "abc"; expected "cia402",'),
         ({"rated_torque": 1.0, "rated_current": 2.0, "torque_constant": 0.707}, "1.41 times as much"),
     ):
         with pytest.raises(RecordError, match=re.escape(part)):

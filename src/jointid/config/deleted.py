@@ -7,6 +7,8 @@ from fnmatch import fnmatchcase
 
 DELETED: Mapping[str, str] = {
     "record.channels.*.bits": "decode the frames by the motor's own library, and log numbers.",
+    "drive.motor": "it named ranges of raw CAN frames; decode these by the motor's own library, and log numbers.",
+    "drive.*_range": "it was of raw CAN frames; decode these by the motor's own library, and log numbers.",
     "method.highpass": 'it was of the open loop; take method.name = "drive_side", which compares the torque.',
     "method.encoders": "the difference of two encoders' zeros is estimated where the record shows it; leave it out.",
     "controller.filters_at": "the torque's filters stand before its limit; leave it out.",

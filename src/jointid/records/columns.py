@@ -90,11 +90,6 @@ class Column:
         unit="s",
         above=0,
     )
-    bits: int | None = setting(
-        None,
-        "of a field of whole numbers from 0 to 2^bits - 1 that stand for the range of the drive, from its negative on",
-        only=(12, 16),
-    )
     optional: bool = setting(False, "whether a record may lack the column")
     time: str | None = setting(None, "name of the channel's own time column, where it has one")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -13,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common import units
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
@@ -50,7 +48,7 @@ from jointid.records.resampling import Resampling, Stamped, align_updates, judge
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 _POSITIONS = ("motor_position", "load_position", "reference")
-_SAME_GAIN = 0.01  # relative: a field of 12 bits has steps of 0.02 % of the largest gain
+_SAME_GAIN = 0.01  # relative
 _TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
 _NUMBER = re.compile(r"\d+")
 
@@ -298,31 +296,17 @@ class _Columns:
         return {n: column for n, column in wanted.items() if n not in missing}
 
     def gain_faults(self, declared: Mapping[str, float]) -> Iterator[str]:
-        """Yield gains of the log that vary, are in whole numbers of the drive, or differ from the declared ones."""
+        """Yield gains of the log that vary, or differ from the declared ones."""
         profile = self.drive.traces
         if profile is None or not declared:
             return
-        most = 2 ** next((one.bits or 0 for one in profile.channels.get("torque", ())), 0) - 1
         columns = profile.gain_columns(index_columns(self.table.columns), self.drive.place)
-        for gain in profile.gains:
-            if gain.largest is not None and gain not in columns.values() and declared.get(gain.key, 0.0) > gain.largest:
-                yield (
-                    f"controller.{gain.key} is {declared[gain.key]:g}, more than the drive's {gain.largest:g} "
-                    f"{gain.units[0]}: it is in the drive's whole numbers; give {gain.largest:g} times the number over "
-                    f"{most}."
-                )
         for name, gain in columns.items():
             values = self.table.columns[name][np.isfinite(self.table.columns[name])]
             if gain.key not in declared or not values.size:
                 continue
             low, high, said = float(values.min()), float(values.max()), f'{gain.name} (column "{name}")'
-            if gain.largest is not None and high > gain.largest:
-                yield (
-                    f"{said} reaches {high:g}, more than the drive's {gain.largest:g} {gain.units[0]}: it is in the "
-                    f"drive's whole numbers; log it in {gain.units[0]}, as {gain.largest:g} times the number over "
-                    f"{most}."
-                )
-            elif high - low > _SAME_GAIN * abs(high):
+            if high - low > _SAME_GAIN * abs(high):
                 yield (
                     f"{said} varies from {low:g} to {high:g}, and the controller has one {gain.key}, "
                     f"{declared[gain.key]:g}; read a part in which it is constant, by record.start and record.stop."
@@ -409,8 +393,6 @@ class _Columns:
             )
         stated = unit_of_column(name, found, kind)
         unit = self.resolve_unit(what, stated, known_units(name, kind), kind, of_load=name == "load_position")
-        if column.bits is not None:
-            values = self.decode_field(what, name, column, values)
         if unit is None or period is None:
             return None
         held = name in ("torque", "injected")
@@ -425,23 +407,6 @@ class _Columns:
         if gear is None:
             return channel
         return refer_channel(gear, name, channel, self.drive.side(name, column))
-
-    def decode_field(self, what: str, channel: str, column: Column, values: FloatArray) -> FloatArray:
-        """Return the numbers of a field of bits on the drive's range: x = R (2 n / (2^bits - 1) - 1)."""
-        bits = column.bits or 0
-        largest = 2**bits - 1
-        try:
-            reach = self.drive.field_range(channel)
-        except units.UnitError as error:
-            self.faults.append(f"{what} is a field of {bits} bits, {error}.")
-            return values
-        low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        if column.wrap is None and not 0 <= low <= high <= largest:
-            self.faults.append(
-                f"{what} reaches from {low:g} to {high:g}; expected whole numbers from 0 to {largest} of a field of "
-                f"{bits} bits: give the bits of the field, or another profile where the column is decoded already."
-            )
-        return np.asarray(reach * (2 * values / largest - 1))
 
     def find_wraps(self, found: Mapping[str, Column]) -> tuple[dict[str, Column], list[str]]:
         """Set the wrap of positions that jump as at one; return the columns, and what is to be said of them.
@@ -480,9 +445,6 @@ class _Columns:
         unit = replace(self, faults=[]).resolve_unit(name, unit_of_column(name, found, kind), known, kind, of_load=load)
         gear = self.transmission
         side = 1.0 if gear is None or own else gear.position(self.drive.side(name, column))
-        if column.bits is not None and unit is not None:
-            with contextlib.suppress(units.UnitError):  # it is said where the channel is built
-                side *= 2 * self.drive.field_range(name) / (2**column.bits - 1)
         return 0.0 if unit is None else column.sign * column.gain * unit.factor * side
 
     def align_turns(self, logged: Mapping[str, Channel], found: Mapping[str, Column]) -> dict[str, Channel]:

@@ -165,14 +165,6 @@ class _Writer:
                 f'{name} is in {channel.unit}, and its column "{column.column}" in {stated.name}; correct one of them.'
             )
         values = channel.values / (column.sign * column.gain * unit.factor)
-        if column.bits is not None:
-            largest, reach = 2**column.bits - 1, self.drive.field_range(name)
-            values = np.round((values / reach + 1) * largest / 2)
-            if column.wrap is None and not np.all((values >= 0) & (values <= largest)):
-                raise RecordError(
-                    f"{name} reaches beyond the {reach:g} {channel.unit} of the drive's range, and has no place in a "
-                    f"field of {column.bits} bits; give the motor's own range, or write it in {channel.unit}."
-                )
         if column.wrap is not None:  # it begins where it is, so that it comes back unwrapped as it was
             values = values - column.wrap * np.round((values - values[0]) / column.wrap)
         return np.asarray(values)

@@ -15,7 +15,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any, TypeAlias
@@ -36,8 +36,6 @@ Place: TypeAlias = Mapping[str, int | str]
 
 _FOLDER = files("jointid.records.drives")  # of the profiles
 _AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
-_FIELD_OF = {"torque": "torque", "injected": "torque", "reference_velocity": "velocity"}
-_RANGES = ("position_range", "velocity_range", "torque_range")
 _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 _HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _WORD = re.compile(r"[a-z0-9]+")
@@ -54,7 +52,7 @@ class TraceSignal:
         names: of its column; {axis} stands for the number of the axis, {index} for one less, {joint} for its name.
         unit: of its values; None where the column's name says it, or SI.
         side: of a transmission on which it is measured; None where it is the usual one.
-        timing, tap, at, bits: see `Column`.
+        timing, tap, at: see `Column`.
         axes: that have it; None where all have.
         fallback: whether it counts only where the trace has no other signal of its channel.
     """
@@ -65,7 +63,6 @@ class TraceSignal:
     timing: Timing | None = None
     tap: Tap | None = None
     at: InjectionPoint | None = None
-    bits: int | None = None
     axes: tuple[int, ...] | None = None
     fallback: bool = False
 
@@ -86,7 +83,6 @@ class TraceSignal:
             timing=column.timing or self.timing,
             tap=column.tap or self.tap,
             at=self.at if self.at is not None and column.at is InjectionPoint.AFTER_LIMIT else column.at,
-            bits=column.bits or self.bits,
         )
 
 
@@ -99,14 +95,12 @@ class DriveGain:
         key: what it is in the joint file's [controller].
         units: in which it is shown; several where a setting of the drive decides.
         columns: names of columns of a trace that hold it, sample by sample.
-        largest: that the drive takes; None where that is not known. Fields of whole numbers are scaled by it.
     """
 
     name: str
     key: str
     units: tuple[str, ...]
     columns: tuple[str, ...] = ()
-    largest: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +115,6 @@ class Profile:
         time: names of the time column beside "t" and "time".
         gains: parameters of its controller, where public documents have them with their units.
         channels: the signals that each channel can be.
-        motors: by model, the ranges of position, velocity and torque that the fields of `TraceSignal.bits` have.
         law: of its controller, where one is known, by the word of the joint file.
     """
 
@@ -134,7 +127,6 @@ class Profile:
     channels: Mapping[str, tuple[TraceSignal, ...]]
     time: tuple[str, ...] = ()
     gains: tuple[DriveGain, ...] = ()
-    motors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     law: str = ""
 
     def signals(self, channel: str, column: str, place: Place) -> list[TraceSignal]:
@@ -287,16 +279,15 @@ def load_profile(name: str) -> Profile:
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
     raw = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
     types: dict[str, Callable[[Any], Any]] = {
-        "names": tuple, "timing": Timing, "tap": Tap, "at": InjectionPoint, "axes": tuple, "bits": int, "fallback": bool
+        "names": tuple, "timing": Timing, "tap": Tap, "at": InjectionPoint, "axes": tuple, "fallback": bool
     }  # fmt: skip
     channels = {
         channel: tuple(TraceSignal(**{key: types.get(key, str)(one[key]) for key in one}) for one in signals)
         for channel, signals in raw.pop("channels").items()
     }
     lists: dict[str, Any] = {key: tuple(raw.pop(key)) for key in ("sources", "assumed", "time") if key in raw}
-    lists["motors"] = {model: tuple(ranges) for model, ranges in raw.pop("motors", {}).items()}
     gains = tuple(
-        DriveGain(one["name"], one["key"], tuple(one["units"]), tuple(one.get("columns", ())), one.get("largest"))
+        DriveGain(one["name"], one["key"], tuple(one["units"]), tuple(one.get("columns", ())))
         for one in raw.pop("gains", ())
     )
     return Profile(name=name, channels=channels, gains=gains, **lists, **raw)
@@ -345,15 +336,6 @@ class Drive:
         None, "which axis, where a trace has several and the profile's names number them", at_least=1
     )
     joint: str | None = setting(None, "name of the axis, where a trace has several and the profile's names name them")
-    motor: str | None = setting(
-        None, "model of the motor, where the profile has the ranges of the fields of several; see position_range"
-    )
-    position_range: float | None = setting(
-        None, "position that the largest number of a field of 12 or 16 bits stands for, 0 for its negative",
-        unit="rad", above=0,
-    )  # fmt: skip
-    velocity_range: float | None = setting(None, "the same of a velocity", unit="rad/s", above=0)
-    torque_range: float | None = setting(None, "the same of a torque", unit="N m", above=0)
     rated_torque: float | None = setting(
         None, "what per mille and per cent of a torque are a share of", unit="N or N m", above=0
     )
@@ -386,32 +368,10 @@ class Drive:
                     "one, or leave rated_current out."
                 )
 
-        motors = {} if self.traces is None else self.traces.motors
-        if self.motor is not None and self.motor not in motors:
-            raise RecordError(
-                f"The drive's motor is {self.motor!r}; expected {', '.join(motors) or 'none'}: give "
-                "position_range, velocity_range and torque_range instead."
-            )
-
     @property
     def place(self) -> Place:
         """Place of the axis in a trace."""
         return place_of(self.axis, self.joint)
-
-    def field_range(self, channel: str) -> float:
-        """Return the SI value of the largest number of a bit field.
-
-        Raises:
-            UnitError: it is not known; the message is the end of a sentence.
-        """
-        name = f"{_FIELD_OF.get(channel, 'position')}_range"
-        motors = {} if self.traces is None else self.traces.motors
-        listed = motors.get(self.motor or "", (None, None, None))[_RANGES.index(name)]
-        found: float | None = getattr(self, name) or listed
-        if found is None:
-            known = f", or its motor ({', '.join(motors)})" if motors else ""
-            raise units.UnitError(f"which needs the drive's {name}{known}: give it below [drive]")
-        return found
 
     @property
     def traces(self) -> Profile | None:
