@@ -26,7 +26,6 @@ _DEEPEST = 300  # elements in each other: the parser calls itself for each
 MOST_JOINTS = 100
 _MOST_PARTS = 2000  # elements of a kind: MuJoCo's time grows with the square of their number
 LEAST_MASS = 1e-13  # kg and kg m2: given to links without a mass, as MuJoCo moves none without, and taken off again
-_OF_MOTOR = 1e-8  # kg and kg m2: the body of a motor that `output.export` writes has less
 _ROUNDED = 1e-5  # of the largest principal moment of inertia, that others may be below it as of a flat body
 
 _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
@@ -47,7 +46,6 @@ _JOINT = (
     "range",
     "limited",
 )
-_OF_DRIVE = ("armature", "damping", "frictionloss")
 _MJCF: Mapping[str, tuple[str, ...]] = {
     "mujoco": ("model",),
     "compiler": (
@@ -159,7 +157,7 @@ def clean_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, .
     """Return the elements for MuJoCo to compile, and remarks on the others.
 
     Args:
-        root: of the model; a motor and the link that a spring joins to it become one joint in it.
+        root: of the model.
         called: what sentences call the model.
 
     Raises:
@@ -169,10 +167,9 @@ def clean_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, .
         raise JointFileError(f"{called} holds <{root.tag}>; expected <robot>, URDF, or <mujoco>, MJCF: check the file.")
     _state_meshes(root)
     _refuse_elements(root, called)
-    springs = tuple(_join_motors(root))
     kept, remarks = strip_model(root, called)
     _give_masses(kept)
-    return kept, (*springs, *remarks)
+    return kept, (*_unused_springs(root), *remarks)
 
 
 def strip_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, ...]]:
@@ -246,47 +243,12 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
         raise JointFileError(dict.fromkeys(faults))
 
 
-def _join_motors(root: ET.Element) -> Iterator[str]:
-    """Make one joint of a motor and a link that a spring joins, as `output.export` writes them.
-
-    The motor is a body beside the link, of no mass, that turns about the same axis; a fixed tendon whose length is the
-    difference of both positions is the spring. Yield a remark on each tendon between other bodies.
-    """
-    above = {child: body for body in root.iter() for child in body.findall("body")}
-    moving = {joint.get("name"): (body, joint) for body in above for joint in body.findall("joint")}
+def _unused_springs(root: ET.Element) -> Iterator[str]:
+    """Yield a remark on each tendon that is a spring between joints."""
     for tendon in (one for tendons in root.findall("tendon") for one in tendons.findall("fixed")):
-        ends = {one.get("coef"): one.get("joint") for one in tendon.findall("joint")}
-        if tendon.get("stiffness") is None or len(ends) != 2 or not moving.keys() >= {ends.get("1"), ends.get("-1")}:
-            continue
-        (beside, link), (body, motor) = moving[ends["1"]], moving[ends["-1"]]
-        if not _is_motor(body, motor, beside, link) or above[body] is not above[beside]:
-            yield f"the spring of the tendon between {ends['1']} and {ends['-1']} is not used"
-            continue
-        try:
-            sums = {key: float(link.get(key, 0)) + float(motor.get(key, 0)) for key in _OF_DRIVE}
-        except ValueError:  # MuJoCo's parser says it
-            continue
-        link.attrib.update({key: repr(value) for key, value in sums.items()})
-        above[body].remove(body)
-        del moving[ends["-1"]]
-
-
-def _is_motor(body: ET.Element, motor: ET.Element, beside: ET.Element, link: ET.Element) -> bool:
-    """Whether a body has one joint, no mass, and pose and axis of the link beside it."""
-    if len([*body.iter("joint")]) > 1 or len([*body.iter("body")]) > 1 or body.find(".//geom") is not None:
-        return False
-    if any(body.get(key) != beside.get(key) for key in ("childclass", *_PLACED)):
-        return False
-    if any(motor.get(key) != link.get(key) for key in ("class", "type", "axis", "pos")):
-        return False
-    said = [
-        (one.get("mass", "0"), one.get("diaginertia", "0"), one.get("fullinertia", "0"))
-        for one in body.iter("inertial")
-    ]
-    try:
-        return all(abs(float(number)) <= _OF_MOTOR for one in said for numbers in one for number in numbers.split())
-    except ValueError:  # MuJoCo's parser says it
-        return False
+        if tendon.get("stiffness") is not None:
+            joints = " and ".join(str(one.get("joint")) for one in tendon.findall("joint"))
+            yield f"the spring of the tendon between {joints} is not used"
 
 
 def _filter_tree(element: ET.Element, allowed: Mapping[str, tuple[str, ...]]) -> ET.Element:
