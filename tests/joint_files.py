@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from jointid.common.errors import Fault, JointFileError
+from jointid.common.messages import dot_path
 from jointid.config import json_schema, loads
 
 
@@ -19,6 +20,11 @@ def faults(text: str) -> tuple[Fault, ...]:
     with pytest.raises(JointFileError) as caught:
         loads(text)
     return caught.value.faults
+
+
+def told(text: str) -> list[str]:
+    """Return place and code of each fault of a joint file."""
+    return [f"{dot_path(fault.place)} {fault.code}".strip() for fault in faults(text)]
 
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -76,35 +76,24 @@ def test_the_records_of_a_list_are_counted_from_1() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("change", "place"),
     [
-        ("method.frequenzy=30", "method.frequenzy is not a known key; expected one of "),
-        ("method.frequency=-3", "method.frequency is -3; expected a positive number: correct it, or leave it out."),
-        (
-            "controller.position_gain=fast",
-            'controller.position_gain is "fast"; expected a number, 0 or more: correct it.',
-        ),
-        ("method.form=paper", "method.form is for DIDIM of a rigid joint, but the joint is flexible: "),
-        ("method", '--set "method" is not key=value; write it as "method.frequency=30".'),
-        ("a b=1", '--set "a b=1" names no key; expected one with points, as method.frequency: correct it.'),
-        ("method.frequency=", '--set "method.frequency=" has no value that TOML knows; expected a number, '),
-        ("parameters.offset.upper=3", "parameters.offset.upper is set, but parameters.offset is 0.0 and no table; "),
-        (
-            "controller.torque_filters.2.frequency=9",
-            "controller.torque_filters.2 is set, but controller.torque_filters lists 2, counted from 0; ",
-        ),
+        ("method.frequenzy=30", ("method", "frequenzy")),
+        ("method.frequency=-3", ("method", "frequency")),
+        ("controller.position_gain=fast", ("controller", "position_gain")),
+        ("method.form=paper", ("method", "form")),
+        ("method", ()),
+        ("a b=1", ()),
+        ("method.frequency=", ()),
+        ("parameters.offset.upper=3", ()),
+        ("controller.torque_filters.2.frequency=9", ()),
     ],
 )
-def test_a_fault_of_a_change_is_one_sentence(change: str, sentence: str) -> None:
+def test_a_fault_of_a_change_is_one_sentence(change: str, place: tuple[str, ...]) -> None:
     with pytest.raises(JointFileError) as caught:
         loads(FILE, changes=[change])
     (fault,) = caught.value.faults
-    assert fault.startswith(sentence)
-
-
-def test_a_key_that_is_not_known_is_answered_with_the_nearest() -> None:
-    with pytest.raises(JointFileError, match=r"did you mean frequency\?$"):
-        loads(FILE, changes=["method.frequenzy=30"])
+    assert fault.place == place
 
 
 def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 from jointid.config import learned_text, load_to_learn, loads
 from jointid.controller_id.learned_controller import LearnedController, LearnedNumber, numbers_in_drive
-from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -174,22 +172,3 @@ def test_plain_numbers_in_si_show_nothing_more_and_a_time_of_a_filter_what_was_d
     learned = shown(plain, made, tmp_path, **{"velocity_filter.time_constant": 1e-3})
     (time,) = [one for one in learned.in_drive if one.name.endswith("time_constant")]
     assert (time.value, time.unit, time.difference) == (pytest.approx(1.0), "ms", pytest.approx(-0.5))
-
-
-def test_the_table_is_in_the_drive_s_units_and_in_si_and_fits_the_screen(tmp_path: Path) -> None:
-    made = Cascade(position_gain=30.0, velocity_gain=84.0, integral_gain=160.0, gain=72.0)
-    values = {"position_gain": 30.0, "velocity_gain": 84.0, "integral_gain": 160.0}
-    learned = shown(GEARED + DECLARED, made, tmp_path, **values)
-    learned = replace(
-        learned,
-        numbers=tuple(
-            replace(n, unit=unit)
-            for n, unit in zip(learned.numbers, ("1/s", "controller units per rad/s", "1/s"), strict=True)
-        ),
-    )
-    text = str(learned)
-    rows = [line.split() for line in text.splitlines()]
-    assert ["velocity_gain", "0.84000", "0.0084", "A", "s/rad", "0.8", "+5", "%"] in rows
-    assert ["velocity_gain", "6048.00", "60", "N", "m", "s/rad", "1.0"] in rows
-    assert max(map(len, text.splitlines())) <= 80
-    assert LimitationCode.INDISTINGUISHABLE not in text

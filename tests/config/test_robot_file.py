@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
-from jointid.config import dumps, load, load_to_learn, loads, save, schema_record
+from jointid.common.messages import dot_path
+from jointid.config import dumps, load, loads, schema_record
 from jointid.config.loading import parse_toml
-from jointid.config.robot_file import RobotFile, RobotFileTable
-from jointid.config.schema import keys_of
-from jointid.estimation.methods.didim import DIDIM
+from jointid.config.robot_file import RobotFile
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.robots.payload import identify_drive_gains, identify_payload
@@ -120,36 +120,58 @@ def test_clocks_and_wraps_of_a_robot_are_repaired_as_those_of_a_joint(folder: Pa
 
 def test_what_is_written_is_read_back(folder: Path) -> None:
     file = load(folder / "robot.toml", ["joints.3.offset=1.5"])
-    save(file, folder / "again.toml")
-    again = load(folder / "again.toml")
+    again = loads(dumps(file), folder)
     assert again.robot.joints == file.robot.joints and again.joints == file.joints
     assert again.robot.joints[2].offset == 1.5 and again.feed_forward == "gravity"
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "says"),
-    [
-        ('model = "arm.xml"', "", "robot.model is missing; expected text in quotes"),
-        ("viscous = 3.0", "viscous = -3.0", "joints.1.viscous is -3.0; expected a number, 0 or more"),
-        ("viscous = 3.0", "viscus = 3.0", "joints.1.*viscous"),
-        ('"joint0"', '"joint9"', 'joints.1.name is "joint9"; expected "joint0"'),
-        ("base = [0.0, ", "base = [", "robot.base is .*; expected a list of three numbers"),
-        ('"gravity"', '"perfect"', 'robot.feed_forward is "perfect"'),
-        ('"pd"', '"pdd"', "joints.2.controller.law"),
-        ("joint1 = 0.1", "joint9 = 0.1", "coupled to joint9 by 0.1"),
-        ('unit = "A"', 'unit = "parsec"', "record.channels.torque.unit"),
-        ('"arm.xml"', '"leg.xml"', "leg.xml cannot be opened"),
-    ],
-)
-def test_faults_are_sentences(folder: Path, before: str, after: str, says: str) -> None:
-    with pytest.raises(JointFileError, match=says):
+REFUSED = [
+    ('model = "arm.xml"', "", "robot.model missing"),
+    ("viscous = 3.0", "viscous = -3.0", "joints.1.viscous value"),
+    ("viscous = 3.0", "viscus = 3.0", "joints.1.viscus unknown"),
+    ('"joint0"', '"joint9"', ""),
+    ('name = "joint2"', 'name = "joint1"', ""),
+    ("base = [0.0, ", "base = [", "robot.base value"),
+    ("base = [0.0, 1.5707963267948966, 0.0]", "base = [0, 90, 0]", "robot.base contradiction"),
+    ('"gravity"', '"perfect"', "robot.feed_forward value"),
+    ('"pd"', '"pdd"', "joints.2.controller.law choice"),
+    ("joint1 = 0.1", "joint9 = 0.1", ""),
+    ('unit = "A"', 'unit = "parsec"', "record.channels.torque.unit unit"),
+    ('"arm.xml"', '"leg.xml"', ""),
+    ("derivative_gain = 1.0, ", "", "joints.2.controller.derivative_gain contradiction"),
+    ('column = "i_{index}"', 'column = "i_0"', ""),
+    ('ratio = 100, side = "load"', 'ratio = 100, side = "motor"', ""),
+    ("[[joints]]", '[method]\nestimator = "ols"\nname = "didim"\n[[joints]]', "method.estimator contradiction"),
+    ("viscous = 3.0", "parameters = { harmonic_1_cos = 1.0 }", "joints.1.parameters.harmonic_1_cos unknown"),
+    ("viscous = 3.0", "parameters = { load_weight = 1.0 }", "joints.1.parameters.load_weight unknown"),
+    ("viscous = 3.0", "parameters = { stiffness = 1e4 }", "joints.1.parameters.stiffness unknown"),
+    (
+        "viscous = 3.0",
+        'channels.motor_position = { column = "q0", unit = "mm" }',
+        "joints.1.channels.motor_position.unit unit",
+    ),
+    ("viscous = 3.0", 'kind = "prismatic"', "joints.1.kind contradiction"),
+    ("viscous = 3.0", 'friction = "dahl"', "joints.1.friction refused"),
+    ("viscous = 3.0", "parameters = { inertai = 3 }", "joints.1.parameters.inertai unknown"),
+    (
+        "viscous = 3.0",
+        "parameters = { inertia = { start = 3, lower = 4 } }",
+        "joints.1.parameters.inertia.start contradiction",
+    ),
+    ("viscous = 3.0", "spring = { damping = 1.0 }", "joints.1.spring.stiffness contradiction"),
+    ("viscous = 3.0", "limits = { lower = 1.0, upper = -1.0 }", "joints.1.limits.upper contradiction"),
+]
+
+
+@pytest.mark.parametrize(("before", "after", "said"), REFUSED)
+def test_a_fault_has_its_place_in_the_robot_file(folder: Path, before: str, after: str, said: str) -> None:
+    with pytest.raises(JointFileError) as caught:
         RobotFile.of(parse_toml(TEXT.replace(before, after, 1)), folder / "robot.toml")
+    (fault,) = caught.value.faults
+    assert f"{dot_path(fault.place)} {fault.code}".strip() == said
 
 
 def test_a_fault_of_one_joint_names_it(folder: Path) -> None:
-    text = TEXT.replace("torque_constant = 2.0", "", 1).replace("derivative_gain = 1.0, ", "")
-    with pytest.raises(JointFileError, match=r"joints\.2\.controller\.derivative_gain is missing"):
-        RobotFile.of(parse_toml(text), folder / "robot.toml")
     file = load(folder / "robot.toml", ['record.channels.torque.column="none{axis}"'])
     with pytest.raises(RecordError, match=r"joint1: .*none2"):
         file.records()
@@ -210,63 +232,17 @@ def test_each_record_has_the_payload_that_is_stated(folder: Path, monkeypatch: p
             RobotFile.of(parse_toml(text.replace(*change)), folder / "robot.toml")
 
 
-def test_every_key_of_its_own_is_on_the_page() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
-    tables = RobotFileTable.model_json_schema()["$defs"]
-    for method in (IDIM, DIDIM, DriveSideFit):
-        assert all(f"`{key}`" in page for key in keys_of(method, "robot"))
-    for name in ("RobotTable", "RobotRunTable", "RobotJointTable", "JointSpringTable"):
-        for key in tables[name].get("anyOf", [tables[name]])[-1]["properties"]:
-            assert f"`{key}`" in page, key
-    for table in RobotFileTable.model_fields:
-        assert f"[{table}]" in page, table
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        (
-            'column = "i_{index}"',
-            'column = "i_0"',
-            'torque from "i_0" is one column of several joints; give each one of its own',
-        ),
-        (
-            'ratio = 100, side = "load"',
-            'ratio = 100, side = "motor"',
-            'joint1: transmission.side is "motor"; all numbers',
-        ),
-        ("base = [0.0, 1.5707963267948966, 0.0]", "base = [0, 90, 0]", r"robot\.base is .*, beyond a turn; expected"),
-        ('name = "joint2"', 'name = "joint1"', "joints lists joint1 twice"),
-        (
-            "[[joints]]",
-            '[method]\nestimator = "ols"\nname = "didim"\n[[joints]]',
-            r'method\.estimator is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim"',
-        ),
-    ],
-)
-def test_what_would_be_another_robot_is_refused(folder: Path, old: str, new: str, said: str) -> None:
-    (folder / "robot.toml").write_text(TEXT.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(JointFileError, match=said):
-        load(folder / "robot.toml")
-
-
 @pytest.mark.parametrize("roll", ["3.1415926", "0.5"])
 def test_an_export_of_a_turned_base_is_not_turned_again(roll: str, folder: Path) -> None:
     text = TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", f"base = [{roll}, 0.0, 0.0]")
     (folder / "robot.toml").write_text(text, encoding="utf-8")
     robot = load(folder / "robot.toml").robot
+    robot = replace(robot, joints=tuple(replace(one, spring=None) for one in robot.joints))
     (folder / "arm.xml").write_text(robot_mjcf(robot)[0], encoding="utf-8")
     with pytest.raises(JointFileError, match=r"robot\.base turns the model, whose own gravity is turned already"):
         load(folder / "robot.toml")
     (folder / "robot.toml").write_text(TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", ""), encoding="utf-8")
     assert load(folder / "robot.toml").robot.gravity == pytest.approx(robot.gravity, abs=1e-6)
-
-
-def test_a_base_that_hangs_by_rounded_numbers_hangs(folder: Path) -> None:
-    text = TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", "base = [3.1416, 0.0, 0.0]")
-    (folder / "robot.toml").write_text(text, encoding="utf-8")
-    x, y, z = load(folder / "robot.toml").robot.gravity
-    assert (x, y) == (0.0, 0.0) and z == pytest.approx(9.81, rel=1e-9)
 
 
 def test_friction_backwards_and_a_start_in_motion_are_of_the_loop(folder: Path) -> None:
@@ -281,44 +257,6 @@ def test_friction_backwards_and_a_start_in_motion_are_of_the_loop(folder: Path) 
     assert file.loop.robot.joints[0].viscous_backwards == 2.0
     assert file.tables()["joints"][0]["viscous_backwards"] == 2.0
     assert "viscous_backwards" not in file.tables()["joints"][1]
-
-
-def test_a_feed_forward_that_was_logged_is_there(folder: Path) -> None:
-    (folder / "robot.toml").write_text(TEXT.replace('"gravity"', '"logged"'), encoding="utf-8")
-    with pytest.raises(RecordError, match="not every joint has an injected channel; declare one for each"):
-        load(folder / "robot.toml").driving()
-
-
-def test_remedies_name_the_tables_of_a_robot_file(folder: Path) -> None:
-    text = TEXT.replace("viscous = 3.0\n", "parameters = { stiffness = 1e4 }\n")
-    with pytest.raises(JointFileError, match=r'^joints\.1\.parameters\.stiffness .* set joints\.1\.model = "flexible"'):
-        RobotFile.of(parse_toml(text), folder / "robot.toml")
-
-
-@pytest.mark.parametrize(
-    ("said", "sentence"),
-    [
-        (
-            "parameters = { harmonic_1_cos = 1.0 }",
-            r"^joints\.1\.parameters\.harmonic_1_cos .* set joints\.1\.ripple\.period",
-        ),
-        ("parameters = { load_weight = 1.0 }", r"^joints\.1\.parameters\.load_weight "),
-        (
-            'channels.motor_position = { column = "q0", unit = "mm" }',
-            r"^joints\.1\.channels\.motor_position\.unit is .*, or make the joint prismatic in the robot.s model\.$",
-        ),
-    ],
-)
-def test_places_of_a_joint_are_those_of_the_robot_file(folder: Path, said: str, sentence: str) -> None:
-    with pytest.raises(JointFileError, match=sentence) as caught:
-        loads(TEXT.replace("viscous = 3.0", said), folder)
-    (fault,) = caught.value.faults
-    assert fault.place[:2] == ("joints", 0) and "joint.kind" not in fault
-
-
-def test_other_commands_say_that_it_is_a_robot_file(folder: Path) -> None:
-    with pytest.raises(MethodError, match=r"Learning a controller takes one joint, and .*is a robot file"):
-        load_to_learn(folder / "robot.toml")
 
 
 def test_a_joint_takes_the_keys_of_a_joint_file(folder: Path) -> None:
@@ -347,44 +285,28 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
 
 
 @pytest.mark.parametrize(
-    ("said", "lack"),
+    "said",
     [
-        (
-            'friction = "drifting"\nparameters = { viscous_drift = 0.1 }',
-            r"^joints\.1\.parameters\.coulomb_drift is missing; expected a number of the joint's laws: add it\.$",
-        ),
-        (
-            'friction = "stribeck"\nspring = { stiffness = 9.0 }\nstribeck_speed = 0.1\n'
-            "parameters = { load_stribeck_force = 0.5 }",
-            r"^joints\.1\.parameters\.load_stribeck_speed is missing; expected a number of the joint's laws: add it\.$",
-        ),
-        (
-            'spring = { law = "elastic-load", stiffness = 9.0 }',
-            r'^joints\.1\.spring is "elastic-load"; in a robot what swings is a link of its own: add a link with a spr',
-        ),
-        ('model = "flexible"', r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
-        ('friction = "stribeck"', r"joints\.1\.stribeck_speed is missing"),
-        (
-            "rotor_inertia = 0.1",
-            r"^The torque of joint0 is in A; .*: give each of these joints torque_constant \(1\.0 for",
-        ),
-        ('gravity = { load = "link" }', r"joints\.1\.gravity is that of the masses"),
-        ("ripple = { period = 0.1 }", r"joints\.1\.ripple is not simulated with a robot"),
-        (
-            'model = "flexible"\nspring = { stiffness = 9.0 }\nparameters = { load_inertia = 1 }',
-            "parameters.load_inertia",
-        ),
+        'friction = "drifting"\nparameters = { viscous_drift = 0.1 }',
+        'friction = "stribeck"\nspring = { stiffness = 9.0 }\nstribeck_speed = 0.1\n'
+        "parameters = { load_stribeck_force = 0.5 }",
+        'spring = { law = "elastic-load", stiffness = 9.0 }',
+        'model = "flexible"',
+        'friction = "stribeck"',
+        'gravity = { load = "link" }',
+        "ripple = { period = 0.1 }",
+        'model = "flexible"\nspring = { stiffness = 9.0 }\nparameters = { load_inertia = 1 }',
     ],
 )
-def test_what_a_robot_has_not_loads_and_is_said_by_every_verb(folder: Path, said: str, lack: str) -> None:
-    text = TEXT.replace("torque_constant = 2.0\n", "", 1) if "torque_constant" in lack else TEXT
-    (folder / "robot.toml").write_text(text.replace("viscous = 3.0", said), encoding="utf-8")
+def test_what_a_robot_has_not_loads_and_is_said_by_every_verb(folder: Path, said: str) -> None:
+    text = TEXT.replace("viscous = 3.0", said)
+    (folder / "robot.toml").write_text(text, encoding="utf-8")
     file = load(folder / "robot.toml")
     assert len(file.record()) == len(file.joints) == 3
     for verb in (lambda: file.identify(file.record()), lambda: file.robot):
-        with pytest.raises(MethodError, match=lack):
+        with pytest.raises(MethodError, match=r"^joints\.1\."):
             verb()
-    assert loads(dumps(file), folder).tables() == file.tables() == parse_toml(text.replace("viscous = 3.0", said))
+    assert loads(dumps(file), folder).tables() == file.tables() == parse_toml(text)
 
 
 LAWS = """friction = "presliding"
@@ -413,12 +335,6 @@ def test_a_robot_takes_the_laws_of_its_joints_and_their_numbers(folder: Path) ->
         MethodError, match=r'The drive side .* received the law "presliding" of joint0: declare another'
     ):
         file.identify(file.record())
-
-
-def test_a_number_of_another_friction_is_refused(folder: Path) -> None:
-    said = 'friction = "presliding"\nstribeck_force = 1.0\nstribeck_speed = 0.1\n'
-    with pytest.raises(JointFileError, match="joint0 has stribeck_force, stribeck_speed, which presliding friction do"):
-        loads(TEXT.replace("viscous = 3.0\n", f"{said}parameters = {{ presliding_distance = 1e-3 }}\n"), folder)
 
 
 AXIS = """friction = "stribeck"
@@ -474,22 +390,6 @@ def test_a_robot_file_of_one_joint_is_simulated_as_its_joint_file(tmp_path: Path
     coarse, fine = (float(np.max(np.abs(run.torque[:, 0] - exact.torque)) / peak) for run in runs)
     assert fine < 2e-9
     assert fine < coarse / 10.0 + 3e-11
-
-
-@pytest.mark.parametrize(
-    ("said", "fault"),
-    [
-        ('kind = "prismatic"', r'joints\.1\.kind is "prismatic", but the model says "revolute"'),
-        ('friction = "dahl"', r'joints\.1\.friction: Friction "dahl" is not known'),
-        ("parameters = { inertai = 3 }", r"joints\.1\.parameters\.inertai is not known for a rigid joint"),
-        ("parameters = { inertia = { start = 3, lower = 4 } }", r"joints\.1\.parameters\.inertia\.start is 3"),
-        ("spring = { damping = 1.0 }", r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
-        ("limits = { lower = 1.0, upper = -1.0 }", r"joints\.1\.limits\.upper: The upper position is above the lower"),
-    ],
-)
-def test_a_joint_is_checked_as_in_a_joint_file(folder: Path, said: str, fault: str) -> None:
-    with pytest.raises(JointFileError, match=fault):
-        loads(TEXT.replace("viscous = 3.0", said), folder)
 
 
 def test_the_record_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

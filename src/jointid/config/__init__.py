@@ -10,7 +10,6 @@ from jointid.config.loading import (
     load_to_learn,
     loads,
     require_joint,
-    save,
     save_with_controller,
     with_paths,
     with_record,
@@ -21,6 +20,6 @@ from jointid.config.schema_record import Run, Source, Together
 
 __all__ = [
     "JointFile", "Run", "Source", "Together", "controller_text", "dumps", "json_schema", "learned_text", "load",
-    "load_joint", "load_to_learn", "loads", "require_joint", "save", "save_with_controller", "with_paths",
+    "load_joint", "load_to_learn", "loads", "require_joint", "save_with_controller", "with_paths",
     "with_record", "with_table",
 ]  # fmt: skip

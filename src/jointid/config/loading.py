@@ -291,16 +291,6 @@ def dumps(file: JointFile | RobotFile) -> str:
     return tomli_w.dumps(tables)
 
 
-def save(file: JointFile | RobotFile, path: str | os.PathLike[str]) -> None:
-    """Write a joint file or a robot file as TOML in UTF-8; a file that is there is replaced.
-
-    Raises:
-        JointFileError: the file cannot be written, or see `dumps`.
-    """
-    text = dumps(file)
-    _write(path, text)
-
-
 def save_with_controller(
     file: JointFile, controller: Controller, path: Path, record: str | os.PathLike[str] | None = None
 ) -> None:

@@ -61,13 +61,10 @@ def test_what_is_lost_is_said() -> None:
 def test_a_joint_without_its_spring_has_the_friction_of_both_sides() -> None:
     robot = arm()
     soft = replace(robot.joints[1], spring=JointSpring(5000.0, 1.0, viscous=2.0, coulomb=3.0))
-    for language in ("urdf", "mjcf"):
-        made = export(replace(robot, joints=(robot.joints[0], soft, *robot.joints[2:])), language)
-        assert any(one.startswith("the springs of the joints; the friction") for one in made.lost) == (
-            language == "urdf"
-        )
-        found = read_robot(made.text).joints[1]
-        assert found.viscous == pytest.approx(soft.viscous + 2.0) and found.coulomb == pytest.approx(soft.coulomb + 3.0)
+    made = export(replace(robot, joints=(robot.joints[0], soft, *robot.joints[2:])), "urdf")
+    assert any(one.startswith("the springs of the joints; the friction") for one in made.lost)
+    found = read_robot(made.text).joints[1]
+    assert found.viscous == pytest.approx(soft.viscous + 2.0) and found.coulomb == pytest.approx(soft.coulomb + 3.0)
 
 
 def test_a_time_step_and_a_name_are_written() -> None:
@@ -102,9 +99,6 @@ def test_a_robot_with_a_spring_moves_in_mujoco_as_ours_does(law: Spring) -> None
     dof = model.joint("joint2_motor").dofadr[0]
     pull = 5000.0 * (0.03 if law.linear else 0.02)  # of the gap half lies on each side
     assert data.qacc[dof] == pytest.approx(-pull / soft.rotor_inertia, rel=1e-6)
-    back = read_robot(export(robot, "mjcf").text)
-    assert back.names == robot.names
-    assert back.joints[1].rotor_inertia == soft.rotor_inertia
 
 
 @pytest.mark.skipif(not hasattr(mujoco.MjModel, "actuator_delay"), reason="this MuJoCo has no delays")
