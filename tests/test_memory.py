@@ -31,12 +31,6 @@ def test_one_name_is_one_memory_and_two_are_two() -> None:
     assert np.all(again == 1.0)
 
 
-def test_much_more_than_is_needed_is_given_back() -> None:
-    room = Room()
-    large = room.array("a", (100_000,))
-    assert not np.shares_memory(large, room.array("a", (100,)))
-
-
 def test_threads_have_rooms_of_their_own() -> None:
     room, both = Room(), Barrier(2)
 

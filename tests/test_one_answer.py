@@ -17,7 +17,7 @@ from jointid.campaigns.cases import Case, Outcome
 from jointid.campaigns.run import run_case
 from jointid.config import JointFile
 from jointid.output.report import sections
-from jointid.uncertainty.verdict import Status, Subject
+from jointid.uncertainty.verdict import Subject
 
 _JOINT = """[joint]
 kind = "prismatic"
@@ -85,13 +85,3 @@ def test_one_record_has_one_answer(gain: float, trust: str, tmp_path: Path, monk
     row = run_case(Case("axis", joint.read_text(encoding="utf-8"), str(run), ""))
     outcome = Outcome.IDENTIFIED if trust == "reliable" else Outcome.DOUBTFUL
     assert (row.outcome, row.sentence, row.trust) == (outcome, notebook.sentence, trust)
-
-
-def test_an_estimate_says_that_its_checks_were_left_out(tmp_path: Path) -> None:
-    file = _recorded(tmp_path, 100.0)
-    estimate = file.identify(file.record(tmp_path / "run.csv"), checks=False)
-    (said,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject is Subject.LOOP)
-    assert said.status is Status.UNKNOWN
-    assert "left out" in said.said
-    assert estimate.checks.diagnosis is None
-    assert estimate.answer.trust.code == "not_checked"
