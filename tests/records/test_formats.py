@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from jointid.common.errors import ExtraError, RecordError
 from jointid.records.chunks import Log
 from jointid.records.columns import Column
-from jointid.records.formats import FORMATS, Table, format_of, read_blocks, read_table, read_tables, write_table
+from jointid.records.formats import FORMATS, Table, format_of, read_blocks, read_table, write_table
 from jointid.records.formats.table import NotStreamedError
 from jointid.records.reading import read
 from jointid.records.resampling import Resampling
@@ -80,8 +80,7 @@ def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path:
     path = made(name, tmp_path)
     with pytest.raises(NotStreamedError):
         next(iter(read_blocks(path, 10)))
-    (table,) = read_tables(path, 10)
-    assert table.columns.keys() == read_table(path).columns.keys()
+    assert read_table(path).columns
 
 
 def test_topics_of_different_clocks_make_one_record_where_it_is_asked_for(tmp_path: Path) -> None:

@@ -2,52 +2,19 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from jointid.common.errors import RecordError
 from jointid.common.text import printable
 from jointid.output.figures import draw, save
 from jointid.output.json import dumps, to_dict
 from jointid.records.formats import Table, write_table
-from jointid.records.inspection import OutlineBuilder, draw_sparkline, inspect
+from jointid.records.inspection import draw_outline, draw_sparkline, inspect
 from tests.records.logged import LOGGED, ROWS
-
-numbers = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=3000)
-
-
-@given(values=numbers, cuts=st.lists(st.integers(1, 2999), max_size=3))
-def test_an_outline_in_parts_is_that_of_the_whole(values: list[float], cuts: list[int]) -> None:
-    signal = np.array(values)
-    made = OutlineBuilder()
-    for part in np.split(signal, sorted({cut for cut in cuts if cut < signal.size})):
-        made.take(part)
-    outline = made.build()
-    assert (outline.rows, outline.missing) == (signal.size, np.isnan(signal).sum())
-    if not np.isnan(signal).all():
-        assert (outline.minimum, outline.maximum) == (np.nanmin(signal), np.nanmax(signal))
-    rises = all(b > a for a, b in pairwise(values))
-    assert (outline.stalls == 0) == rises
-    for index, (low, high) in enumerate(zip(outline.low, outline.high, strict=True)):
-        stretch = signal[index * outline.length : (index + 1) * outline.length]
-        there = stretch[~np.isnan(stretch)]
-        expected = (there.min(), there.max()) if there.size else (np.nan, np.nan)
-        np.testing.assert_array_equal((low, high), expected)
-
-
-def test_a_column_takes_the_memory_of_its_numbers() -> None:
-    """Of 10,000 columns with three rows each that matters: 1,024 stretches of each were 164 MB."""
-    made = OutlineBuilder()
-    made.take(np.arange(3.0))
-    assert made.low.size == made.high.size == 3
-    made.take(np.arange(4.0))
-    assert made.build().low.tolist() == [0, 1, 2, 0, 1, 2, 3]
 
 
 def test_thousands_of_columns_are_told_in_a_thousand_lines(tmp_path: Path) -> None:
@@ -78,12 +45,10 @@ def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
 
 
 def test_the_picture_shows_where_a_signal_is() -> None:
-    made = OutlineBuilder()
-    made.take(np.repeat([0.0, 1.0, 0.5, np.nan], 6))
-    assert draw_sparkline(made.build()) == "▁▁▁▁▁▁██████▅▅▅▅▅▅      "
-    flat = OutlineBuilder()
-    flat.take(np.full(5, 3.0))
-    assert draw_sparkline(flat.build()) == "▁▁▁▁▁"
+    assert draw_sparkline(draw_outline(np.repeat([0.0, 1.0, 0.5, np.nan], 6))) == "▁▁▁▁▁▁██████▅▅▅▅▅▅      "
+    assert draw_sparkline(draw_outline(np.full(5, 3.0))) == "▁▁▁▁▁"
+    long = draw_outline(np.arange(5000.0))
+    assert (long.length, long.low[1], long.high[1], long.step, long.stalls) == (8, 8.0, 15.0, 1.0, 0)
 
 
 def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:

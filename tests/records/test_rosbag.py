@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jointid.common.errors import RecordError
-from jointid.records.formats import read_table, rosbag
+from jointid.records.formats import read_table
 from jointid.records.formats.messages import decode_message, message_types
 from tests.records.logged import LOGGED, bag
 
@@ -340,39 +340,3 @@ def test_a_topic_with_too_many_parts_or_two_joints_of_one_name_is_told(tmp_path:
         "/twice": "a message of it has two numbers called '/twice/a/position'",
         "/poses": "a message of it has more than 20000 parts",
     }
-
-
-def test_messages_that_are_alike_are_decoded_once_and_read_as_any_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Names, lengths and stamps that change between, integers, lists of messages, and a stamp that is missing."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(GAIN, "control_like/msg/Gain"))
-    store.register(get_types_from_msg("control_like/Gain[] gains\nuint8[] raw\nbool on\nint64 count\nfloat32[2] pair",
-                                      "control_like/msg/State"))  # fmt: skip
-    kinds, random = store.types, np.random.default_rng(1)
-    states, others = [], []
-    for k in range(60):
-        names = {"a": random.normal()} | ({"b": random.normal()} if 20 <= k < 40 else {})
-        states.append((10**9 + k, state(0 if k == 7 else 10**9 + 3 * k, **names)))
-        gains = [kinds["control_like/msg/Gain"](random.normal(), -k) for _ in range(2 + (k > 50))]
-        others.append((k, kinds["control_like/msg/State"](
-            gains, np.array([k] * 3, dtype=np.uint8), k % 2 == 0, -(2**53) + k, random.normal(size=2).astype("f4")
-        )))  # fmt: skip
-    path = write_bag(tmp_path / "bag", {
-        "/js": ("sensor_msgs/msg/JointState", states), "/own": ("control_like/msg/State", others),
-    }, store)  # fmt: skip
-    decoded, decode = list[str](), decode_message
-    monkeypatch.setattr(rosbag, "decode_message", lambda *of: (decoded.append(of[0]), decode(*of))[1])
-    alike = rosbag.RosBag().read(path).columns
-    assert len(decoded) == 5, "of two topics with three and two layouts"
-    monkeypatch.setattr(rosbag, "find_layout", lambda *_: None)
-    single = rosbag.RosBag().read(path).columns
-    assert len(decoded) == 5 + 120
-    assert (
-        alike.keys()
-        == single.keys()
-        >= {"/js/b/position", "/own/gains[2]/step", "/own/on", "/own/count", "/own/pair[1]"}
-    )
-    for name, values in single.items():
-        np.testing.assert_array_equal(alike[name], values)

@@ -1,4 +1,4 @@
-"""Inspect a file in bounded memory: size, unit, clock, range, sparkline per channel."""
+"""Inspect a file: size, unit, clock, range, sparkline per channel."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +19,10 @@ from jointid.common.document import Block, Document, Documented, Listing, Paragr
 from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import number, pluralise, show
 from jointid.records.columns import unit_in_name
-from jointid.records.formats import format_of, read_tables
+from jointid.records.formats import format_of, read_table
 from jointid.records.formats.table import STAMP_NAME
 from jointid.records.recognition import Recognised, recognise
 
-_ROWS = 65536  # that are in memory at once, where the format allows it
 _TIME = re.compile(rf"(?:.*[/._ ])?{STAMP_NAME.pattern}", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
@@ -157,8 +156,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     """Inspect a file of any format.
 
     A clock is a rising column in a unit of time whose name ends in t, time, timestamp or stamp. Other columns take the
-    clock of their format, or the clock of their length that shares the longest path prefix. Memory is bounded where the
-    format allows chunks.
+    clock of their format, or the clock of their length that shares the longest path prefix.
 
     Args:
         path: the file, or the folder of a ROS 2 bag.
@@ -168,18 +166,10 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         RecordError: the file is missing or cannot be read.
     """
     path = Path(path)
-    outlining: dict[str, OutlineBuilder] = {}
-    stated, declared = dict[str, str](), dict[str, str]()
-    scalars, passed = dict[str, float](), dict[str, str]()
-    for table in read_tables(path, _ROWS, **options):
-        for name, values in table.columns.items():
-            outlining.setdefault(name, OutlineBuilder()).take(values)
-        stated.update(table.units)
-        declared.update(table.clocks)
-        scalars, passed = dict(table.scalars), dict(table.passed)
-    outlines = {name: made.build() for name, made in outlining.items()}
+    table = read_table(path, **options)
+    outlines, declared = {name: draw_outline(values) for name, values in table.columns.items()}, table.clocks
     of_time = units.units_of("time")
-    stated = {name: unit for name in outlines if (unit := stated.get(name) or unit_in_name(name, of_time))}
+    stated = {name: unit for name in outlines if (unit := table.units.get(name) or unit_in_name(name, of_time))}
     clocks = {
         name: outline
         for name, outline in outlines.items()
@@ -200,7 +190,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     size = sum(file.stat().st_size for file in files)
     recognised = recognise(tuple(outlines))
-    return Inspection(path.name, format_of(path).name, size, tuple(channels), scalars, passed, recognised)
+    return Inspection(path.name, format_of(path).name, size, tuple(channels), table.scalars, table.passed, recognised)
 
 
 class _Clocks:
@@ -301,67 +291,29 @@ class Outline:
         return list(zip(low.tolist(), high.tolist(), strict=True))
 
 
-@dataclass(slots=True)
-class OutlineBuilder:
-    """Builds an outline incrementally."""
-
-    rows: int = 0
-    missing: int = 0
-    stalls: int = 0
-    first: float = math.nan
-    last: float = math.nan
-    steps: tuple[float, float] = (math.inf, -math.inf)
-    low: FloatArray = field(default_factory=lambda: np.empty(0))
-    high: FloatArray = field(default_factory=lambda: np.empty(0))
-    length: int = 1
-
-    def take(self, values: FloatArray) -> None:
-        """Add the next numbers, shape (samples,), one or more."""
-        if self.rows == 0:
-            self.first = float(values[0])
-        joined = np.append(self.last, values) if self.rows else values
-        with np.errstate(invalid="ignore", over="ignore"):  # infinite numbers have no difference
-            steps = joined[1:] - joined[:-1]
-        if steps.size:
-            least, most = float(steps.min()), float(steps.max())
-            self.stalls += int(np.count_nonzero(~(steps > 0)))
-            self.steps = (min(self.steps[0], least), max(self.steps[1], most))
-        self.missing += int(np.count_nonzero(np.isnan(values)))
-        if self.rows == 0 and values.size <= _STRETCHES:
-            self.low = self.high = values
-        else:
-            self._add(values)
-        self.rows += values.size
-        self.last = float(values[-1])
-
-    def _add(self, values: FloatArray) -> None:
-        """Add numbers, doubling the stretches when there are too many."""
-        total = self.rows + values.size
-        while total > _STRETCHES * self.length:
-            self.low, self.high = _halve(self.low, np.fmin), _halve(self.high, np.fmax)
-            self.length *= 2
-        used = -(-total // self.length)
-        more = np.full(used - self.low.size, np.nan)
-        stretches = np.arange(self.rows // self.length, used)
-        starts = np.maximum(stretches * self.length - self.rows, 0)
-        self.low, self.high = np.append(self.low, more), np.append(self.high, more)
-        self.low[stretches] = np.fmin(self.low[stretches], np.fmin.reduceat(values, starts))
-        self.high[stretches] = np.fmax(self.high[stretches], np.fmax.reduceat(values, starts))
-
-    def build(self) -> Outline:
-        """Return the outline; one number or more must have been taken."""
-        there = self.missing < self.rows
-        step = (self.last - self.first) / (self.rows - 1) if self.rows > 1 else 0.0
-        jitter = max(self.steps[1] - step, step - self.steps[0]) / step if step else math.nan
-        minimum, maximum = (
-            (float(np.fmin.reduce(self.low)), float(np.fmax.reduce(self.high))) if there else (None, None)
-        )
-        return Outline(
-            self.rows, self.missing, minimum, maximum, self.first, self.last, self.stalls, step, jitter, self.low,
-            self.high, self.length,
-        )  # fmt: skip
-
-
-def _halve(kept: FloatArray, smaller: np.ufunc) -> FloatArray:
-    """Merge neighbouring stretches."""
-    return np.asarray(smaller.reduceat(kept, np.arange(0, kept.size, 2)) if kept.size else kept)
+def draw_outline(values: FloatArray) -> Outline:
+    """Summarise a signal, shape (samples,), of one number or more."""
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite numbers have no difference
+        steps = np.diff(values)
+    step = float(values[-1] - values[0]) / steps.size if steps.size else 0.0
+    jitter = float(max(steps.max() - step, step - steps.min()) / step) if step else math.nan
+    length = 1
+    while values.size > _STRETCHES * length:
+        length *= 2
+    starts, missing = np.arange(0, values.size, length), int(np.count_nonzero(np.isnan(values)))
+    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+    there = missing < values.size
+    return Outline(
+        values.size,
+        missing,
+        float(np.fmin.reduce(low)) if there else None,
+        float(np.fmax.reduce(high)) if there else None,
+        float(values[0]),
+        float(values[-1]),
+        int(np.count_nonzero(~(steps > 0))),
+        step,
+        jitter,
+        low,
+        high,
+        length,
+    )

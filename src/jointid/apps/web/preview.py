@@ -16,7 +16,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
 from jointid.records.formats import Table
-from jointid.records.inspection import OutlineBuilder
+from jointid.records.inspection import draw_outline
 
 _DRAWN = 64  # columns whose outline is kept; the others are listed by name
 _LISTED = 2000  # names
@@ -41,11 +41,9 @@ def build_preview(table: Table) -> dict[str, Any]:
 
 
 def _describe_column(name: str, values: FloatArray, *, drawn: bool) -> dict[str, Any]:
-    found = OutlineBuilder()
-    found.take(np.where(np.isfinite(values), values, np.nan))
-    if found.missing == found.rows:
-        return {"name": name, "samples": found.rows, "low": None, "high": None, "outline": None}
-    outline = found.build()
+    outline = draw_outline(np.where(np.isfinite(values), values, np.nan))
+    if outline.missing == outline.rows:
+        return {"name": name, "samples": outline.rows, "low": None, "high": None, "outline": None}
     sides = zip(*outline.stretches(_PIECES), strict=True)
     return {
         "name": name,

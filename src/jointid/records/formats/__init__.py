@@ -36,7 +36,7 @@ from jointid.records.formats.text import is_gzip
 
 __all__ = [
     "FORMATS", "Block", "Csv", "Folder", "Format", "Hdf5", "Json", "Matlab", "Npy", "Npz", "Parquet", "RosBag",
-    "Streamed", "Table", "Tdms", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
+    "Streamed", "Table", "Tdms", "format_of", "read_blocks", "read_table", "write_table",
 ]  # fmt: skip
 
 FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Npz(), Json(), Hdf5(), Parquet(), Tdms(), Folder(), RosBag())
@@ -44,7 +44,6 @@ FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Npz(), Json(), Hdf5(), Pa
 
 _PICKLES = {".pt": "torch", ".pth": "torch", ".pkl": "pickle", ".pickle": "pickle"}
 _TEXTS = (Csv, Json)  # that are read packed, too
-_LONG = 2**26  # bytes of a text that is read in chunks
 _SHORT = 2**21  # bytes of a text that takes less time than a process would to start
 
 
@@ -129,23 +128,6 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
             blocks = read_blocks_apart(path, rows, reader.name, dict(options))
         for block in blocks:
             yield Block(block.rows, partial(read, block))
-
-
-def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
-    """Yield tables of `rows` rows, or one table without `read_blocks` support."""
-    try:
-        # All rows of a text determine its dialect if they fit into memory.
-        is_text = isinstance(format_of(path), Csv) and Path(path).is_file() and not is_gzip(Path(path))
-        is_short_text = is_text and Path(path).stat().st_size < _LONG
-        blocks = iter(()) if is_short_text else read_blocks(path, rows, **options)
-        first = next(blocks, None)
-    except NotStreamedError:
-        first = None
-    if first is None:  # a short text, a file that can only be read whole, or one without columns
-        yield read_table(path, **options)
-        return
-    yield first.table()
-    yield from (block.table() for block in blocks)
 
 
 def _is_harmless(reader: Format, path: Path) -> bool:

@@ -7,10 +7,8 @@ Definitions are interpreted, not compiled to code. Every length is checked again
 from __future__ import annotations
 
 import sqlite3
-import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote
@@ -23,7 +21,6 @@ _NUMBERS = {
     "bool": "u1", "byte": "u1", "octet": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
     "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_CODES = dict(zip(("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8"), "BbHhIiQqfd", strict=True))
 _TIME = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _NAMING = ("name", "names", "joint_names", "interface_names")
 _OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
@@ -125,97 +122,6 @@ class _Decoder:
 
 class Instant(int):
     """A time or a duration in nanoseconds."""
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """The places of the numbers in the messages of a topic that have the same names and lengths.
-
-    Attributes:
-        paths: of the numbers that are columns.
-        fixed: bytes that all such messages have in common, with the slice of each.
-    """
-
-    paths: tuple[str, ...]
-    fixed: tuple[tuple[slice, bytes], ...]
-    _size: int
-    _numbers: struct.Struct
-    _stamp: struct.Struct | None
-
-    def fits(self, data: bytes) -> bool:
-        """Return True if a message has this layout."""
-        return len(data) == self._size and all(data[at] == same for at, same in self.fixed)
-
-    def read(self, data: bytes) -> tuple[tuple[float, ...], int]:
-        """Return the numbers of a message, and its header stamp [ns], 0 without one."""
-        seconds, nanoseconds = (0, 0) if self._stamp is None else self._stamp.unpack(data)
-        return self._numbers.unpack(data), seconds * 10**9 + nanoseconds
-
-
-def find_layout(name: str, data: bytes, known: Mapping[str, Definition], topic: str) -> Layout | None:
-    """Return the layout of a valid message; None where its columns are not plain numbers in their order."""
-    decoder = _Locator(known, data[4:], "<" if data[1] else ">")
-    message = decoder.message(name, 0)
-    stamp = header_stamp(message)
-    found = list(flatten_numbers(message, topic))
-    places = [int(place) for _, place in found]
-    if any(place < 0 for _, place in found) or places != sorted(places):
-        return None  # an instant, of which two numbers are one
-    order, size = decoder.order, len(data)
-
-    def unpack(formats: Sequence[tuple[int, str]]) -> struct.Struct:
-        text, at = order, 0
-        for place, form in formats:
-            text += f"{place - at}x{form}"
-            at = place + struct.calcsize(f"{order}{form}")
-        return struct.Struct(f"{text}{size - at}x")
-
-    fixed = [(slice(0, 4), data[:4]), *((slice(a + 4, b + 4), data[a + 4 : b + 4]) for a, b in decoder.fixed)]
-    return Layout(
-        tuple(path for path, _ in found),
-        tuple(fixed),
-        size,
-        unpack([(place + 4, decoder.kinds[place]) for place in places]),
-        None if stamp is None else unpack([(-1 - stamp + 4, "i"), (-1 - stamp + 8, "I")]),
-    )
-
-
-class _Locator(_Decoder):
-    """A decoder that returns the place of each number instead of its value, of an instant -1 less its place.
-
-    What decides where the others are, lengths and texts, it decodes and lists as `fixed`.
-    """
-
-    def __init__(self, known: Mapping[str, Definition], data: bytes, order: str) -> None:
-        super().__init__(known, data, order)
-        self.fixed, self.kinds = list[tuple[int, int]](), dict[int, str]()
-
-    def number(self, kind: str) -> Any:
-        found = super().number(kind)
-        self.fixed.append((self.at - int(kind[1:]), self.at))
-        return found
-
-    def member(self, field: Field, deep: int) -> Value:
-        found = super().member(field, deep)
-        if not isinstance(found, np.ndarray) or found.dtype.itemsize == 1:
-            return found
-        places = self.at - found.nbytes + found.dtype.itemsize * np.arange(found.size)
-        self.kinds |= dict.fromkeys(places.tolist(), _CODES[_NUMBERS[field.type]])
-        return places.astype(np.float64)
-
-    def value(self, kind: str, deep: int) -> Value:
-        plain, begin = kind in _NUMBERS or kind in _TIME, len(self.fixed)
-        found = super().value(kind, deep)
-        if kind == "string":
-            self.fixed.append((self.fixed[begin][1], self.at))
-        if not plain:
-            return found
-        place = self.fixed[begin][0]
-        del self.fixed[begin:]
-        if kind in _TIME:
-            return Instant(-1 - place)
-        self.kinds[place] = _CODES[_NUMBERS[kind]]
-        return float(place)
 
 
 def header_stamp(message: Mapping[str, Value]) -> int | None:

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
 from jointid.records.formats.messages import (
-    Layout,
     SkippedTopicError,
     Topic,
     decode_message,
-    find_layout,
     flatten_numbers,
     header_stamp,
     read_messages,
@@ -82,27 +80,15 @@ class _Series:
     logged: array[int] = field(default_factory=lambda: array("q"))
     stamped: array[int] = field(default_factory=lambda: array("q"))
     columns: dict[str, array[float]] = field(default_factory=dict)
-    layout: Layout | None = None
-    alike: array[float] = field(default_factory=lambda: array("d"))  # values of messages of this layout, at the end
 
     def take(self, time: int, data: bytes) -> int:
         """Add a message, and return the number of values.
-
-        One that is laid out as the message before is read at once.
 
         Raises:
             ValueError: invalid bytes.
             KeyError: an unknown type.
             SkippedTopicError: too many parts, or duplicate names.
         """
-        if self.layout is not None and self.layout.fits(data):
-            values, begun = self.layout.read(data)
-            self.alike.extend(values)
-            self.logged.append(time)
-            if begun:
-                self.stamped.append(begun)
-            return len(values) + 1
-        self._divide()
         fields = decode_message(self.topic.type, data, self.topic.types)
         stamp, row = header_stamp(fields), len(self.logged)
         self.logged.append(time)
@@ -116,20 +102,10 @@ class _Series:
             column.append(value)
         if len(self.columns) > _WIDEST:
             raise SkippedTopicError(f"it has more than {_WIDEST} numbers")
-        self.layout = find_layout(self.topic.type, data, self.topic.types, self.topic.name)
         return len(self.columns) + 1
-
-    def _divide(self) -> None:
-        """Put the values of equal messages into the columns of the first of them."""
-        if self.layout is not None and self.alike:
-            rows = np.frombuffer(self.alike).reshape(-1, len(self.layout.paths))
-            for path, values in zip(self.layout.paths, rows.T, strict=True):
-                self.columns[path].frombytes(values.tobytes())
-        self.layout, self.alike = None, array("d")
 
     def table(self) -> tuple[Stamps, dict[str, FloatArray]]:
         """Return the stamps in nanoseconds, in their order, and the columns."""
-        self._divide()
         stamps: Stamps = np.array(
             self.stamped if len(self.stamped) == len(self.logged) else self.logged, dtype=np.int64
         )
