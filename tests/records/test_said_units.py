@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from jointid.common.errors import RecordError
 from jointid.common.text import ordinal
 from jointid.common.units import UnitError, normalise_unit, parse_quantity
 from jointid.config import loads
 from jointid.records.columns import Column, known_units
-from jointid.records.reading import read
 from tests.joint_files import SMALLEST, faults
 
 
@@ -34,33 +30,6 @@ def test_a_declared_unit_and_that_of_the_name_are_said_with_both() -> None:
         "them: leave unit out, or rename the column."
     )
     assert loads(turning.replace('"r"', '"pos [deg]", unit = "°"'))
-
-
-def write_csv(tmp_path: Path, heading: str, step: float) -> Path:
-    rows = "\n".join(f"{step * k!r},{(k % 7) * 0.1}" for k in range(200))
-    (tmp_path / "log.csv").write_text(f"{heading},i\n{rows}\n")
-    return tmp_path / "log.csv"
-
-
-@pytest.mark.parametrize(
-    ("heading", "step"), [("t [s]", 0.002), ("time [ms]", 2.0), ("t", 0.002), ("t", 2.0), ("t", 1.0), ("k", 0.5)]
-)
-def test_a_sample_time_beside_a_time_column_that_agrees(tmp_path: Path, heading: str, step: float) -> None:
-    record = read(
-        write_csv(tmp_path, heading, step), {"torque": Column("i", unit="A")}, sample_time=0.002, kind="prismatic"
-    )
-    assert record.torque is not None
-    assert record.torque.sample_time == 0.002
-
-
-@pytest.mark.parametrize(("heading", "step", "said"), [("t [s]", 0.001, "0.001 s"), ("time [ms]", 1.0, "1 ms")])
-def test_a_sample_time_that_contradicts_the_time_column(tmp_path: Path, heading: str, step: float, said: str) -> None:
-    with pytest.raises(RecordError) as caught:
-        read(write_csv(tmp_path, heading, step), {"torque": Column("i", unit="A")}, sample_time=0.002, kind="prismatic")
-    assert str(caught.value) == (
-        f'sample_time is 0.002 s, but the time column "{heading}" has {said} between samples; expected the same: leave '
-        "sample_time out, or correct it, or rename the column if it is no time."
-    )
 
 
 @pytest.mark.parametrize("text", ["0.8", "A", "3 foo", "3 A)", "3 (A", "3 A/", "3 A/rad s", "0,8 A", ""])

@@ -98,7 +98,7 @@ def find_clock(
     if sample_time is not None and not 0 < sample_time < np.inf:
         return Clock(), [f"The sample time is a positive number of seconds; got {sample_time:g}."]
     if sample_time is not None and time is None:
-        return Clock(sample_time), _contradiction_faults(table, time_unit, sample_time)
+        return Clock(sample_time), []
     return _stamped_clock(table, time, time_unit, sample_time, tolerance)
 
 
@@ -245,32 +245,6 @@ def find_parts(stamps: FloatArray) -> list[tuple[int, int]]:
     typical = float(np.median(steps[steps > 0])) if np.any(steps > 0) else math.inf
     jumps = np.flatnonzero(np.abs(steps / typical - 1) > _JUMP) + 1
     return list(pairwise([0, *jumps.tolist(), stamps.size]))
-
-
-def _contradiction_faults(table: Table, time_unit: str | None, sample_time: float) -> list[str]:
-    """Faults of a sample time that contradicts a column called t or time.
-
-    Without a stated unit any unit is possible; without a uniform clock the sample time only has to be near.
-    """
-    column, missing = _time_column(table, None)
-    if missing:
-        return []
-    known = units.units_of("time")
-    said = time_unit or unit_in_name(column, known) or units.normalise_unit(table.units.get(column, ""))
-    values = table.columns[column]
-    if (said and said not in known) or values.size < 2 or not np.all(np.isfinite(values)) or values[-1] <= values[0]:
-        return []
-    step = float(values[-1] - values[0]) / (values.size - 1)
-    periods = [step * units.unit(unit).factor for unit in ([said] if said else known)]
-    uniform = np.ptp(np.diff(values)) <= 2 * CLOCK_TOLERANCE * step
-    tolerance = _RATE_TOLERANCE if uniform else _NEAR
-    if any(abs(sample_time / period - 1) <= tolerance for period in periods) or (not said and step == 1.0):
-        return []
-    return [
-        f'sample_time is {sample_time:g} s, but the time column "{column}" has {step:g} {said or "s"} between samples; '
-        f"expected the same: leave sample_time out, or {'correct it' if said else 'give time_unit'}, or rename the "
-        "column if it is no time."
-    ]
 
 
 def is_same_rate(sample_time: float, other: float) -> bool:
