@@ -1,4 +1,4 @@
-"""A record in several files: joined on their clocks, or by a channel that two of them hold."""
+"""A record in several files: joined on their clocks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.common.errors import JointFileError, RecordError
 from jointid.config import load, loads
-from jointid.records.joining import choose_resampling, join_files
+from jointid.records.joining import join_files
 from jointid.records.record import Record
 
 JOINT = """[joint]
@@ -38,15 +38,13 @@ def write(path: Path, names: str, *columns: np.ndarray) -> None:
     np.savetxt(path, np.column_stack(columns), "%.12g", ",", header=names, comments="")
 
 
-def files(folder: Path, *, epoch: float = 0.0, own: bool = False, shared: bool = False, stamped: bool = True) -> None:
+def files(folder: Path, *, epoch: float = 0.0, own: bool = False, stamped: bool = True) -> None:
     """Write positions at 500 Hz, and torques at 1 kHz that begin `BEGIN` later; `own` counts each from 0."""
     t = np.arange(3000) * RATE
     late = BEGIN + np.arange(5000) * RATE / 2
     clocks = [t + epoch, late + epoch - (BEGIN + epoch) * own]
     write(folder / "positions.csv", "t,q" if stamped else "q", *([clocks[0]] if stamped else []), angle(t))
-    second = [moment(late), *([angle(late)] if shared else [])]
-    names = ("t,tau" if stamped else "tau") + (",q" if shared else "")
-    write(folder / "torques.csv", names, *([clocks[1]] if stamped else []), *second)
+    write(folder / "torques.csv", "t,tau" if stamped else "tau", *([clocks[1]] if stamped else []), moment(late))
 
 
 def read_joint(folder: Path, text: str = JOINT) -> Record:
@@ -54,20 +52,16 @@ def read_joint(folder: Path, text: str = JOINT) -> Record:
     return load(folder / "joint.toml").record()
 
 
-@pytest.mark.parametrize("case", ["clock", "epoch", "own zero", "no stamps", "stated"])
+@pytest.mark.parametrize("case", ["clock", "epoch", "no stamps", "stated"])
 def test_two_files_become_one_record(case: str, tmp_path: Path) -> None:
-    stamped = case not in ("no stamps",)
-    own = case in ("own zero", "stated")
-    files(
-        tmp_path, epoch=1000.0 * (case == "epoch"), own=own, shared=case in ("own zero", "no stamps"), stamped=stamped
-    )
+    files(tmp_path, epoch=1000.0 * (case == "epoch"), own=case == "stated", stamped=case != "no stamps")
     text = JOINT
-    if case == "stated":
+    if case in ("stated", "no stamps"):
         text = text.replace("[record]", f"[record]\noffsets = [0, {BEGIN}]")
     if case == "no stamps":
         # Files of one rate: a common sample_time is what they have.
         late = BEGIN + np.arange(2600) * RATE
-        write(tmp_path / "torques.csv", "tau,q", moment(late), angle(late))
+        write(tmp_path / "torques.csv", "tau", moment(late))
         text = text.replace("[record]", f"[record]\nsample_time = {RATE}")
     record = read_joint(tmp_path, text)
     assert record.torque is not None and record.motor_position is not None
@@ -81,20 +75,6 @@ def test_two_files_become_one_record(case: str, tmp_path: Path) -> None:
     assert record.resampled.methods["torque"] == "hold" and record.resampled.methods["motor_position"] == "linear"
 
 
-@pytest.mark.parametrize("own", [False, True])
-def test_the_offset_of_a_shared_channel_is_found_to_a_part_of_a_sample(own: bool, tmp_path: Path) -> None:
-    files(tmp_path, epoch=0.0 if own else 2e5, own=own, shared=True)
-    if not own:  # clocks that have nothing in common
-        table = np.loadtxt(tmp_path / "torques.csv", delimiter=",", skiprows=1)
-        write(tmp_path / "torques.csv", "t,tau,q", table[:, 0] - 1e5, table[:, 1], table[:, 2])
-    table = join_files([tmp_path / "positions.csv", tmp_path / "torques.csv"])
-    late = table.columns["time of torques"][0] - table.columns["time of positions"][0]
-    assert late == pytest.approx(BEGIN, abs=0.01 * RATE)
-    assert table.clocks["torques: q"] == "time of torques" and table.clocks["q"] == "time of positions"
-    rules = choose_resampling(table)
-    assert rules is not None and rules.sample_time == pytest.approx(RATE / 2)
-
-
 def test_files_of_one_clock_are_not_resampled(tmp_path: Path) -> None:
     t = np.arange(500) * RATE
     write(tmp_path / "positions.csv", "t,q", t, angle(t))
@@ -104,32 +84,16 @@ def test_files_of_one_clock_are_not_resampled(tmp_path: Path) -> None:
     np.testing.assert_allclose(record.torque.values, moment(t), rtol=1e-11)
 
 
-@pytest.mark.parametrize("shared", [False, True])
-def test_an_offset_that_cannot_be_found_is_to_be_stated(shared: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("case", ["another epoch", "count from 0 each"])
+def test_files_without_a_common_clock_ask_for_offsets(case: str, tmp_path: Path) -> None:
     t = np.arange(3000) * RATE
-    write(tmp_path / "positions.csv", "t,q", t, np.sin(20 * np.pi * t))  # every period is alike
-    write(
-        tmp_path / "torques.csv",
-        "t,tau,q" if shared else "t,tau",
-        t + 500,
-        moment(t),
-        *[np.sin(20 * np.pi * t)] * shared,
-    )
-    with pytest.raises(RecordError) as error:
-        read_joint(tmp_path)
-    sentence = str(error.value)
-    assert sentence.startswith("positions.csv and torques.csv have no clock in common")
-    assert sentence.endswith("give record.offsets: the seconds to add to the clock of each file.")
-    assert ("a channel that both hold (q) does not tell their offset" in sentence) == shared
-
-
-def test_files_that_count_from_0_and_share_no_motion_are_refused(tmp_path: Path) -> None:
-    t = np.arange(3000) * RATE
-    for name, phase in (("positions", 0.0), ("torques", 0.3), ("equal", 0.0)):
-        write(tmp_path / f"{name}.csv", "t,q", t, np.sin(20 * np.pi * t + phase))
+    write(tmp_path / "positions.csv", "t,q", t, angle(t))
+    write(tmp_path / "equal.csv", "t,q", t, angle(t))
     assert join_files([tmp_path / "positions.csv", tmp_path / "equal.csv"]).rows == 3000
-    with pytest.raises(RecordError, match=r"count from 0 each, and a channel that both hold \(q\) does not tell"):
-        join_files([tmp_path / "positions.csv", tmp_path / "torques.csv"])
+    late = t + 500.0 * (case == "another epoch")
+    write(tmp_path / "torques.csv", "t,tau,q", late, moment(t), angle(t + BEGIN))
+    with pytest.raises(RecordError, match=r"give record\.offsets"):
+        read_joint(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -165,10 +129,11 @@ MODEL = """<mujoco><worldbody><body><joint name="one"/><inertial pos="0 0 0" mas
 def write_robot(folder: Path, *, begins: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
     """Write positions at 500 Hz, torques at 1 kHz and references at 250 Hz of two joints, each on a clock of its own.
 
-    The clock of a file counts from its beginning, and each file but the first holds the position of the first joint.
+    The clock of a file counts from its beginning.
     """
     (folder / "robot.xml").write_text(MODEL)
-    (folder / "robot.toml").write_text(ROBOT)
+    offsets = f"[record]\noffsets = {list(begins)}" if any(begins) else "[record]"
+    (folder / "robot.toml").write_text(ROBOT.replace("[record]", offsets))
     names = ("positions", "torques", "references")
     for name, rate, begin in zip(names, (RATE, RATE / 2, 2 * RATE), begins, strict=True):
         clock = np.arange(round(6.0 / rate)) * rate
@@ -178,8 +143,7 @@ def write_robot(folder: Path, *, begins: tuple[float, float, float] = (0.0, 0.0,
             "torques": {"tau1": moment(t), "tau2": 2 * moment(t)},
             "references": {"r1": angle(t), "r2": -angle(t)},
         }[name]
-        shared = {} if name == "positions" or not any(begins) else {"q1": angle(t)}
-        write(folder / f"{name}.csv", ",".join(["t", *signals, *shared]), clock, *signals.values(), *shared.values())
+        write(folder / f"{name}.csv", ",".join(["t", *signals]), clock, *signals.values())
 
 
 @pytest.mark.parametrize("begins", [(0.0, 0.0, 0.0), (0.0, BEGIN, 0.121)])

@@ -72,8 +72,7 @@ class Source:
     )
     offsets: tuple[float, ...] = setting(
         (),
-        "what to add to the clock of each of the files; without it found where they do not share a clock, by a channel "
-        "that two of them hold",
+        "what to add to the clock of each of the files, where they do not share one",
         unit="s",
     )
 

@@ -1,4 +1,4 @@
-"""A record in several files: their columns by one clock, found where the files do not share it."""
+"""A record in several files: their columns by one clock."""
 
 from __future__ import annotations
 
@@ -16,11 +16,7 @@ from jointid.records.formats import Table, read_table
 from jointid.records.resampling import Resampling
 
 _TOGETHER = 0.5  # of the shorter file, that two files cover together at least
-_ALIKE = 0.9  # least correlation of a channel with itself in another file
-_SECOND = 0.9  # of it, that any other offset reaches at most
 _SAME = 1e-6  # of a sample time
-_STEPS = 3  # of Newton's method, to a fraction of a sample
-_MOST = 2**20  # samples of a channel that are compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,19 +53,18 @@ def join_files(
     """Read several files as one table, each column with the clock of its file.
 
     A column whose name an earlier file has is called "file: name". Files that cover the same instants are joined on
-    their stamps. Where they do not, or have none, or each counts from its own beginning, the offset is the one at which
-    a channel that two files hold correlates best with itself.
+    their stamps; the clocks of others are moved by their offsets.
 
     Args:
         paths: of the files.
-        offsets: seconds to add to the clock of each file; without them they are found.
+        offsets: seconds to add to the clock of each file; without them all share one clock.
         time: name of the time column of each file; see `jointid.records.reading.read`.
         time_unit: of the time columns.
         sample_time: of files without a time column.
         options: of the format's reader.
 
     Raises:
-        RecordError: a file cannot be read or has no clock, or an offset cannot be found.
+        RecordError: a file cannot be read or has no clock, or the files have no clock in common.
     """
     names = [Path(path).stem for path in paths]
     if len(set(names)) < len(names):
@@ -80,8 +75,11 @@ def join_files(
         _read_part(name, read_table(path, **options), time, time_unit, sample_time)
         for name, path in zip(names, paths, strict=True)
     ]
-    moved = offsets or [0.0, *(_find_offset(parts[0], part) for part in parts[1:])]
-    return _join([replace(part, stamps=part.stamps + offset) for part, offset in zip(parts, moved, strict=True)])
+    if not offsets:
+        for part in parts[1:]:
+            _require_common_clock(parts[0], part)
+        return _join(parts)
+    return _join([replace(part, stamps=part.stamps + offset) for part, offset in zip(parts, offsets, strict=True)])
 
 
 def choose_resampling(table: Table) -> Resampling | None:
@@ -106,75 +104,21 @@ def _read_part(name: str, table: Table, time: str | None, time_unit: str | None,
     return _Part(name, table, stamps, clock.sample_time, clock.column)
 
 
-def _find_offset(first: _Part, part: _Part) -> float:
-    """Seconds to add to the clock of a part."""
-    common = [name for name in part.channels if name in first.channels]
+def _require_common_clock(first: _Part, part: _Part) -> None:
+    """Refuse two files whose clocks have different beginnings, as far as stamps and a channel of both tell."""
     both = min(first.stamps[-1], part.stamps[-1]) - max(first.stamps[0], part.stamps[0])
     shorter = min(one.stamps[-1] - one.stamps[0] for one in (first, part))
     shared = first.stamped and part.stamped and both >= _TOGETHER * shorter
+    common = [name for name in part.channels if name in first.channels]
     own_zero = all(abs(one.stamps[0]) <= one.period for one in (first, part))
     equal = any(np.array_equal(first.channels[name], part.channels[name]) for name in common)
     if shared and (not (own_zero and common) or (equal and _is_same(first.stamps, part))):
-        return 0.0
-    found = [offset for name in common if (offset := _correlate(first, part, name)) is not None]
-    if found:
-        return found[0]
-    held = f"a channel that both hold ({', '.join(common)}) does not tell their offset" if common else ""
+        return
+    fact = "count from 0 each, and differ in a channel that both hold" if shared else "have no clock in common"
     raise RecordError(
-        f"{first.table.source} and {part.table.source} {'count from 0 each' if shared else 'have no clock in common'}"
-        f"{', and ' + held if held else ', nor a channel that both hold'}; give record.offsets: the seconds to add to "
-        "the clock of each file."
+        f"{first.table.source} and {part.table.source} {fact}; give record.offsets: the seconds to add to the clock of "
+        "each file."
     )
-
-
-def _correlate(first: _Part, part: _Part, name: str) -> float | None:
-    """Offset at which a channel of two files agrees best; None if it agrees at none, or at several."""
-    period = max(first.period, part.period)
-    one, other = (_resample(each, name, period) for each in (first, part))
-    if one is None or other is None:
-        return None
-    size = 2 ** int(np.ceil(np.log2(one.size + other.size)))
-
-    def correlate(a: FloatArray, b: FloatArray) -> FloatArray:
-        return np.asarray(np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size))
-
-    covered = np.round(correlate(np.ones(one.size), np.ones(other.size)))
-    energy = correlate(one**2, np.ones(other.size)) * correlate(np.ones(one.size), other**2)
-    enough = covered >= _TOGETHER * min(one.size, other.size)
-    least = np.max(energy) * 1e-12
-    alike = np.where(enough & (energy > least), correlate(one, other) / np.sqrt(np.maximum(energy, least)), -1.0)
-    best = int(np.argmax(alike))
-    lag = best if best < one.size else best - size
-    near = np.abs((np.arange(size) - best + size // 2) % size - size // 2) <= _width_of_peak(alike, best)
-    if alike[best] < _ALIKE or np.max(np.where(near, -1.0, alike)) > _SECOND * alike[best]:
-        return None
-    # What was found is a whole number of samples of the steps; the values themselves tell the rest.
-    offset = float(first.stamps[0] - part.stamps[0]) + lag * period
-    times, values = first.stamps, first.channels[name]
-    for _ in range(_STEPS):
-        instants = part.stamps + offset
-        inside = (instants >= times[0] + period) & (instants <= times[-1] - period)
-        slope = np.interp(instants, times, np.gradient(values, times))[inside]
-        error = (part.channels[name] - np.interp(instants, times, values))[inside]
-        offset += float(np.clip((slope @ error) / (slope @ slope), -period, period))
-    return offset
-
-
-def _width_of_peak(alike: FloatArray, best: int) -> int:
-    """Samples from a peak to where the correlation is below nothing, at most."""
-    behind = np.roll(alike, -best)[: alike.size // 2]
-    falls = np.flatnonzero(behind <= 0)
-    return int(falls[0]) if falls.size else 1
-
-
-def _resample(part: _Part, name: str, period: float) -> FloatArray | None:
-    """Steps of a channel on a uniform clock."""
-    count = int((part.stamps[-1] - part.stamps[0]) / period * (1 + 1e-12)) + 1
-    if not 8 <= count <= _MOST:
-        return None
-    instants = part.stamps[0] + np.arange(count) * period
-    steps = np.diff(np.interp(instants, part.stamps, part.channels[name]))
-    return np.asarray(steps)
 
 
 def _join(parts: Sequence[_Part]) -> Table:
