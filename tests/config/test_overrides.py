@@ -55,7 +55,7 @@ def test_keys_are_set_after_the_choices() -> None:
     whole = ['method={name="didim", minimiser="least-squares", frequency=20.0}']  # in place of the preset, too
     assert loads(text, changes=whole).method == DIDIM(minimiser="least-squares", frequency=20.0)
     assert loads(text, method="idim").method == IDIM()
-    assert loads(text, ".", ["method.estimator=robust"], method="idim").method == IDIM(estimator="robust")
+    assert loads(text, ".", ["method.estimator=ols"], method="idim").method == IDIM(estimator="ols")
     back = loads(text.replace('preset = "paper"', 'name = "idim"'), ".", ["method.frequency=9.0"], method="didim")
     assert back.method == DIDIM(frequency=9.0)
 

@@ -303,7 +303,7 @@ def test_how_long_a_window_remembers_is_measured() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"method": IDIM("robust")}, "IDIM by robust needs all rows at once"),
+        ({"method": IDIM("iv")}, "IDIM by iv needs all rows at once"),
         ({"length": 0.0}, "A window lasts a finite time"),
         ({"length": 5.0, "settling": 3.0}, "at most half a window of 5 s; received 3 s"),
         ({"length": 5.0, "settling": 0.0}, "more than 0"),

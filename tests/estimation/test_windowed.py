@@ -76,7 +76,7 @@ def test_idim_of_a_joint_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPat
     assert "motion was measured under control" in " ".join(found.checks.warnings)
     assert found.params.basis.endswith("for the bias by which a force in the loop may move them")
     assert any("30000 samples of the record would take up to 0.0 GB of memory" in one for one in said)
-    other = ji.identify(record, LOOP, ji.IDIM("robust"))
+    other = ji.identify(record, LOOP, ji.IDIM("iv"))
     assert other.data.windows is None
     assert any("needs all rows at once" in one for one in other.checks.warnings)
 
@@ -203,8 +203,8 @@ def test_a_part_of_a_robot_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.data.windows is not None
     assert [one for one in found.checks.verdicts if one.subject is Subject.REPEATABLE]
     assert found.checks.diagnosis is not None
-    other = ji.identify(log, arm, ji.IDIM("robust"), checks=False)
-    assert other.data.windows is None and any("IDIM by robust needs all" in one for one in other.checks.warnings)
+    other = ji.identify(log, arm, ji.IDIM("ols"), checks=False)
+    assert other.data.windows is None and any("IDIM by ols needs all" in one for one in other.checks.warnings)
 
 
 @pytest.mark.slow

@@ -172,7 +172,7 @@ class RippleTable(Table):
 
     period: Positive = Field(
         description="of the first harmonic, such as the pitch of a screw or of the motor's slots, on the side that is "
-        "reported; idim finds one by its own harmonics [m or rad]"
+        "reported [m or rad]"
     )
 
 
@@ -242,14 +242,16 @@ class MethodTable(Table):
     harmonics: Natural = Field(0, description="of idim: harmonics of the force over the motor position")
     period: Positive | None = Field(
         None,
-        description="of idim: of the first harmonic, on the side that is reported; without it searched for [m or rad]",
+        description="of idim: of the first harmonic, on the side that is reported; needed beside harmonics [m or rad]",
     )
     drift: Literal["force", "viscous", "both"] | None = Field(
         None, description="of idim: what changes linearly in time"
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a period of no harmonics."""
+        """Yield a period of no harmonics, and harmonics of no period."""
+        if self.period is None and self.harmonics > 0:
+            yield "period", " is missing; expected a positive number (of the first harmonic, in m or rad)."
         if self.period is not None and self.harmonics == 0:
             yield "period", f" is {self.period:g}, but there are no harmonics; add harmonics = 1, or leave it out."
 
@@ -259,7 +261,7 @@ class MethodTable(Table):
 
     def effects(self) -> tuple[Effect, ...]:
         """Return the further columns of a regression."""
-        ripple = (PositionHarmonics(self.period, self.harmonics),) if self.harmonics else ()
+        ripple = () if self.period is None else (PositionHarmonics(self.period, self.harmonics),)
         return (*ripple, *(() if self.drift is None else (Drift(self.drift),)))
 
     def method(self, name: str, model: str) -> Method:

@@ -142,7 +142,7 @@ def method_table(method: Method, model: str) -> dict[str, Any]:
     for effect in effects:
         match effect:
             case PositionHarmonics(side="motor") if "harmonics" not in found and "drift" not in found:
-                found |= {"harmonics": effect.harmonics} | ({"period": effect.period} if effect.period else {})
+                found |= {"harmonics": effect.harmonics, "period": effect.period}
             case Drift(side="motor") if "drift" not in found:
                 found["drift"] = effect.of
             case _:

@@ -192,11 +192,8 @@ class PositionHarmonics:
     A sum of n harmonics of any period lowers the residual of the record it is fitted to; judge it by a cross test.
     """
 
-    period: float | None = setting(
-        None,
-        "of the first harmonic, such as the pitch of a screw; without it searched for in the record, and refined",
-        unit="m or rad",
-        above=0,
+    period: float = field(
+        metadata=declare("of the first harmonic, such as the pitch of a screw", unit="m or rad", above=0)
     )
     harmonics: int = setting(1, "how many, from the first", at_least=1)
     side: Side = setting("motor", "whose position it follows and on which side it acts")
@@ -225,29 +222,15 @@ class PositionHarmonics:
 
     def require(self, model: str) -> None:
         """Raise a `MethodError` if a joint of that model cannot be simulated with it."""
-        if self.period is None:
-            raise MethodError(
-                "A joint with a ripple is simulated, which needs its period; received none: give it, or find it with "
-                "the harmonics of IDIM, which searches for it."
-            )
         if model == "rigid" and self.side == "load":
             raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
 
     def places(self, values: Mapping[str, float]) -> FloatArray:
         """Return it as forces that follow a position, (harmonics, 5), for the simulation in steps."""
-        assert self.period is not None
         amplitudes = np.array([values[p.name] for p in self.parameters]).reshape(-1, 2)
         waves = 2 * math.pi / self.period * np.arange(1, self.harmonics + 1)
         side = np.full(self.harmonics, float(self.side == "load"))
         return np.column_stack([amplitudes, np.zeros(self.harmonics), waves, side])
 
-    def period_column(self, motion: Motion, amplitudes: FloatArray) -> FloatArray:
-        """Return the derivative of the force by the period, (samples,), at amplitudes in the order of `parameters`."""
-        assert self.period is not None
-        phases = self._phases(motion.position)
-        by_phase = -amplitudes[::2] * np.sin(phases) + amplitudes[1::2] * np.cos(phases)
-        return np.asarray((-phases / self.period * by_phase).sum(axis=1))
-
     def _phases(self, position: FloatArray) -> FloatArray:
-        assert self.period is not None, "a period that is searched for has no columns yet"
         return np.outer(position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))

@@ -117,8 +117,8 @@ def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
     didim = load(robot, ["method.name=didim", "method.form=paper"], axis="base").method
     assert didim == ji.DIDIM(form="paper")
     assert load(robot, ["method.drift=force"], axis="base").method == ji.IDIM(effects=(Drift("force"),))
-    changed = ['joints.1.method={name="idim",estimator="robust"}']
-    assert load(robot, changed, axis="base").method == ji.IDIM(estimator="robust")
+    changed = ['joints.1.method={name="idim",estimator="ols"}']
+    assert load(robot, changed, axis="base").method == ji.IDIM(estimator="ols")
     assert load(robot, changed).method == ji.IDIM()
     assert load(robot, axis="base", method="didim").method == ji.DIDIM()
     foreign = r"joints\.1\.method\.frequency is for DIDIM of a flexible joint, but .* set joints\.1\.model = "

@@ -558,7 +558,7 @@ def test_an_estimate_with_ripple_is_validated_and_simulated(
     emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.json"
-    keys = ("estimator=robust", "harmonics=1", "period=0.0025", "drift=force")
+    keys = ("estimator=ols", "harmonics=1", "period=0.0025", "drift=force")
     settings = ("--method", "idim", *(word for key in keys for word in ("--set", f"method.{key}")))
     assert run("identify", EMPS, "--record", emps_path, *settings, "--json", out, "-q") == 0
     assert run("validate", EMPS, "--record", emps_path, "--estimate", out, "-q") == 0

@@ -78,7 +78,7 @@ def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
 
 
 def test_a_payload_is_not_weighed_by_instruments() -> None:
-    with pytest.raises(MethodError, match=r'"iv" has no instruments there; use "weighted", "robust" or "ols"'):
+    with pytest.raises(MethodError, match=r'"iv" has no instruments there; use "weighted" or "ols"'):
         identify_payload(ARM, *pair(12), IDIM(estimator="iv"))
 
 

@@ -204,7 +204,7 @@ def payload(
         without: the record without it, of the same or another motion.
         estimate: instead of the record without it what identify --json wrote of the robot.
         mass: of the payload as it was weighed, kg.
-        changes: a key of the robot file and its value, as method.estimator=robust; may be given several times.
+        changes: a key of the robot file and its value, as method.estimator=ols; may be given several times.
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress of searches.
     """

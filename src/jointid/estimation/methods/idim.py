@@ -1,20 +1,13 @@
 """IDIM: the inverse dynamic model regressed on measured positions, by the estimator of choice.
 
-Torque and columns are those of `inverse_model`; the estimators, ordinary, weighted or robust least squares or
+Torque and columns are those of `inverse_model`; the estimators, ordinary or weighted least squares or
 instruments from a simulated loop, those of `linear`.
-
-The period of a ripple that is not known is searched for in the record. The residual of least squares has one narrow
-valley at each period the torque repeats with, as wide as the axis has travelled periods. So spatial frequencies are
-tried in steps of a quarter of that width, from two periods on the way to those that pass at the median speed with the
-filter's cut-off; the best is refined by Brent's method. From then on the derivative of the force by the period is a
-column like the others, so that the period has a deviation, and the other parameters' deviations know that it is not
-sure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Literal, TypeAlias
 
@@ -22,9 +15,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.common.transmission import Side
 from jointid.estimation.methods.linear import (
     ESTIMATORS,
     Rows,
@@ -40,7 +32,6 @@ from jointid.estimation.problems.inverse_model import (
     idim_channels,
     motion_of,
     noise_limit_of,
-    through_window,
 )
 from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
@@ -51,37 +42,26 @@ from jointid.models.controllers import Controller
 from jointid.models.disturbances import (
     Effect,
     EncoderOffset,
-    effect_columns,
     effect_parameters,
     require_effects,
 )
 from jointid.models.joints import Joint, acts_on_whole
-from jointid.models.position_forces import Motion, PositionHarmonics
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.uncertainty.covariance import FOR_MEASURED_MOTION, band_words, words
 from jointid.uncertainty.verdict import MOTION_MEASURED
 
-Estimator: TypeAlias = Literal["ols", "weighted", "robust", "iv"]
+Estimator: TypeAlias = Literal["ols", "weighted", "iv"]
 
 _VARIANTS = {
     "ols": "IDIM by ordinary least squares",
     "weighted": "IDIM by weighted least squares, each equation by the size of its error",
-    "robust": "IDIM by robust least squares (Tukey's bisquare)",
     "iv": "IDIM by instrumental variables from the simulated loop",
 }
-_LINEARISATIONS = 10  # of the force by a period, at most
-_SETTLED = 1e-3  # deviations of the period
 _SHOWN = 4.0  # deviations: a smaller difference of two encoders' zeros is none
 _SLIGHT = 1e-3  # of the torque: a smaller force of that difference is none, as filters leave as much
 _ALIKE = 0.99  # a correlation that says two forces are known only together
-
-# Of a period that is searched for
-_PERIODS = 2.0  # on the way, at least
-_STEPS = 4.0  # to the width of a valley
-_MOVING = 0.1  # of the top speed: slower is not moving
-_FOUND = 1e-9  # relative, of the period
 
 
 @add_settings_to_docstring
@@ -96,8 +76,8 @@ class IDIM(Method):
     estimator: Estimator | None = setting(
         None,
         "ols, ordinary least squares; weighted, each equation of a flexible joint or a robot by the size of its error; "
-        "robust, rows that do not fit have less or no weight; iv, instruments from the simulated loop, for which the "
-        "controller is needed; without it ols for a joint, weighted for a robot",
+        "iv, instruments from the simulated loop, for which the controller is needed; without it ols for a joint, "
+        "weighted for a robot",
     )
     effects: tuple[Effect, ...] = ()
     fixed: Mapping[str, float] = field(
@@ -156,16 +136,7 @@ class IDIM(Method):
         own = self.effects
         if joint.model == "flexible" and _zeros_differ(solve_with):
             own = (*own, EncoderOffset())
-        unknown = [e for e in own if isinstance(e, PositionHarmonics) and e.period is None]
-        if not unknown:
-            return _answer(task, self, filtering, delay, solve_with(own), noise)
-        whole = regression(tuple(effect for effect in own if effect not in unknown))
-        started: dict[Effect, PositionHarmonics] = {
-            ripple: _search_period(ripple, whole, filtering, sample_time) for ripple in unknown
-        }
-        effects = tuple(started.get(effect, effect) for effect in own)
-        found = _with_periods(effects, list(started.values()), solve_with)
-        return _answer(task, self, filtering, delay, found, noise)
+        return _answer(task, self, filtering, delay, solve_with(own), noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,14 +176,12 @@ class _Found:
 
     Attributes:
         regression, solution: that belong together.
-        effects: whose columns follow the joint's, in the end with their periods.
-        periods: that were searched for, by the name of their parameter.
+        effects: whose columns follow the joint's.
     """
 
     regression: _Regression
     solution: Solution
     effects: tuple[Effect, ...]
-    periods: dict[str, float] = field(default_factory=dict)
 
 
 def _zeros_differ(solve_with: Callable[[tuple[Effect, ...]], _Found]) -> bool:
@@ -228,28 +197,6 @@ def _zeros_differ(solve_with: Callable[[tuple[Effect, ...]], _Found]) -> bool:
     return bool(abs(solution.fit.values[at]) > least)
 
 
-def _with_periods(
-    effects: tuple[Effect, ...],
-    ripples: Sequence[PositionHarmonics],
-    solve_with: Callable[[tuple[Effect, ...]], _Found],
-) -> _Found:
-    """Return the solution with the periods of the ripples, which are among the effects, estimated like the others."""
-    found, periods = solve_with(effects), dict[str, float]()
-    for _ in range(_LINEARISATIONS):
-        values = dict(zip(found.regression.rows.names, found.solution.fit.values, strict=True))
-        tangents = [PeriodColumn(r, np.array([values[p.name] for p in r.parameters])) for r in ripples]
-        found = solve_with((*effects, *tangents))
-        names, solution = found.regression.rows.names, found.solution
-        change = dict(zip(names, solution.fit.values, strict=True))
-        std = dict(zip(names, solution.covariance.std, strict=True))
-        periods = {tangent.name: float(tangent.period + change[tangent.name]) for tangent in tangents}
-        moved: dict[Effect, PositionHarmonics] = {t.ripple: replace(t.ripple, period=periods[t.name]) for t in tangents}
-        effects, ripples = tuple(moved.get(effect, effect) for effect in effects), tuple(moved.values())
-        if all(abs(change[name]) <= _SETTLED * std[name] for name in periods):
-            break
-    return _Found(found.regression, found.solution, effects, periods)
-
-
 def _answer(
     task: Task, settings: IDIM, filtering: Filtering, delay: float, found: _Found, noise: tuple[str, ...]
 ) -> FitResult:
@@ -261,11 +208,11 @@ def _answer(
     measured, predicted = regression.model.torque[0], regression.model.columns[0] @ values
     driven = loop.controller.channels if loop is not None and settings.estimator == "iv" else ()
     injected = ("injected",) if record.injected is not None else ()
-    named = dict(zip((p.name for p in regression.parameters), map(float, values), strict=True)) | found.periods
+    named = dict(zip((p.name for p in regression.parameters), map(float, values), strict=True))
     std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
     return FitResult(
         params=Params(
-            build_rows(regression.parameters, named, std, joint.unit, named.keys() - found.periods.keys()),
+            build_rows(regression.parameters, named, std, joint.unit, named.keys()),
             regression.rows.names,
             solution.covariance.correlation,
             f"of the regression, {words(solution.covariance)}"
@@ -341,81 +288,3 @@ def _warnings(record: Record, filtering: Filtering, error: float) -> tuple[str, 
             'results were; timing = "respected" is right'
         )
     return (*found, *poor_fit(error))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PeriodColumn:
-    """The derivative of a ripple by its period, as one more effect; its parameter is the change of the period."""
-
-    ripple: PositionHarmonics
-    amplitudes: FloatArray
-
-    @property
-    def name(self) -> str:
-        """Of its parameter."""
-        return self.parameters[0].name
-
-    @property
-    def period(self) -> float:
-        """The ripple's."""
-        assert self.ripple.period is not None
-        return self.ripple.period
-
-    @property
-    def side(self) -> Side:
-        """The ripple's."""
-        return self.ripple.side
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The period."""
-        prefix, index = ("", "") if self.side == "motor" else ("load_", "2")
-        return (Parameter(f"{prefix}period", f"period{index}", Quantity.POSITION),)
-
-    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
-        """Return the derivative, (samples, 1)."""
-        return self.ripple.period_column(motion, self.amplitudes)[:, np.newaxis]
-
-
-def _search_period(
-    effect: PositionHarmonics, whole: _Regression, filtering: Filtering, sample_time: float
-) -> PositionHarmonics:
-    """Return a ripple with the period that explains most of the residual, see the module."""
-    from scipy.optimize import minimize_scalar
-
-    model, rows = whole.model, whole.rows
-    side = model.motor if effect.side == "motor" else model.load
-    assert side is not None
-    low, high, step = _range(side, effect, filtering)
-    basis, _ = np.linalg.qr(rows.W / np.linalg.norm(rows.W, axis=0))
-    left = rows.Y - basis @ (basis.T @ rows.Y)
-
-    def remaining(frequency: float) -> float:
-        tried = replace(effect, period=1 / frequency)
-        columns = effect_columns([tried], model.motor, model.load, sample_time, rows.equations)
-        seen = model.decimate_columns(through_window(columns, filtering), filtering, sample_time)
-        seen -= basis @ (basis.T @ seen)
-        error = left - seen @ np.linalg.lstsq(seen, left, rcond=None)[0]
-        return float(error @ error)
-
-    tried = np.arange(low, high + step, step)
-    best = tried[int(np.argmin([remaining(frequency) for frequency in tried]))]
-    around = (max(best - step, 0.5 * low), best + step)
-    fine = minimize_scalar(remaining, bounds=around, method="bounded", options={"xatol": _FOUND * best})
-    return replace(effect, period=float(1 / fine.x))
-
-
-def _range(side: Motion, effect: PositionHarmonics, filtering: Filtering) -> tuple[float, float, float]:
-    """Return lowest and highest spatial frequency to try, and the step between, in periods per m or rad."""
-    assert filtering.cutoff is not None
-    travel, speed = float(np.ptp(side.position)), np.abs(side.velocity)
-    moving = speed[speed > _MOVING * speed.max()]
-    low = _PERIODS / travel if travel > 0 else np.inf
-    high = filtering.cutoff / float(np.median(moving)) / effect.harmonics if moving.size else 0.0
-    if not low < high:
-        raise MethodError(
-            f"No period can be searched for: at this record's speed the filter's cut-off of {filtering.cutoff:g} Hz "
-            f"leaves none that fits {_PERIODS:g} times into its travel; give the period, or a record that travels "
-            "farther."
-        )
-    return low, high, 1 / (_STEPS * effect.harmonics * travel)

@@ -1,4 +1,4 @@
-"""The estimators of ``Y = W x``: ordinary, weighted and robust least squares, and instrumental variables.
+"""The estimators of ``Y = W x``: ordinary and weighted least squares, and instrumental variables.
 
 A flexible joint has two equations, one row after the other at every instant. Their errors differ in size, that of the
 motor's by the noise of the torque, that of the load's by what filters and friction laws leave; weighting makes them
@@ -43,8 +43,6 @@ from jointid.uncertainty.covariance import robust as robust_covariance
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
-_NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal
-_HUBER, _BISQUARE = 1.345, 4.685  # both 95 % efficient for normal errors
 _SETTLED = 1e-8  # relative change of the values that ends a reweighting
 _REWEIGHTINGS = 100
 _TINY = 1e-12  # of the torque: a size that no error falls below
@@ -89,7 +87,6 @@ class Solution:
     Attributes:
         fit: values, residual and conditioning; its relative error is of the rows as they are, not weighted.
         covariance: robust to autocorrelation, and to what the weights are.
-        shares: (rows,) weight of each row beside the size of its equation, from 0 to 1.
         steps: reweightings, or simulations of instruments, that were made; 1 for none.
         trace: of the simulations of instruments.
         converged: whether these were enough.
@@ -98,7 +95,6 @@ class Solution:
 
     fit: Fit
     covariance: Covariance
-    shares: FloatArray
     steps: int
     trace: tuple[Iteration, ...] = ()
     converged: bool = True
@@ -112,9 +108,8 @@ def describe_stop(estimator: str, solution: Solution) -> str:
         return f"{how} after {solution.steps} simulations"
     if estimator == "ols":
         return "a linear regression has one step"
-    lost = 100 * float(np.mean(solution.shares == 0.0))
-    without = f"; {lost:.2g} % of the rows do not fit and weigh nothing" if estimator == "robust" else ""
-    return f"{solution.steps} reweightings until nothing changes{without}"
+    how = "until nothing changes" if solution.converged else "and still changing"
+    return f"{solution.steps} reweightings {how}"
 
 
 def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
@@ -137,7 +132,7 @@ def ordinary(rows: Rows) -> Solution:
     fit = least_squares(rows.W, rows.Y, rows.names)
     covariance = _covariance(rows, rows.W, rows.W, fit.residual)
     covariance = with_measured_motion(covariance, rows.W, rows.W, fit.residual, rows.equations)
-    return Solution(fit, covariance, np.ones(rows.Y.size), 1)
+    return Solution(fit, covariance, 1)
 
 
 def weighted_least_squares(rows: Rows) -> Solution:
@@ -149,26 +144,24 @@ def weighted_least_squares(rows: Rows) -> Solution:
     if rows.equations == 1:
         raise MethodError(
             "Weighting balances the two equations of a flexible joint; a rigid joint has one, whose weight changes "
-            'nothing: use estimator = "ols", or "robust".'
+            'nothing: use estimator = "ols".'
         )
-    return _reweight(rows, least_squares(rows.W, rows.Y, rows.names), np.ones_like, np.ones_like, _rms)
-
-
-def robust(rows: Rows) -> Solution:
-    """Return iteratively reweighted least squares with Tukey's bisquare, on the scale of the median absolute deviation.
-
-    Rows with an error above 4.685 scales have no weight. The bisquare has several solutions, so it starts at the only
-    one of Huber's function. (Huber 1964; Beaton and Tukey 1974; Holland and Welsch 1977 for the constants.)
-    """
-    first = least_squares(rows.W, rows.Y, rows.names)
-    huber = _reweight(rows, first, _huber_share, _huber_slope, _mad)
-    return _reweight(rows, huber.fit, _bisquare_share, _bisquare_slope, _mad, huber.steps)
+    values, steps, settled = least_squares(rows.W, rows.Y, rows.names).values, 0, False
+    while steps < _REWEIGHTINGS and not settled:
+        scale = rows.spread_out(_sizes(rows, values))
+        weighted = rows.W / scale[:, np.newaxis]
+        before, values = values, least_squares(weighted, rows.Y / scale, rows.names).values
+        steps += 1
+        settled = bool(np.all(np.abs(values - before) <= _SETTLED * np.abs(values)))
+    error = (rows.Y - rows.W @ values) / scale
+    covariance = _covariance(rows, weighted, weighted, error)
+    covariance = with_measured_motion(covariance, weighted, weighted, error, rows.equations)
+    return Solution(_plain_fit(rows, values, weighted), covariance, steps, converged=settled)
 
 
 ESTIMATORS: Mapping[str, Callable[[Rows], Solution]] = {
     "ols": ordinary,
     "weighted": weighted_least_squares,
-    "robust": robust,
 }
 """The estimators without instruments, by name."""
 
@@ -184,7 +177,7 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
     Raises:
         MethodError: the instruments do not determine the parameters.
     """
-    sizes = _sizes(rows, values, _rms)
+    sizes = _sizes(rows, values)
     scale = rows.spread_out(sizes)[:, np.newaxis]
     Zs, Ws, Ys = Z / scale, rows.W / scale, rows.Y / scale[:, 0]
     try:
@@ -197,7 +190,7 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
     norms = np.linalg.norm(Zs, axis=0)
     found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
     covariance = _covariance(rows, Zs, Ws, Ys - Ws @ found)
-    return Solution(_plain_fit(rows, found, Ws), covariance, np.ones(rows.Y.size), 1)
+    return Solution(_plain_fit(rows, found, Ws), covariance, 1)
 
 
 def simulated_instruments(
@@ -280,40 +273,6 @@ def _line(number: int, rows: Rows, solution: Solution, before: Solution | None, 
     return Iteration(number, dict(zip(rows.names, map(float, values), strict=True)), norm, change, step, number)
 
 
-def _reweight(
-    rows: Rows,
-    start: Fit,
-    share: Callable[[FloatArray], FloatArray],
-    slope: Callable[[FloatArray], FloatArray],
-    size: Callable[[FloatArray], float],
-    steps: int = 0,
-) -> Solution:
-    """Return the fixed point of reweighting, from `start`.
-
-    Args:
-        rows: the regression.
-        start: where it begins.
-        share: weight of a row by its error in sizes.
-        slope: derivative of share times error.
-        size: of the errors of one equation.
-        steps: made before.
-    """
-    values, last = start.values, steps + _REWEIGHTINGS
-    while steps < last:
-        sizes = _sizes(rows, values, size)
-        scale = rows.spread_out(sizes)
-        weight = np.sqrt(share((rows.Y - rows.W @ values) / scale)) / scale
-        before, values = values, least_squares(rows.W * weight[:, np.newaxis], rows.Y * weight, rows.names).values
-        steps += 1
-        if np.all(np.abs(values - before) <= _SETTLED * np.abs(values)):
-            break
-    error = (rows.Y - rows.W @ values) / scale
-    Z = rows.W / scale[:, np.newaxis]
-    J, left = Z * slope(error)[:, np.newaxis], error * share(error)
-    covariance = with_measured_motion(_covariance(rows, Z, J, left), Z, J, left, rows.equations)
-    return Solution(_plain_fit(rows, values, Z), covariance, share(error), steps)
-
-
 def _plain_fit(rows: Rows, values: FloatArray, W: FloatArray) -> Fit:
     """Return given values as a `Fit`, with the error of the rows as they are and the conditioning of W."""
     shape = least_squares(W, rows.Y, rows.names)
@@ -323,12 +282,12 @@ def _plain_fit(rows: Rows, values: FloatArray, W: FloatArray) -> Fit:
     return Fit(values, shape.std, residual, sigma, error, shape.conditioning)
 
 
-def _sizes(rows: Rows, values: FloatArray, size: Callable[[FloatArray], float]) -> FloatArray:
+def _sizes(rows: Rows, values: FloatArray) -> FloatArray:
     """Return the size of each equation's error, (equations,), a homogeneous one's held back (see the module)."""
     error, torque = rows.by_equation(rows.Y - rows.W @ values), rows.by_equation(rows.Y)
     least = _TINY * _rms(rows.Y)
     stated = rows.by_equation(np.any(rows.W != 0, axis=1))  # a joint that rests leaves rows of zeros
-    sizes = np.array([max(size(equation[seen]), least) for equation, seen in zip(error, stated, strict=True)])
+    sizes = np.array([max(_rms(equation[seen]), least) for equation, seen in zip(error, stated, strict=True)])
     for number in np.flatnonzero(~np.any(torque, axis=1)):
         of_it = np.arange(rows.equations).repeat(torque.shape[1]) == number
         inside = np.any(rows.W[of_it] != 0, axis=0)
@@ -342,24 +301,3 @@ def _sizes(rows: Rows, values: FloatArray, size: Callable[[FloatArray], float]) 
 
 def _rms(error: FloatArray) -> float:
     return float(np.sqrt(np.mean(error**2)))
-
-
-def _mad(error: FloatArray) -> float:
-    return float(np.median(np.abs(error))) / _NORMAL
-
-
-def _huber_share(u: FloatArray) -> FloatArray:
-    return np.asarray(_HUBER / np.maximum(np.abs(u), _HUBER))
-
-
-def _huber_slope(u: FloatArray) -> FloatArray:
-    return np.asarray((np.abs(u) <= _HUBER) * 1.0)
-
-
-def _bisquare_share(u: FloatArray) -> FloatArray:
-    return np.asarray(np.maximum(1 - (u / _BISQUARE) ** 2, 0.0) ** 2)
-
-
-def _bisquare_slope(u: FloatArray) -> FloatArray:
-    square = (u / _BISQUARE) ** 2
-    return np.asarray(np.maximum(1 - square, 0.0) * (1 - 5 * square))

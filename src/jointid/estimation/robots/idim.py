@@ -63,7 +63,6 @@ from jointid.uncertainty.verdict import MOTION_MEASURED
 _WORDS = {
     "ols": "ordinary least squares",
     "weighted": "least squares, each joint by the size of its error",
-    "robust": "robust least squares (Tukey's bisquare), each joint by the size of its error",
     "iv": "instruments from simulations of the closed loop, each joint by the size of its error",
 }
 
@@ -95,7 +94,7 @@ def solve_rows(settings: IDIM, rows: Rows, instruments: Instruments | None = Non
             )
         solution = by_instruments(left, instruments, kept, free)
     else:
-        name = "ols" if rows.equations == 1 and settings.estimator != "robust" else settings.estimator or "weighted"
+        name = "ols" if rows.equations == 1 else settings.estimator or "weighted"
         solution = ESTIMATORS[name](left)
     return with_fixed_values(solution, kept, free) if settings.fixed else solution
 

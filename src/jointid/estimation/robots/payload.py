@@ -264,7 +264,7 @@ def identify_payload(
         if settings.estimator == "iv":
             raise MethodError(
                 'A payload is identified from two records without a simulation, so the estimator "iv" has no '
-                'instruments there; use "weighted", "robust" or "ols".'
+                'instruments there; use "weighted" or "ols".'
             )
         setup, free = robot, replace(settings, fixed={})
     else:

@@ -330,7 +330,7 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         None if joint.transmission is None else joint.transmission.side,
         tuple(_parameter(found[p.name], p.name, p.symbol, joint.unit(p)) for p in joint.parameters),
         joint.gravity,
-        None if joint.ripple is None or joint.ripple.period is None else 2 * math.pi / joint.ripple.period,
+        None if joint.ripple is None else 2 * math.pi / joint.ripple.period,
         rates.pop() if len(rates) == 1 else None,
         optional_number(answer["delay"]) or 0.0,
         Origin(
