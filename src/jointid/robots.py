@@ -2,12 +2,11 @@
 
 from jointid.config.robot_model import load_robot
 from jointid.estimation.robots.consistent import consistent_robot
-from jointid.estimation.robots.payload import identify_drive_gains
 from jointid.models.robots.robot import JointSpring, Link, RobotJoint
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 
 __all__ = [
     "JointSpring", "Link", "RobotDriveSide", "RobotJoint", "RobotLoop", "add_feed_forward", "consistent_robot",
-    "identify_drive_gains", "load_robot",
+    "load_robot",
 ]  # fmt: skip

@@ -168,8 +168,6 @@ def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
         ji.examine(records[0], loop)
     with pytest.raises(MethodError, match=r"^A ClosedLoop or a RobotLoop is simulated; received Estimate: give"):
         ji.simulate(estimate(), records)  # type: ignore[call-overload]
-    with pytest.raises(MethodError, match=r"^The gains of drives are identified with a Robot; received RobotLoop"):
-        ji.robots.identify_drive_gains(loop, records, records, {"m": 1.0})  # type: ignore[arg-type]
     with pytest.raises(MethodError, match=r"has the reference of each joint; received 1 for 2 joints"):
         ji.design(loop, motion=records[:1])
 

@@ -1,4 +1,4 @@
-"""A payload weighed two ways, and the drives' gains from one that is known, on an arm of six joints."""
+"""A payload weighed two ways, on an arm of six joints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.payload import (
     Payload,
     both_records,
-    identify_drive_gains,
     identify_payload,
     payload_difference,
     payload_of_both_records,
@@ -34,21 +33,11 @@ from tests.robots_plants import six, two
 ARM = arm()
 BODY = MassProperties(3.0, np.array([0.02, -0.03, 0.08]), np.diag([0.02, 0.015, 0.01]))
 TRUTH = np.array([3.0, 0.02, -0.03, 0.08, 0.02, 0.015, 0.01, 0.0, 0.0, 0.0])
-GAINS = np.array([85.0, 110.0, 60.0, 24.0, 31.0, 17.5])
 
 
 def pair(seed: int, noise: float = 0.2, loaded: Robot | None = None) -> tuple[Sequence[Record], Sequence[Record]]:
     """Return the records without and with the payload."""
     return records_of(ARM, seed, noise), records_of(loaded or with_payload(ARM, BODY.inertial), seed + 100, noise)
-
-
-def in_currents(records: Sequence[Record]) -> list[Record]:
-    """Return the records with the motors' currents in the place of their torques."""
-    made = []
-    for record, gain in zip(records, GAINS, strict=True):
-        assert record.torque is not None
-        made.append(replace(record, torque=replace(record.torque, values=record.torque.values / gain)))
-    return made
 
 
 def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
@@ -188,37 +177,15 @@ def test_friction_that_changed_beside_the_payload_is_said() -> None:
     assert "something beside the payload changed between the records" in " ".join(found.summary().split())
 
 
-@pytest.mark.slow
-def test_a_known_payload_tells_the_drives_gains() -> None:
-    """Of a known mass, or of a known centre of mass, too."""
-    z = []
-    for seed in range(30, 33):
-        empty, loaded = map(in_currents, pair(seed, noise=0.5))
-        for known in ({"m": 3.0}, {"m": 3.0, "mx": 0.06, "my": -0.09, "mz": 0.24}):
-            found = identify_drive_gains(ARM, empty, loaded, known)
-            assert found.values == pytest.approx(GAINS, rel=0.02)
-            z.append((found.values - GAINS) / found.std)
-    assert np.mean(np.abs(z) < 2) > 0.85
-    assert "joint3" in found.summary()
-    assert set(answers.to_dict(found)["gains"]) == set(ARM.names)
-
-
 def unstated(records: Sequence[Record]) -> list[Record]:
     """Return the records without a statement on the timing of the torques."""
     return [replace(one, torque=replace(one.torque, stated=False)) for one in records if one.torque is not None]
 
 
 @pytest.mark.slow
-def test_an_unstated_timing_is_said_of_a_payload_and_of_gains_and_widens_them() -> None:
+def test_an_unstated_timing_is_said_of_a_payload_and_widens_it() -> None:
     """The twin has less noise than half a sample changes."""
     records = pair(30, noise=0.05)
-    currents = [in_currents(one) for one in records]
-    stated, found = (identify_drive_gains(ARM, *logs, {"m": 3.0}) for logs in (currents, map(unstated, currents)))
-    assert not stated.warnings
-    assert np.max(found.std / stated.std) > 2.0
-    assert "it is not stated whether the torque is held or sampled" in " ".join(found.summary().split())
-    assert answers.to_dict(found)["warnings"] == list(found.warnings)
-
     of_stated, of_unstated = payload_of_both_records(ARM, *records), identify_payload(ARM, *map(unstated, records))
     assert of_unstated.agrees
     assert np.max(of_unstated.payload.properties[1] / of_stated.properties[1]) > 1.5
@@ -245,15 +212,3 @@ def test_records_in_wrong_units_are_refused_as_in_identify() -> None:
         wrong.append(replace(one, reference=one.motor_position, motor_position=scaled))
     with pytest.raises(RecordError, match=r"joint1: motor_position is 57\.3 times reference"):
         identify_payload(ARM, empty, wrong)
-    with pytest.raises(RecordError, match=r"joint1: motor_position is 57\.3 times reference"):
-        identify_drive_gains(ARM, empty, wrong, {"m": 3.0})
-
-
-def test_what_is_refused() -> None:
-    empty, loaded = map(in_currents, pair(30))
-    with pytest.raises(MethodError, match=r"mass is 0 kg; expected a positive one"):
-        identify_drive_gains(ARM, empty, loaded, {"mx": 0.1})
-    with pytest.raises(MethodError, match=r'A number of the payload is "mass"; expected'):
-        identify_drive_gains(ARM, empty, loaded, {"mass": 0.1})
-    with pytest.raises(MethodError, match=r"The gain of .* does not come out positive"):
-        identify_drive_gains(ARM, loaded, empty, {"m": 3.0})

@@ -184,7 +184,6 @@ def payload(
     with_: Annotated[Path, Parameter(name="--with")],
     without: Path | None = None,
     estimate: Path | None = None,
-    mass: float | None = None,
     changes: Changes = (),
     json: Path | None = None,
     quiet: Quiet = False,
@@ -195,23 +194,18 @@ def payload(
     By IDIM from motor positions and torques, by DIDIM from torques and references, or on the drive side from torques
     and motor positions of a flexible robot, as the robot file asks.
 
-    Of a payload whose mass is known, --mass asks for the gains of the drives instead: what each joint's torque, or its
-    current, as the robot file reads it, is to be multiplied with.
-
     Args:
         robot: the robot file (TOML), which has the table [robot].
         with_: the record with the payload.
         without: the record without it, of the same or another motion.
         estimate: instead of the record without it what identify --json wrote of the robot.
-        mass: of the payload as it was weighed, kg.
         changes: a key of the robot file and its value, as method.estimator=ols; may be given several times.
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress of searches.
     """
-    from jointid import IDIM, identify_payload
+    from jointid import identify_payload
     from jointid.config.robot_file import RobotFile
     from jointid.output.json import load_estimate, read_choices
-    from jointid.robots import identify_drive_gains
 
     outputs = Outputs({"--json": json})
     outputs.spare("--without", without)
@@ -231,24 +225,8 @@ def payload(
             f"joints.parameters keeps {', '.join(file.parameters)}, and a payload is identified with all parameters "
             "free; leave joints.parameters out."
         )
-    if mass is None:
-        empty = file.record(without) if estimate is None else load_estimate(estimate, file)
-        found = identify_payload(
-            file.setup, empty, file.record(with_), file.method, filtering=file.filtering, progress=options.progress
-        )
-        deliver(found, json)
-        return
-    if estimate is not None:
-        raise MethodError("The drives' gains are found from two records; give --without RECORD instead of --estimate.")
-    if not isinstance(file.method, IDIM):
-        raise MethodError(
-            "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "
-            "DIDIM or the drive side; add --set method.name=idim, and declare record.channels.motor_position."
-        )
-    if file.method.fixed or file.method.estimator not in (None, "weighted"):
-        raise MethodError(
-            "The drives' gains are searched with all parameters free, each joint weighed by its error; leave "
-            "method.fixed and method.estimator out, or add --set method.estimator=weighted --set method.fixed={}."
-        )
-    empty, loaded = file.records(without), file.records(with_)
-    deliver(identify_drive_gains(file.robot, empty, loaded, {"m": mass}, filtering=file.filtering), json)
+    empty = file.record(without) if estimate is None else load_estimate(estimate, file)
+    found = identify_payload(
+        file.setup, empty, file.record(with_), file.method, filtering=file.filtering, progress=options.progress
+    )
+    deliver(found, json)

@@ -21,7 +21,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError, require_type
-from jointid.common.messages import Progress, ignore_progress, name_progress, no_choice
+from jointid.common.messages import Progress, ignore_progress, name_progress
 from jointid.common.parallel import one_thread
 from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit_robot
@@ -30,14 +30,14 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.record_warnings import check_robot_records, robot_record_warnings
+from jointid.estimation.record_warnings import robot_record_warnings
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import KNOWN
 from jointid.estimation.robots.idim import InverseModelRobot, solve_rows
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.regression import base_rows, join_rows, motions_of_logs, require_slow_samples
 from jointid.estimation.robots.simulated import SimulatedRobot
-from jointid.estimation.unknown_timing import UNSTATED_SAID, all_stated, cover_both_readings, read_as_identified
+from jointid.estimation.unknown_timing import cover_both_readings, read_as_identified
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_indices
 from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
@@ -46,8 +46,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
-from jointid.solvers.regression import least_squares
-from jointid.uncertainty.covariance import Covariance, covariance_of, robust
+from jointid.uncertainty.covariance import Covariance, covariance_of
 
 _STEP = 1e-6  # of a difference, relative
 _TOGETHER = 1e-8  # of the largest: a direction in which a payload's ten parameters change nothing
@@ -463,146 +462,3 @@ def _payload(robot: Robot, inertial: FloatArray, covariance: Covariance) -> Payl
             "record is the one with the payload, and that both have the same torque's unit."
         )
     return PayloadParameters(robot.links[-1].name, inertial, covariance)
-
-
-_STEPS = 50
-_SETTLED = 1e-4  # deviations: the largest change that ends the search
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DriveGains(Documented):
-    """Gains of the drives: factors on the logged torques.
-
-    Attributes:
-        joints: their names.
-        values: (n,) gains, torque behind the gear for torque as it was read.
-        std: (n,) their deviations.
-        covariance: of the reciprocals of the gains, then of the robot's and the payload's parameters.
-        warnings: on the records, one sentence each.
-    """
-
-    joints: tuple[str, ...]
-    values: FloatArray
-    std: FloatArray
-    covariance: Covariance
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def rows(self) -> Mapping[str, Mapping[str, float]]:
-        """Value and deviation of each gain, by its joint's name."""
-        pairs = zip(self.joints, map(float, self.values), map(float, self.std), strict=True)
-        return {name: {"value": value, "std": std} for name, value, std in pairs}
-
-    @property
-    def sentence(self) -> str:
-        """Sentence of the factors of the torques."""
-        pairs = zip(self.joints, self.values, self.std, strict=True)
-        factors = [f"{name} by {interval(float(value), 2 * float(std))}" for name, value, std in pairs]
-        return f"Multiply the logged torque of {', '.join(factors)}."
-
-    def to_document(self, *, details: bool = False) -> Document:
-        """Return the gains with their intervals; there are no further details."""
-        del details
-        rows = tuple(
-            (name, interval(float(value), 2 * float(std)), f"{100 * std / value:.2g}")
-            for name, value, std in zip(self.joints, self.values, self.std, strict=True)
-        )
-        said = (
-            "The torques are as the robot file reads them; of a current read with torque_constant = 1 it is the gain."
-        )
-        parts = Paragraph(said, lead=True), Table(("joint", "gain, 2 sigma", "sigma, %"), rows, words=(0, 1))
-        return Document(self.sentence, (*parts, *_list_warnings(self.warnings)))
-
-
-def identify_drive_gains(
-    robot: Robot,
-    empty: Sequence[Record],
-    loaded: Sequence[Record],
-    known: Mapping[str, float],
-    *,
-    filtering: Filtering | None = None,
-) -> DriveGains:
-    """Identify the gain of each joint's drive from a record without and one with a payload that is known in part.
-
-    Currents I alone tell all gains and parameters but for one common factor. A payload of which the mass is known, in
-    the second of two records, tells that factor as well [M. Gautier, S. Briot: Global identification of joint drive
-    gains and dynamic parameters of robots, Journal of Dynamic Systems, Measurement, and Control 136, 2014]::
-
-        g I = W x            without the payload
-        g I = W x + W_L x_L  with it, of whose ten parameters x_L some are known
-
-    There this is a homogeneous system, solved by total least squares. Here it stands as ``I = k (W x + W_L x_L)``, k =
-    1/g of each joint: the currents, which hold the noise, are on one side, so least squares by Gauss and Newton's steps
-    has no bias of theirs, each joint weighs by its error, and the covariance is that of every other estimate.
-
-    Args:
-        robot: its geometry, gravity and coupling.
-        empty: the record of each joint without the payload; the torques are in any unit, each joint's its own.
-        loaded: the record of each joint with it, in the same units.
-        known: of the payload, by the symbols of `inertial`, in the last link's frame; the mass `m` at least.
-        filtering: of positions and rows.
-
-    Raises:
-        MethodError: the mass is not among what is known, or not positive; the records do not determine the gains.
-        RecordError: as of `jointid.identify`.
-
-    Valid for gears without losses that grow with the load: such a loss is taken for a part of the gain.
-    """
-    require_type(robot, Robot, "The gains of drives are identified with a Robot", "give the robot alone")
-    for name in known:
-        if name not in SYMBOLS:
-            raise MethodError(f"A number of the payload{no_choice(name, SYMBOLS)}")
-    if not known.get("m", 0.0) > 0:
-        raise MethodError(
-            f"The payload's mass is {known.get('m', 0.0):g} kg; expected a positive one, as it was weighed."
-        )
-    _refuse_payloads(empty, loaded)
-    warnings = []
-    for which, log in (("without the payload", empty), ("with it", loaded)):
-        check_robot_records(log, robot)
-        warnings += [f"{which}: {said}" for said in robot_record_warnings(log, robot)]
-    if not all_stated((empty, loaded)):
-        warnings.append(UNSTATED_SAID)
-    n = len(robot)
-    values, covariance = cover_both_readings(
-        (empty, loaded), lambda logs: _fit_gains(robot, both_records(robot, logs, filtering or Filtering()), known)
-    )
-    return DriveGains(robot.names, 1 / values[:n], covariance.std[:n] / values[:n] ** 2, covariance, tuple(warnings))
-
-
-def _fit_gains(robot: Robot, rows: Rows, known: Mapping[str, float]) -> tuple[FloatArray, Covariance]:
-    """Return the reciprocals of the gains, then the free parameters, and their covariance."""
-    n, own = len(robot), len(rows.names) - len(SYMBOLS)
-    given = np.array([known.get(symbol, 0.0) for symbol in SYMBOLS])
-    free = [*range(own), *(own + i for i, symbol in enumerate(SYMBOLS) if symbol not in known)]
-    joint = np.arange(n).repeat(rows.Y.size // n)
-    carried, columns = rows.W[:, own:] @ given, rows.W[:, free]
-    each = np.eye(n)[joint]
-    # The start: g I = W x, whose noise is taken for none; the gains come out too small, and of the right order.
-    names = tuple(f"gain of {name}" for name in robot.names)
-    others = tuple(rows.names[i] for i in free)
-    start = least_squares(np.column_stack([each * rows.Y[:, np.newaxis], -columns]), carried, (*names, *others)).values
-    if not np.all(start[:n] > 0):
-        wrong = ", ".join(name for name, gain in zip(robot.names, start[:n], strict=True) if gain <= 0)
-        raise MethodError(
-            f"The gain of {wrong} does not come out positive; expected currents and positions of one sign, and a "
-            "payload heavy enough to be felt: check the signs, and that the second record is the one with it."
-        )
-    k, x = 1 / start[:n], start[n:]
-    for _ in range(_STEPS):
-        torque = columns @ x + carried
-        error = rows.Y - k[joint] * torque
-        size = np.sqrt(np.mean(error.reshape(n, -1) ** 2, axis=1))
-        weight = 1 / np.maximum(size, 1e-9 * np.sqrt(np.mean(rows.Y**2)))[joint]
-        J = np.column_stack([each * torque[:, np.newaxis], columns * k[joint][:, np.newaxis]]) * weight[:, np.newaxis]
-        norms = column_norms(J)
-        fit = least_squares(J / norms, error * weight, (*names, *others))
-        step = fit.values / norms
-        k, x = k + step[:n], x + step[n:]
-        if np.all(np.abs(fit.values) <= _SETTLED * fit.std):
-            break
-    else:
-        raise MethodError("The search for the gains did not settle; expected a heavier payload, or livelier motions.")
-    if not np.all(k > 0):
-        raise MethodError("A gain comes out negative; expected currents and positions of one sign: check them.")
-    return np.concatenate([k, x]), robust(J, J, error * weight, equations=rows.equations)

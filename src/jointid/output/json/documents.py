@@ -226,7 +226,6 @@ SHAPES: Mapping[str, Shape] = {
     "Payload": document_shape(
         "jointid.payload/1", "link parameters=rows ways_agree=agrees body_possible=possible warnings"
     ),
-    "DriveGains": document_shape("jointid.drive_gains/1", "gains=rows warnings"),
     # Files and reports
     "Inspection": document_shape(
         "jointid.inspection/1", "file format bytes=size channels scalars not_read=passed recognised"
