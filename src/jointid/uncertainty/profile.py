@@ -197,25 +197,6 @@ class _Held(_Changed):
         return np.append(residual, self._row(x)), np.vstack([J, self.stiffness * self.weights])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Weighted(_Changed):
-    """A problem with row weights, (rows,)."""
-
-    root: FloatArray
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        return self.root * self.problem.residual(x)
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        residual, J = self.problem.linearise(x)
-        return self.root * residual, self.root[:, np.newaxis] * J
-
-
-def refit_with_weights(problem: Problem, x: FloatArray, weights: FloatArray) -> FloatArray:
-    """Minimise ``sum w r^2`` near a point, (free,), weights (rows,)."""
-    return solve(_Weighted(problem, np.sqrt(weights)), TrustRegion(evaluations=30, eager=False), x).x
-
-
 @dataclass(slots=True, eq=False)
 class _Point:
     value: float
