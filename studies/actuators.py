@@ -317,8 +317,7 @@ def judge(seed: int, kind: str, fault: str = "none") -> Said:
     """Identify an actuator as flexible with its delay free, with the play that it has, or as rigid if refused."""
     made = log(seed, kind, fault)
     one, loop = made.actuator, made.loop
-    # A measured torque is later than the law's for the position by the delay, which nobody declares.
-    method = DIDIM(free=("delay",), outputs=("torque",) if one.measured else ("torque", "motor_position"))
+    method = DIDIM(free=("delay",), outputs=("torque",))
     truth = one.truth
     about = {"period": one.period, "log": one.log, "noise": one.noise, "measured": float(one.measured), **truth}
     loose = replace(loop, joint=replace(ji.FlexibleJoint("revolute"), spring=find_spring("backlash")))

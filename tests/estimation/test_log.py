@@ -486,7 +486,6 @@ def test_what_has_no_two_windows_is_not_identified_in_windows(monkeypatch: pytes
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", memory_of(record) - 1)
     assert plan_windows(record, LOOP, None) is not None
     assert plan_windows(one, LOOP, None) is None, "motion in one window"
-    assert plan_windows(record, LOOP, DIDIM(outputs=("torque", "motor_position"))) is None
 
 
 def test_an_interrupt_of_windows_by_themselves_checks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""The outputs of DIDIM: the torque, the motor position through the declared controller, or both."""
+"""The outputs of DIDIM: the torque, or the motor position through the declared controller."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ import jointid as ji
 from jointid.config import JointFile, loads
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.model_free import compare_law
-from jointid.estimation.outputs import _average
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.output.figures.charts import AxisSignals
 from jointid.paper.twin import twin
-from jointid.records.record import Timing
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.synthesis import simulate
 
@@ -127,31 +125,20 @@ def test_no_fault_of_a_log_is_tested_where_no_torque_was_logged() -> None:
     assert not {"log_gain", "log_delay"} & {test.name for test in checked.axes[0].faults.tests}
 
 
-def test_outputs_that_contradict_each_other_are_not_averaged() -> None:
-    record = logged(torque_noise=0.3 * np.random.default_rng(1).standard_normal(6000))
-    assert record.torque is not None
-    larger = replace(record, torque=replace(record.torque, values=1.08 * record.torque.values))
-    with pytest.raises(ji.MethodError, match=r"differs from the logged torque by -7.. % in size; expected one torque"):
-        identify(larger, LAW, "torque", "motor_position")
-
-
-@pytest.mark.parametrize(
-    "outputs", [pytest.param(("motor_position",), marks=pytest.mark.slow), ("torque", "motor_position")]
-)
-def test_outputs_are_of_several_records_and_of_windows(outputs: tuple[str, ...]) -> None:
+def test_positions_are_of_several_records_and_of_windows() -> None:
     law = replace(LAW, period=1e-3)
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
     noise = 0.3 * np.random.default_rng(1).standard_normal((2, 6000))
     first = logged(law, torque_noise=noise[0])
     second = logged(law, TRUTH | {"coulomb": 1.8}, noise=-1e-4, torque_noise=noise[1])
     own = ji.SeveralRecords(own=((), ("coulomb",)))
-    together = ji.identify([first, second], loop, ji.DIDIM(outputs=outputs), several=own)
+    together = ji.identify([first, second], loop, ji.DIDIM(outputs=("motor_position",)), several=own)
     assert together.params["coulomb@2"].value == pytest.approx(1.8, rel=0.01)
-    windows = ji.identify(first, loop, ji.DIDIM(outputs=outputs), windows=ji.Windowing(length=2.0))
+    windows = ji.identify(first, loop, ji.DIDIM(outputs=("motor_position",)), windows=ji.Windowing(length=2.0))
     for found in (together, windows):
         assert "motor_position" in found.data.channels
         assert len(deviations(found)) in (3, 4) and max(map(abs, deviations(found))) < 4.0
-        assert scale_status(found) == (["unknown"] if len(outputs) == 1 else [])
+        assert scale_status(found) == ["unknown"]
         assert found.params["inertia"].stderr < 2e-3
 
 
@@ -165,8 +152,6 @@ def test_a_log_of_positions_is_read_in_windows(folder: Path) -> None:
     windows, loop = ji.Windowing(length=2.0), ji.ClosedLoop(ji.RigidJoint("revolute"), cascade)
     with pytest.raises(ji.MethodError, match="begins anew in each window of a log from positions alone"):
         ji.identify(log, loop, windows=windows)
-    with pytest.raises(ji.MethodError, match="name one output, or read the record whole"):
-        ji.identify(log, replace(loop, controller=LAW), ji.DIDIM(outputs=("torque", "motor_position")), windows=windows)
 
 
 def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:
@@ -176,9 +161,6 @@ def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:
     (profile,) = ji.intervals(found, logged().without("torque")).profiles
     low, high = profile.interval
     assert low is not None and high is not None and low < 0.5 < high
-    both = ji.identify(logged(), loop, ji.DIDIM(outputs=("torque", "motor_position")), checks=False)
-    with pytest.raises(ji.MethodError, match="identify from one of them"):
-        ji.diagnose(both, logged())
 
 
 @pytest.mark.slow
@@ -187,19 +169,6 @@ def test_a_wrong_ratio_of_gains_is_named() -> None:
     assert not found.answer.reliable
     assert "the position gain is 17 % smaller than declared" in found.sentence
     assert "or the derivative gain is larger by the same factor" in found.sentence
-
-
-def test_both_outputs_are_weighted_by_their_noise() -> None:
-    noise = 0.5 * np.random.default_rng(1).standard_normal(6000)
-    record = logged(torque_noise=noise, noise=5e-4)
-    each = [identify(record, LAW, *outputs, checks=False) for outputs in (("torque",), ("motor_position",))]
-    both = identify(record, LAW, "torque", "motor_position", checks=False)
-    assert max(map(abs, deviations(both))) < 3.5
-    assert both.data.channels == ("torque", "motor_position", "reference")
-    for name in ("inertia", "viscous", "coulomb"):  # 0.79 to 0.92 of what the sum of both informations would give
-        stderr, *others = (one.params[name].stderr or 0.0 for one in (both, *each))
-        assert 0.5 < stderr * math.hypot(*(1.0 / one for one in others)) < 0.97
-    assert scale_status(both) == []
 
 
 @pytest.mark.parametrize("begin", [0.0, 0.6])
@@ -241,11 +210,10 @@ def test_the_controller_is_not_compared_with_its_own_torque() -> None:
     assert compare_law(ji.compute_controller_torque(logged(), loop), loop) is None
 
 
-def test_outputs_that_no_record_has_are_refused() -> None:
-    with pytest.raises(ji.MethodError, match="outputs of DIDIM are torque and motor_position"):
-        ji.DIDIM(outputs=("load_position",))
-    with pytest.raises(ji.RecordError, match="needs torque"):
-        identify(logged().without("torque"), LAW, "torque", "motor_position")
+@pytest.mark.parametrize("outputs", [("load_position",), ("torque", "motor_position")])
+def test_outputs_that_no_record_has_are_refused(outputs: tuple[str, ...]) -> None:
+    with pytest.raises(ji.MethodError, match="one output"):
+        ji.DIDIM(outputs=outputs)
 
 
 FILE = """
@@ -433,24 +401,6 @@ def test_a_robot_without_torques_is_identified_from_its_positions(
     assert found.params["joint1.viscous"].value == pytest.approx(loop.robot.joints[0].viscous, rel=0.02)
 
 
-def test_the_noise_of_a_logged_torque_is_no_factor_and_no_offset() -> None:
-    """Beside a computed torque without noise, which tells what is constant unless the law integrates."""
-    random, torque = np.random.default_rng(3), np.sin(0.01 * np.arange(6000.0))
-    noise = 0.3 * random.standard_normal(torque.size) + 0.1
-    record = ji.Record(torque=ji.Channel(torque + noise, "N m", SAMPLE_TIME))
-    errors = noise, np.zeros(torque.size)
-    pid = ji.controller.PID(position_gain=400.0, derivative_gain=30.0, integral_gain=1.0)
-    exact, under_integral = (
-        replace(record, torque=ji.Channel(torque, "N m", SAMPLE_TIME), computed_by=law) for law in (LAW, pid)
-    )
-    found, integrating = (_average(record, other, errors).torque for other in (exact, under_integral))
-    assert found is not None and integrating is not None
-    assert abs(float(np.mean(found.values - torque))) < 1e-3
-    assert float(np.mean(integrating.values - torque)) == pytest.approx(float(noise.mean()))
-    with pytest.raises(ji.MethodError, match="% in size"):
-        _average(record, exact, (noise, 0.05 * torque))
-
-
 def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared() -> None:
     """The law differentiates the noise, and the filter holds to it at both ends."""
     from tests.robots_plants import two
@@ -499,26 +449,3 @@ def test_rows_within_the_borders_of_a_computed_torque_are_not_counted() -> None:
     record, given = logged().without("torque"), [ji.Filtering(borders=(some, some)) for some in (0, 1500)]
     whole, inside = (identify(record, checks=False, filtering=one).fit.rows for one in given)
     assert 0.4 * whole < inside < 0.6 * whole
-
-
-def test_two_outputs_are_one_torque_where_the_position_between_samples_is_known() -> None:
-    """At 60 of a log's 200 Hz a spline has a velocity that is too small, which makes no second torque."""
-    law = ji.controller.PD(
-        position_gain=40.0, derivative_gain=2.0, reference_velocity="channel", period=1e-4, interpolation="hold"
-    )
-    time, still = 5e-3 * np.arange(800), ji.Channel(np.zeros(800), "rad", 5e-3)
-    frequencies, phases = np.geomspace(0.3, 60.0, 24), np.random.default_rng(4).uniform(0, 2 * np.pi, 24)
-    q, before = (np.sin(2 * np.pi * frequencies * at[:, None] + phases).sum(axis=1) for at in (time, time - 1e-4))
-    record = ji.Record(
-        torque=ji.Channel(-40.0 * q - 2.0 * (q - before) / 1e-4, "N m", 5e-3, Timing.HELD),
-        reference=still,
-        reference_velocity=replace(still, unit="rad/s"),
-        motor_position=ji.Channel(q, "rad", 5e-3, Timing.SAMPLED),
-    )
-    other = ji.compute_controller_torque(record, ji.ClosedLoop(ji.RigidJoint("revolute"), law))
-    assert record.torque is not None
-    assert other.torque is not None
-    difference = other.torque.values - record.torque.values
-    columns = np.column_stack([record.torque.values, np.ones(800)])
-    assert abs(np.linalg.lstsq(columns, difference, rcond=None)[0][0]) > 0.02
-    assert _average(record, other, (np.zeros(800), difference)).torque is not None

@@ -153,18 +153,10 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
 
 
 def take_identified_torque(estimate: EstimateParts, record: Record) -> Record:
-    """Return a record with the torque that an estimate was identified from: logged, or computed from the position.
-
-    Raises:
-        MethodError: it was identified from both.
-    """
+    """Return a record with the torque that an estimate was identified from: logged, or computed from the position."""
     read, loop = estimate.data.channels, estimate.settings.loop
     if loop is None or "motor_position" not in read or record.computed:
         return record
-    if "torque" in read:
-        raise MethodError(
-            "An estimate from torque and motor position together is not examined again; identify from one of them."
-        )
     return compute_controller_torque(record, loop)
 
 

@@ -139,10 +139,9 @@ def plan_windows(record: object, model: object, method: Method | None, limit: in
 def _in_windows(record: object, model: object, method: Method | None) -> bool:
     """Test whether these records, model and method can be identified in windows."""
     records = _flat(record)
-    both = isinstance(method, DIDIM) and len(method.outputs) > 1  # weighted beside a fit of the whole
     clocks = {round(channel.sample_time, 12) for one in records for _, channel in one.items()}
     sizes = [{len(channel) for _, channel in one.items()} for one in records]
-    if both or len(clocks) != 1 or any(len(size) != 1 for size in sizes):
+    if len(clocks) != 1 or any(len(size) != 1 for size in sizes):
         return False
     if isinstance(model, _ROBOTS):
         return not isinstance(record, Record)
@@ -205,13 +204,7 @@ def fit(
                 return state_scale(identify_log([[InMemory(one)] for one in each], windowed, windows, progress), each)
             return state_scale(identify_several(each, model, settings, method, filtering, parameters, progress), each)
 
-        def fit_alone(number: int, each: Sequence[Record]) -> FitResult:
-            known = layout.changes(parameters or {}, number, acting=False)
-            return identify_record(
-                each[0], layout.loops[number], method, filtering=filtering, parameters=known, progress=progress
-            )
-
-        return fit_outputs(record, layout.loops, outputs, fit_together, fit_alone)
+        return fit_outputs(record, layout.loops, outputs, fit_together)
     if several is not None:
         raise MethodError("SeveralRecords is about a list of records; received one record: give a list of them.")
     if isinstance(record, Record):
@@ -240,12 +233,11 @@ def _fit_single(
     if asked is not None:
         progress(asked)
 
-    def fit_whole(_: int, records: Sequence[Record]) -> FitResult:
-        return identify_record(records[0], model, method, filtering=filtering, parameters=parameters, progress=progress)
-
     def fit_single(records: Sequence[Record]) -> FitResult:
         if windows is None:
-            return fit_whole(0, records)
+            return identify_record(
+                records[0], model, method, filtering=filtering, parameters=parameters, progress=progress
+            )
         windowed = joint_in_windows(model, method, filtering, parameters)
         check_record(records[0])
         return identify_log([[InMemory(records[0])]], [windowed], windows, progress)
@@ -255,7 +247,7 @@ def _fit_single(
 
     if isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None):
         outputs = () if method is None else method.outputs
-        found = state_position(fit_outputs([record], [model], outputs, fit_timed, fit_whole))
+        found = state_position(fit_outputs([record], [model], outputs, fit_timed))
     else:
         found = fit_timed([record])
     return found if asked is None else replace(found, before=(asked, *found.before))
@@ -310,4 +302,4 @@ def fit_robot(
         return fit_timed(every)
     loops = model.loops * (len(every) // len(robot.links))
     outputs = () if method is None else method.outputs
-    return fit_outputs(every, loops, outputs, fit_timed, of_log=len(robot.links))
+    return fit_outputs(every, loops, outputs, fit_timed)

@@ -1,8 +1,7 @@
-"""Outputs that DIDIM reproduces: the logged torque, the motor position, or both.
+"""The output that DIDIM reproduces: the logged torque, or the motor position.
 
 The position is compared as the torque that the declared controller outputs for it
-(`simulation.controller_torque`), so search, intervals and checks are those of a logged torque. Both outputs show one
-simulated torque: their mean, weighted by the noise of each, holds all that they say.
+(`simulation.controller_torque`), so search, intervals and checks are those of a logged torque.
 """
 
 from __future__ import annotations
@@ -12,20 +11,16 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.text import format_signed, join, number
+from jointid.common.text import join
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.assemble import FitResult
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import CHANNELS, Record
-from jointid.records.resampling import WELL_SEEN
-from jointid.records.signals.filtering import lowpass
-from jointid.simulation.controller_torque import SOURCE, compute_controller_torque, seen_position
-from jointid.uncertainty.covariance import robust
+from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.verdict import CHECK_DECLARED, Status, Subject, Verdict, scale_verdict
 
 Logs: TypeAlias = Sequence[Record]
@@ -38,23 +33,20 @@ CONSTANT = (  # what includes a constant torque
 )  # fmt: skip
 _OF_TORQUE = ("N", "kg", "A", "V")  # units of what is a part of the torque begin so
 _ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
-_SURE, _SAME = 4.0, 0.02  # deviations, and size or samples: what two torques must differ by to be two
 _MOST_TURNS = 1.0  # that a joint in rad makes, as a rule; from there to as many degrees, its positions may be degrees
-_BANDS = 64  # of the spectrum, in each of which the shares of both outputs are one
 _LOOK = 1000  # samples of a log that tell its channels
-_FEWEST = 8  # frequencies in one
 
 
 def check_outputs(outputs: Sequence[str]) -> None:
-    """Refuse outputs that no record has.
+    """Refuse an output that no record has, and two.
 
     Raises:
-        MethodError: a name is another one, or stands twice.
+        MethodError: a name is another one, or there are several.
     """
-    if not set(outputs) <= set(OUTPUTS) or len(set(outputs)) < len(outputs):
+    if not set(outputs) <= set(OUTPUTS) or len(outputs) > 1:
         raise MethodError(
-            f"The outputs of DIDIM are {join(OUTPUTS)}, or one of them; received {join(list(outputs))}: leave outputs "
-            "out to take the torque where it is logged."
+            f"DIDIM reproduces one output, {' or '.join(OUTPUTS)}; received {join(list(outputs))}: leave outputs out "
+            "to take the torque where it is logged."
         )
 
 
@@ -63,18 +55,14 @@ def fit_outputs(
     loops: Sequence[ClosedLoop],
     outputs: Sequence[str],
     fit: Callable[[Logs], FitResult],
-    alone: Callable[[int, Logs], FitResult] | None = None,
-    of_log: int = 1,
 ) -> FitResult:
-    """Return the fit of the outputs that are asked for; of what the records have where none are.
+    """Return the fit of the output that is asked for; of what the records have where none is.
 
     Args:
         records: of a joint, or of the joints of a robot; of several logs one after the other.
         loops: joint and controller of each.
-        outputs: "torque", "motor_position" or both; empty for the torque where it is logged, else the position.
+        outputs: "torque" or "motor_position"; empty for the torque where it is logged, else the position.
         fit: of records that have a torque.
-        alone: fit of one log by itself, whose first record has that number; `fit` without it.
-        of_log: records of one log.
 
     Raises:
         RecordError: a record lacks an output that is asked for.
@@ -82,20 +70,7 @@ def fit_outputs(
     logged = any(record.torque is not None for record in records)
     if tuple(outputs) == ("torque",) or (not outputs and logged):
         return fit(records)
-    computed = [compute_controller_torque(record, loop) for record, loop in zip(records, loops, strict=True)]
-    if "torque" not in outputs:
-        return fit(computed)
-    for record in records:
-        record.require(("torque",), "An identification from torque and motor position")
-    averages, earlier = list[Record](), 0
-    for begin in range(0, len(records), of_log):
-        log, other = (each[begin : begin + of_log] for each in (records, computed))
-        first = fit(log) if alone is None else alone(begin, log)
-        averages += [_average(*one) for one in zip(log, other, _errors(first, log, other), strict=True)]
-        earlier += first.simulations
-    found = fit(averages)
-    channels = ("torque", "motor_position", *(name for name in found.data.channels if name not in OUTPUTS))
-    return replace(found, data=replace(found.data, channels=channels), earlier=found.earlier + earlier)
+    return fit([compute_controller_torque(record, loop) for record, loop in zip(records, loops, strict=True)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,83 +109,12 @@ def fit_log(
     """Return the fit of a log that is read in chunks; see `fit_outputs`.
 
     Raises:
-        MethodError: both outputs are asked for, or the controller integrates.
+        MethodError: the controller integrates.
     """
-    if len(outputs) > 1:
-        raise MethodError(
-            "Both outputs are weighted beside a fit of the whole record; received a log that is read in windows: name "
-            "one output, or read the record whole."
-        )
     first = next(source.chunks(_LOOK, 0)).record
     if tuple(outputs) == ("torque",) or (not outputs and first.torque is not None):
         return fit(source)
     return state_scale(fit(ComputedLog(source, loop)), [compute_controller_torque(first, loop)])
-
-
-def _errors(fit: FitResult, records: Logs, computed: Logs) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield for each axis the errors of the logged and of the computed torque beside a fit, (samples,) each.
-
-    A joint's simulated position is seen through the controller like the measured one. A robot's is not: its computed
-    torque is compared with the simulated one, which is the same unless a controller is faster than the log.
-    """
-    predicted = fit.fit.predicted.reshape(fit.fit.predicted.shape[0], -1)
-    for axis, (record, other) in enumerate(zip(records, computed, strict=True)):
-        assert record.torque is not None and other.torque is not None
-        logged = record.torque.values[: len(predicted)] - predicted[:, axis]
-        law = other.torque.values[: len(predicted)] - predicted[:, axis]
-        if (
-            fit.problem is not None
-            and fit.x is not None
-            and (seen := seen_position(other, fit.problem.loop)) is not None
-        ):
-            assert other.motor_position is not None
-            simulated = seen.torque(fit.problem.simulate(fit.x).motor_position)
-            law = seen.torque(other.motor_position.values)[: len(simulated)] - simulated
-        yield logged, law
-
-
-def _average(record: Record, other: Record, errors: tuple[FloatArray, FloatArray]) -> Record:
-    """Return the record with the mean of both torques whose error is least at each frequency.
-
-    Both errors e are seen beside one prediction. The share w of the computed torque makes the power of
-    ``(1 - w) e1 + w e2`` least, averaged over neighbouring frequencies, which allows for what they have in common.
-    Under an integral, whose content is unknown, what is constant is taken from the log.
-
-    Args:
-        record: with the logged torque.
-        other: the same with the computed torque.
-        errors: of both, (samples,) each.
-
-    Raises:
-        MethodError: the torques differ by a factor or by a delay, so one of them is wrong.
-    """
-    assert record.torque is not None
-    # The noise of the logged torque is in the difference, too: beside it a factor would look smaller than it is.
-    torque, difference = record.torque.values[: errors[0].size] - errors[0], errors[1] - errors[0]
-    assert other.computed_by is not None
-    sample_time = _sample_time(record)
-    law, seen = other.computed_by.law(sample_time), np.column_stack([torque, np.gradient(torque), difference])
-    if law.period < sample_time:  # the position between two samples is known far below the rate of the log
-        seen = lowpass(seen, WELL_SEEN / sample_time, sample_time)
-    columns = np.column_stack([seen[:, :2], np.ones(torque.size)])
-    weights = np.linalg.lstsq(columns, seen[:, 2], rcond=None)[0]
-    std = robust(columns, columns, seen[:, 2] - columns @ weights).std
-    sure = np.abs(weights) > np.maximum(_SURE * std, _SAME)
-    if sure[0] or sure[1]:
-        told = (f"{format_signed(100 * weights[0], 2)} % in size", f"{number(abs(weights[1]), 2)} samples in time")
-        apart_by = join([said for said, is_sure in zip(told, sure, strict=False) if is_sure])
-        raise MethodError(
-            f"The controller's torque for the logged motor position differs from the logged torque by {apart_by}; "
-            "expected one torque: identify from one output, which tests the other, and correct gains, units or delay."
-        )
-    unknown = difference.mean() if law.integrates else 0.0
-    logged, apart = np.fft.rfft(errors[0]), np.fft.rfft(difference - unknown)
-    width = max(logged.size // _BANDS, _FEWEST)
-    common, size = (uniform_filter1d(one, width) for one in (-(logged * apart.conj()).real, np.abs(apart) ** 2))
-    share = np.clip(np.divide(common, size, out=np.full_like(size, 0.5), where=size > 0.0), 0.0, 1.0)
-    values = record.torque.values.copy()
-    values[: errors[0].size] += np.fft.irfft(share * apart, errors[0].size)
-    return replace(record, torque=replace(record.torque, values=values, source=f"logged, and {SOURCE}"))
 
 
 def position_rms(names: Sequence[str], records: Logs, simulated: FloatArray) -> dict[str, float]:

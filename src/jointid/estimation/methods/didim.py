@@ -180,8 +180,8 @@ class DIDIM(Method):
     free: tuple[str, ...] = setting((), SURROUNDINGS)
     outputs: tuple[str, ...] = setting(
         (),
-        'what the simulation reproduces: ["torque"], ["motor_position"] seen through the controller, or both, weighted '
-        "by the noise of each; without it the torque where it is logged, else the motor position",
+        'what the simulation reproduces: ["torque"], or ["motor_position"] seen through the controller; without it the '
+        "torque where it is logged, else the motor position",
         accept=check_outputs,
     )
     offsets: bool = setting(True, OFFSETS, systems=ROBOT)
