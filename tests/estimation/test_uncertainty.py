@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from jointid.uncertainty.covariance import (
     Covariance,
+    band_deviations,
     bandwidth,
     by_spectrum,
     compare_deviations,
@@ -204,3 +205,18 @@ def test_two_records_of_one_parameter_halve_its_variance() -> None:
     first = robust(W[:2000], W[:2000], error[:2000])
     both = robust(W, W, error, series=[2000, 2000])
     assert both.std == pytest.approx(first.std / np.sqrt(2.0), rel=0.1)
+
+
+def test_a_line_of_the_spectrum_that_fills_several_bands_counts_once() -> None:
+    """All bands but that of the line hold so little of the residual that they have no frequency of their own."""
+    random, size = np.random.default_rng(11), 4096
+    line = np.sin(2 * np.pi * 200 * np.arange(size) / size)
+    W = random.standard_normal((size, 2))
+    error = 50.0 * line + random.standard_normal(size)
+    error -= W @ np.linalg.lstsq(W, error, rcond=None)[0]
+    spectra = [np.fft.rfft(one, axis=0) for one in (W, error)]
+    scores = np.real(np.conj(spectra[0]) * spectra[1][:, np.newaxis]) * 2 / size
+    influences = scores @ np.linalg.inv(W.T @ W)
+    at = int(np.argmax(np.abs(spectra[1])))  # the line's band ends before it, the last one begins with it
+    expected = np.sqrt(8 / 7 * (influences[:at].sum(axis=0) ** 2 + influences[at:].sum(axis=0) ** 2))
+    assert band_deviations(W, W, error) == pytest.approx(expected, rel=1e-9)

@@ -10,6 +10,7 @@ from jointid.estimation.identify_record import identify_record
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.unknown_timing import fit_unstated_timing
 from jointid.models.friction import FRICTIONS
+from jointid.records.record import Timing
 from studies.unknown_timing import ARM, TRUE, logged
 from tests.robots_plants import two
 
@@ -249,3 +250,17 @@ def test_no_delay_is_searched_where_a_torque_has_the_wrong_sign():
 
     fit_unstated_timing(records, fit)
     assert len(tried) == 3  # held, sampled, averaged
+
+
+def test_a_parameter_that_only_one_reading_has_is_no_fault():
+    """As the difference of two encoders' zeros, which is taken only where a reading shows it."""
+    record = logged(200.0, False, 1, noise=0.002)[0]
+
+    def fit(records):
+        found = identify_record(records[0], ji.RigidJoint("revolute"), ji.IDIM())
+        rows = found.params.rows if records[0].torque.timing is Timing.HELD else found.params.rows[:-1]
+        return replace(found, params=replace(found.params, rows=rows))
+
+    found = fit_unstated_timing([record], fit)
+    assert found.settings.timing == "sampled"
+    assert [row.name for row in found.params.rows] == ["inertia", "viscous", "coulomb"]

@@ -111,8 +111,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
 
     best, spread, told = _find_minimum(fits)
     both = [fits[timing] for timing in _READINGS[:2]]
-    held, sampled = ({row.name: row for row in one.params.rows} for one in both)
-    change = {name: 0.5 * abs((sampled[name].value or 0.0) - (row.value or 0.0)) for name, row in held.items()}
+    change = {name: 0.5 * abs(by) for name, by in _moved(both[1], both[0]).items()}
     late = None
     # A stated timing may be wrong: what another one makes up for is no delay.
     # Of a wrong sign no shift is the best, and each try fits the robot anew.
@@ -158,6 +157,12 @@ def _fit_readings(fit: Callable[[Timing], FitResult]) -> dict[Timing, FitResult]
         with suppress(JointidError):
             found[timing] = fit(timing)
     return found
+
+
+def _moved(one: FitResult, other: FitResult) -> dict[str, float]:
+    """Return how far the values of one fit are from those of another; what only one of them has is 0 in the other."""
+    here, there = ({row.name: row.value or 0.0 for row in fit.params.rows} for fit in (one, other))
+    return {name: here.get(name, 0.0) - there.get(name, 0.0) for name in here | there}
 
 
 def _find_minimum(fits: Mapping[Timing, FitResult]) -> tuple[float, float, bool]:
@@ -218,16 +223,16 @@ def _fit_late_log(
     kept = fit(read_as(records, own, stated))
     others = _shift_otherwise(records, fit, found, kept)
     if others or _find_apart(fits, 1.0):
-        shift = {row.name: (row.value or 0.0) - (kept.params[row.name].value or 0.0) for row in found.params.rows}
-        by = {name: 0.5 * max(abs(one[name]) for one in (shift, *others)) for name in shift}  # half in two deviations
+        shifts = _moved(found, kept), *others
+        by = {name: 0.5 * max(abs(one.get(name, 0.0)) for one in shifts) for name in shifts[0]}  # in two deviations
         said = (
             f"the log may show the torque {size} than the positions, or that of one joint; or friction grows with the "
             "load, or the torque constant falls with the torque: nothing is taken off, and the intervals cover these "
             "changes"
         )
         return _widen(kept if stated else replace(kept, settings=replace(kept.settings, timing=own)), by, said)
-    held, sampled = ({row.name: row for row in fits[one].params.rows} for one in _READINGS[:2])
-    by = {name: 0.5 * spread * abs((sampled[name].value or 0.0) - (row.value or 0.0)) for name, row in held.items()}
+    change = _moved(fits[Timing.SAMPLED], fits[Timing.HELD])
+    by = {name: 0.5 * spread * abs(one) for name, one in change.items()}
     said = (
         f"the log shows the torque {size} than the positions: this delay is estimated and taken off, and the intervals "
         "cover it; correct the log's time stamps, or declare the filter that delays the torque"
@@ -275,8 +280,7 @@ def _shift_otherwise(
         ]
         curve, slope = costs[0] - 2 * costs[1] + costs[2], 0.5 * (costs[2] - costs[0])
         if curve > 0.0 and costs[1] - 0.5 * slope**2 / curve < _BETTER:
-            rows = fit(_bend(records, way, -_BEND * slope / curve, whole=True)).params.rows
-            shifts.append({row.name: (row.value or 0.0) - (kept.params[row.name].value or 0.0) for row in rows})
+            shifts.append(_moved(fit(_bend(records, way, -_BEND * slope / curve, whole=True)), kept))
     return shifts
 
 

@@ -386,7 +386,8 @@ def band_deviations(Z: FloatArray, J: FloatArray, error: FloatArray, equations: 
     influences, norms = _influences_by_frequency(Z, J, error, equations)
     energy = np.cumsum(np.sum(np.abs(np.fft.rfft(error.reshape(equations, -1), axis=1)) ** 2, axis=0))
     edges = np.searchsorted(energy, energy[-1] * np.arange(1, _BANDS) / _BANDS)
-    sums = np.add.reduceat(influences, np.concatenate([[0], np.maximum.accumulate(edges)]), axis=0)
+    # A line of the spectrum may fill several bands, of which all but one are then empty.
+    sums = np.add.reduceat(influences, np.unique(np.append(0, edges)), axis=0)
     # The sum over all bands is what the estimate made 0, so one of them is not free.
     return np.asarray(np.sqrt(_BANDS / (_BANDS - 1) * np.sum(sums**2, axis=0)) / norms)
 
