@@ -194,6 +194,7 @@ FAULTS = [
     (JOINT + CHANNELS + '[method]\nname = "idim"\nestimator = "iv"', "controller missing"),
     (JOINT + CHANNELS + CASCADE + '[method]\nname = "didim"\ndrift = "force"', "method.drift contradiction"),
     (JOINT + CHANNELS + "[method]\nperiod = 0.005", "method.period contradiction"),
+    (JOINT + CHANNELS + "[method]\nharmonics = 1", "method.period contradiction"),
     (FLEXIBLE + "[method]\nfrequency = -30", "method.frequency value"),
     (JOINT + 'model = "flexible"\n' + CHANNELS, "method.name missing"),
     (JOINT + 'model = "flexible"\n' + CHANNELS.replace("motor_", "load_"), "method.name missing"),

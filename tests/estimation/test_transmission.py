@@ -12,30 +12,26 @@ from itertools import compress
 import numpy as np
 import pytest
 
-from jointid.common.transmission import OtherSide, Side, Transmission
+from jointid.common.transmission import Side, Transmission
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, bounds_on_other_side, known_on_other_side
+from jointid.estimation.result.parts import EstimatedParameter
 from jointid.models.controllers import Cascade
 from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
-from jointid.output.json import to_dict
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.identifiability import Combination, Known
-from jointid.uncertainty.verdict import StiffnessBound
 from tests.estimates import identify
 from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
 from tests.geared import LAW as UNFILTERED
 from tests.tested import faults_of
-from tests.text import unwrapped
 
 GEAR = Transmission(load="revolute", ratio=100.0)
 TURNED = Transmission(load="revolute", ratio=100.0, sign=-1)
@@ -132,52 +128,6 @@ def test_either_side_of_a_gear_gives_the_same_answer(gear: Transmission, model: 
     assert values_of(back)[name] == pytest.approx(truth[name], rel=0.02)
 
 
-def test_sums_and_bounds_are_on_both_sides() -> None:
-    there, motor = found("flexible", SCREW), by_motor("flexible", None)
-    assert there.checks.known is not None
-    assert motor.checks.known is not None
-    known = known_on_other_side(there.checks.known.physical, there.other)
-    for one, other in zip(known, motor.checks.known.physical, strict=True):
-        assert one.combination.unit == other.combination.unit
-        assert (one.value, one.std) == pytest.approx((other.value, other.std), rel=CLOSE), one.combination.name
-    soft = bounds_on_other_side((StiffnessBound(0.3, 4e5, 30.0), StiffnessBound(0.7, None, None)), there.other)
-    assert [b.stiffness for b in soft] == [pytest.approx(4e5 * (0.010 / (2 * math.pi)) ** 2), None]
-    assert (
-        known_on_other_side(motor.checks.known.physical, motor.other) == bounds_on_other_side(soft, motor.other) == ()
-    )
-    assert motor.other_side == ()
-
-
-def test_sums_of_one_direction_are_of_the_other_behind_a_gear_that_turns_round() -> None:
-    def total(word: str, value: float) -> Known:
-        weights = {f"{side}_viscous_{word}": 1.0 for side in ("motor", "load")}
-        return Known(Combination(f"total viscous {word}", "", "N m s/rad", weights), value, 1.0, 0.1)
-
-    there = known_on_other_side((total("forwards", 10.0), total("backwards", 14.0)), OtherSide(TURNED, "N m"))
-    assert [k.value for k in there] == [pytest.approx(14e-4), pytest.approx(10e-4)]
-    assert [k.combination.name for k in there] == ["total viscous forwards", "total viscous backwards"]
-
-
-@pytest.mark.slow
-def test_a_refused_stiffness_is_bounded_on_both_sides() -> None:
-    gear = replace(GEAR, side="load")
-    law = replace(LAW, ratio=gear.torque("motor"))
-    refused = identify(on_side(logged("rigid"), gear), ClosedLoop(joint_of("flexible", gear), law))
-    assert refused["stiffness"].value is None
-    assert {p.name: p.value for p in refused.other_side}["stiffness"] is None
-    lines = str(refused).splitlines()
-    rows = [line for line in lines if line.startswith("stiffness  ")]
-    assert sum(row.count("not identifiable") for row in rows[:2]) == 2  # on the load's side, and on the motor's
-    total = " ".join(line for line in lines if line.startswith("total inertia"))  # of a table in two parts
-    assert re.search(r"± \S+ kg m2 .*ZZ1 \+ ZZ2$", total)  # the cell of the other side, and the symbol
-    assert len([line for line in lines if "motor side" in line]) == 3  # of the parameters, of their sums, of the bounds
-    assert sum("free-free mode [Hz]" in line for line in lines) == 1
-    answer = to_dict(refused)
-    here, there = answer["stiffness_bounds"], answer["other_side"]["stiffness_bounds"]
-    assert [b["free_free_hz"] for b in here] == [b["free_free_hz"] for b in there]
-    assert there[0]["stiffness"] == pytest.approx(1e-4 * here[0]["stiffness"])
-
-
 @cache
 def swinging(sign: int) -> tuple[Record, dict[str, float], Estimate]:
     """Return the record of a link in gravity on the motor's side, its values, and its estimate there."""
@@ -231,25 +181,6 @@ def test_several_records_are_told_on_both_sides() -> None:
     assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-8
     # At the bottom a last step that changes the criterion by 1e-12 is taken on one side, and made shorter on the other.
     assert abs(there.fit.simulations - motor.fit.simulations) <= 0.1 * motor.fit.simulations
-    text, answer = there.to_document().text(300), to_dict(there)
-    assert "values are on the load side" in unwrapped(text)
-    assert "0.50000 kg m2 added to the load" in text
-    (row,) = (line for line in text.splitlines() if line.startswith("inertia "))
-    assert re.search(r"kg m2 .* +(2\.0|1\.99)\d*e-04 ± \S+ kg m2 +ZZ$", row)
-    assert answer["other_side"]["side"] == "motor"
-    assert answer["other_side"]["parameters"]["offset"]["value"] == pytest.approx(motor["offset"].value, rel=1e-6)
-
-
-def test_the_table_has_both_sides_and_says_what_it_takes_for_granted() -> None:
-    text = found("flexible", SCREW).to_document().text(200)
-    assert (
-        "transmission 10 mm per turn, without loss (efficiency taken as 1); values are on the load side"
-        in unwrapped(text)
-    )
-    (row,) = (line for line in text.splitlines() if line.startswith("stiffness "))
-    assert re.fullmatch(r"stiffness +c +59\d{4} ± \d+ +N/m +[\d.]+ +1\.4\d+ ± [\d.]+ +N m/rad +K12", row)
-    (known,) = (line for line in text.splitlines() if line.startswith("total inertia"))
-    assert re.search(r"kg +well +1\.99\d+e-04 ± \S+ kg m2 +ZZ1 \+ ZZ2$", known)
 
 
 @pytest.mark.parametrize("model", ["rigid", "flexible"])

@@ -109,10 +109,8 @@ MOTION_MEASURED = (
 """The warning of a method that takes a measured motion as free of the error, where no instrument tests that."""
 
 
-AGAINST_EVERY_VALUE: Mapping[Reason, str] = {
-    Reason.RESIDUAL_FOLLOWS_MOTION: "what the model lacks may move it by more than its interval",
-}
-"""Reasons of a failed check that speak against every value of the estimate, and why."""
+AGAINST_EVERY_VALUE = (Reason.RESIDUAL_FOLLOWS_MOTION,)
+"""Reasons of a failed check that speak against every value of the estimate."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,7 +106,7 @@ def _answer(*reasons: dict[str, Any]) -> dict[str, Any]:
     shown = {"symbol": "K12", "unit": "N/m", "value": 2e4, "std": 100.0, "free": True, "lower_bound": None}
     parameters = {"stiffness": shown | {"at_bound": None}, "load_viscous": shown | {"at_bound": 0.0, "symbol": "Fv2"}}
     verdicts = [{"subject": "loop", "status": "failed", "reasons": list(reasons)}]
-    return {"parameters": parameters, "other_side": None, "verdicts": verdicts}
+    return {"parameters": parameters, "verdicts": verdicts}
 
 
 def test_what_a_fault_moves_is_remarked_as_in_the_table_of_the_command() -> None:

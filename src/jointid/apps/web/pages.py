@@ -353,7 +353,7 @@ def label_end(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapp
 
 
 def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Return the rows of the table of parameters, with what each is on the other side of a transmission.
+    """Return the rows of the table of parameters.
 
     Of a parameter that a fault of the loop moves, it is said by how much; and of one at its bound, that it is.
     """
@@ -362,14 +362,11 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
     )
     reasons = [Message(one["code"], one["words"], one["values"]) for one in of_loop]
     moved, when = sum_changes(reasons), "under the other law" if is_another_law(reasons) else "once corrected"
-    other = answer.get("other_side")
-    there = {} if other is None else other["parameters"]
     return [
         {
             "symbol": "" if p["symbol"] == name else p["symbol"],
             "name": name.replace("_", " "),
             "value": _tell_value(p),
-            "other": _tell_value(there[name]) if name in there else "",
             "nominal": f"{number(p['nominal'], 4)} {p['unit']}" if "nominal" in p else "",
             "note": "at its bound"
             if p.get("at_bound") is not None

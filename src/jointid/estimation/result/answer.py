@@ -15,7 +15,7 @@ from typing import Any
 
 from jointid.common.document import Mark
 from jointid.common.messages import Message
-from jointid.common.text import format_signed, in_words, interval, join, number, round_to
+from jointid.common.text import in_words, interval, join, number, round_to
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, show_value
 from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
@@ -419,7 +419,7 @@ def spares_answer(estimate: EstimateParts, verdict: Verdict) -> bool:
     if any(str(one.code) in answer.trust.values["reasons"] for one in verdict.reasons):
         return False
     name = answer.found.values["parameter"]
-    return name is None or (estimate[name].value is not None and not _against(estimate[name], verdict))
+    return name is None or (estimate[name].value is not None and not _speaks_against(estimate[name], verdict))
 
 
 def mark_of(estimate: EstimateParts, verdict: Verdict) -> Mark:
@@ -427,62 +427,11 @@ def mark_of(estimate: EstimateParts, verdict: Verdict) -> Mark:
     return "noted" if verdict.good is False and spares_answer(estimate, verdict) else verdict.good
 
 
-def consequence(estimate: EstimateParts, verdict: Verdict) -> str:
-    """Return the effect of a failed check on the requested parameter, in a sentence.
-
-    Where something else speaks against the value, no check says that it may be used.
-    """
-    name = answer_of(estimate).found.values["parameter"]
-    if name is None:
-        usable, doubtful = "The other parameters may be used.", "This says nothing against the other parameters."
-        return doubtful if answer_of(estimate).trust.code is Trust.NOT_YET else usable
-    asked = estimate[name]
-    value = asked.name.replace("_", " ")
-    if asked.value is None:
-        return f"Do not use a value of the {value}, only what is said of it above."
-    if verdict.subject in (Subject.LOOP, Subject.SCALE):
-        return _consequence_of_loop(estimate, asked, verdict)
-    if verdict.good is False and (why := _against(asked, verdict)):
-        return f"Do not use the {value}: {why}."
-    if verdict.good is None or answer_of(estimate).trust.code is Trust.NOT_YET:
-        return f"This says nothing against the {value}."
-    wide = verdict.subject in (Subject.WHITENESS, Subject.REPEATABLE)
-    return f"The {value} may be used{': its interval is wide enough for this' if wide else ''}."
-
-
-def _against(asked: EstimatedParameter, verdict: Verdict) -> str:
-    """Return why a failed check speaks against a value; "" if it does not."""
-    why = {
-        Subject.SOLVER: "the search stopped on its way to it",
-        Subject.FIT: "it may be that of another joint",
-        Subject.STIFFNESS: "the record does not show it",
-    }
-    if not asked.identifiable:
-        why[Subject.IDENTIFIABILITY] = "the record determines it only together with others"
-    for one in verdict.reasons:
-        if one.code in AGAINST_EVERY_VALUE:
-            why[verdict.subject] = AGAINST_EVERY_VALUE[Reason(one.code)]
-    if asked.at_bound is not None:
-        why[Subject.BOUNDS] = "a bound holds it, not the record"
-    return why.get(verdict.subject, "")
-
-
-def _consequence_of_loop(estimate: EstimateParts, asked: EstimatedParameter, verdict: Verdict) -> str:
-    value, trust = asked.name.replace("_", " "), answer_of(estimate).trust
-    if verdict.subject is Subject.SCALE:
-        return f"The {value} may be used: it is as right as the scale of the controller's gains."
-    doubted = trust.code is Trust.NOT_YET
-    speaks = doubted and any(str(one.code) in trust.values["reasons"] for one in verdict.reasons)
-    by, far = moved_by_loop(estimate).get(asked.name), _moved_out(estimate)
-    change = "" if not by else f" by {format_signed(by, 2)} {asked.unit}"
-    if verdict.good is None and speaks:
-        return f"Do not use the {value} before this is known."
-    if verdict.good is None:
-        return f"This says nothing against the {value}." if doubted else f"The {value} may be used if they are."
-    if speaks:
-        effect = f": correcting this changes it{change}, more than its interval" if asked.name in far else ""
-        return f"Do not use the {value} before this is corrected{effect}."
-    effect = f"changes it{change}, less than its interval" if by else "does not change it"
-    others = [f"the {in_words(name)}" for name in far]
-    begin = f"This says nothing against the {value}" if doubted else f"The {value} may be used"
-    return f"{begin}: correcting this {effect}.{f' Do not use {join(others)}.' if others else ''}"
+def _speaks_against(asked: EstimatedParameter, verdict: Verdict) -> bool:
+    """Return whether a failed check speaks against a value."""
+    return (
+        verdict.subject in (Subject.SOLVER, Subject.FIT, Subject.STIFFNESS)
+        or (verdict.subject is Subject.IDENTIFIABILITY and not asked.identifiable)
+        or (verdict.subject is Subject.BOUNDS and asked.at_bound is not None)
+        or any(one.code in AGAINST_EVERY_VALUE for one in verdict.reasons)
+    )

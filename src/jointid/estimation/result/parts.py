@@ -24,7 +24,7 @@ from jointid.records.record import Resampled, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.solvers.regression import Conditioning
-from jointid.uncertainty.identifiability import Identifiability, Known
+from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.model_tests import ChiSquareTest
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
@@ -187,29 +187,6 @@ def _refer(p: EstimatedParameter, here: EstimatedParameter, side: OtherSide) -> 
         lack_of_fit=abs(factor) * here.lack_of_fit,
         lower_bound=scale(here.lower_bound),
     )
-
-
-def known_on_other_side(known: Sequence[Known], side: OtherSide | None) -> tuple[Known, ...]:
-    """Return the sums and differences of one unit as they are on the other side, in the same order; none without."""
-    if side is None:
-        return ()
-    here = {frozenset(k.combination.weights.items()): k for k in known}
-    found = []
-    for k in known:
-        weights = k.combination.weights
-        same = here.get(frozenset((side.name(name), weight) for name, weight in weights.items()), k)
-        factor = side.factor(next(iter(weights)), k.combination.unit)
-        there = replace(k.combination, unit=side.unit(k.combination.unit))
-        found.append(Known(there, factor * same.value, abs(factor) * same.std, same.relative))
-    return tuple(found)
-
-
-def bounds_on_other_side(bounds: Sequence[StiffnessBound], side: OtherSide | None) -> tuple[StiffnessBound, ...]:
-    """Return bounds of a stiffness as they are on the other side, in the same order; none without one."""
-    if side is None:
-        return ()
-    factor = side.ratio**2
-    return tuple(replace(b, stiffness=None if b.stiffness is None else factor * b.stiffness) for b in bounds)
 
 
 # The other parts

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import permutations
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -20,14 +19,13 @@ from jointid.estimation.result.agreement import DriftTest
 from jointid.estimation.result.answer import (
     Trust,
     answer_of,
-    consequence,
     is_another_law,
     loop_verdict,
     mark_of,
     moved_by_loop,
     told_bounds,
 )
-from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, known_on_other_side, show_value
+from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, show_value
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import Robot
 from jointid.uncertainty.identifiability import Kind
@@ -64,7 +62,7 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
             *_tables(estimate, details=details),
             *_verdicts(estimate, details=details),
             Facts((*warnings, *notes)),
-            Facts((*facts, *_sharper(estimate), *_sources(estimate))),
+            Facts((*facts, *_sources(estimate))),
         ),
     )
 
@@ -76,38 +74,6 @@ def _count_checks(estimate: EstimateParts) -> str:
     if passed == len(marks):
         return f"all {passed} passed"
     return f"{passed} of {len(marks)} passed{f', {noted} noted' if noted else ''}"
-
-
-_OF_SHEET = ("motor_inertia", "rotor_inertia", "stiffness")
-"""Parameters that a data sheet may give: of the motor, and of a coupling."""
-_AT_MOST = 100.0  # times as sharp: a larger factor is not told
-_SHARPER, _APART = 1.5, 3.2
-"""Times that the interval of a stiffness shrinks at least to be worth a look into a data sheet, and that of another."""
-
-
-def _sharper(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
-    """Yield, for each joint, the value of a data sheet that would sharpen its stiffness or another parameter most.
-
-    Given one parameter, the standard error of another becomes ``sqrt(1 - r^2)`` of what it is, with the correlation r
-    of both. What the model lacks stays in the interval.
-    """
-    params = estimate.params
-    free = [p for p in params.rows if p.name in params.names and p.of_joint and p.value is not None and p.stderr]
-    quantity = {p.name: p.name.rpartition(".")[2] for p in free}
-    for axis in dict.fromkeys(p.axis for p in free):
-        found = []
-        for given, other in permutations([p for p in free if p.axis == axis], 2):
-            if quantity[given.name] in _OF_SHEET:
-                shared = params.correlation_of([given.name, other.name])[0, 1]
-                left = math.hypot(math.sqrt(max(1.0 - shared**2, 1e-12)) * (other.stderr or 0.0), other.lack_of_fit)
-                times, stiff = (other.deviation or 0.0) / left, quantity[other.name] == "stiffness"
-                if times >= (_SHARPER if stiff else _APART):
-                    found.append((stiff, times, given.name, other.name))
-        for _, times, known, sharper in [max(found)] if found else []:
-            first, second = (quantity[name].replace("_", " ") for name in (known, sharper))
-            of = f" of {axis}" if axis else ""
-            sharp = f"{number(min(times, _AT_MOST), 2)} times as sharp"
-            yield "sharper", f"give the {first}{of} from its data sheet, and the {second} is {sharp}"
 
 
 def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
@@ -251,10 +217,7 @@ def _limits(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, st
 
 
 def _verdicts(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
-    """Return the verdicts that did not pass, with the first of their reasons; or all of them.
-
-    One that is noted says why it does not speak against the answer.
-    """
+    """Return the verdicts that did not pass, with the first of their reasons; or all of them."""
     listed = []
     for verdict in estimate.checks.verdicts:
         mark, texts = mark_of(estimate, verdict), [*map(str, verdict.reasons)]
@@ -263,9 +226,6 @@ def _verdicts(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
         if not details:
             more = f" (and {len(texts) - 1} more in the report)" if len(texts) > 1 else ""
             texts = [f"{verdict.reasons[0].brief}{more}"]
-        if mark == "noted":
-            effect = consequence(estimate, verdict).rstrip(".")
-            texts[-1] += f"; {effect[0].lower()}{effect[1:]}"
         listed.append((str(verdict.subject), mark, tuple(texts)))
     if listed:
         yield Verdicts(tuple(listed))
@@ -283,7 +243,7 @@ def _shared_table(estimate: EstimateParts) -> Table:
     tests = {p.name: (f"{p.p_value:.2g}", number(p.between, 2)) for p in agreement.parameters}
     for i, head in enumerate(("p", "between")):
         columns.append((head, [tests[row.name][i] if row.name in tests else "-" for row in rows], False))
-    return _table(rows, [*columns, *_other_side(estimate, range(len(rows)))])
+    return _table(rows, columns)
 
 
 def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> str:
@@ -337,15 +297,6 @@ def _percent(p: EstimatedParameter) -> str:
     return number(percent, 2) if percent < _LOST else "-"
 
 
-def _other_side(estimate: EstimateParts, shown: Iterable[int]) -> list[Column]:
-    """Return the column of the values on the other side of a transmission; none without one."""
-    if estimate.other is None:
-        return []
-    there = [estimate.other_side[i] for i in shown]
-    cells = [show_value(p) if p.value is None else f"{show_value(p)} {p.unit}" for p in there]
-    return [(f"{estimate.other.side} side", cells, False)]
-
-
 def remarks(estimate: EstimateParts) -> dict[str, str]:
     """Return the remarks of the checks on parameters, by name: at a bound, moved by a fault, known only with another.
 
@@ -374,7 +325,7 @@ def parameters_table(
     verdicts: Mapping[str, str] | None = None,
     caption: str = "",
 ) -> Table:
-    """Return the parameters with their intervals, also on the other side of a transmission.
+    """Return the parameters with their intervals.
 
     Args:
         estimate: whose parameters are shown.
@@ -404,7 +355,7 @@ def parameters_table(
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
     if verdicts is not None:
         columns.append(("verdict", [verdicts[p.name] for p in rows], True))
-    return _table(rows, [*columns, *_other_side(estimate, shown)], caption)
+    return _table(rows, columns, caption)
 
 
 def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
@@ -425,11 +376,6 @@ def combinations_table(estimate: EstimateParts, caption: str = "", *, difference
     known = estimate.checks.known
     if known is None:
         return None
-    there = known_on_other_side(known.physical, estimate.other)
-    stated = {
-        id(one): f"{interval(o.value, 2 * o.std)} {o.combination.unit}"
-        for one, o in zip(known.physical, there, strict=False)
-    }
     shown = [one for one in known.physical if differences or one.combination.kind is not Kind.DIFFERENCE]
     if not shown:
         return None
@@ -439,30 +385,24 @@ def combinations_table(estimate: EstimateParts, caption: str = "", *, difference
             interval(one.value, 2 * one.std),
             one.combination.unit,
             one.verdict,
-            *(() if estimate.other is None else (stated.get(id(one), "-"),)),
             one.combination.formula,
         )
         for one in shown
     ]
-    more = () if estimate.other is None else (f"{estimate.other.side} side",)
-    header = ("combination", "value ± 2 sigma", "unit", "known", *more, "symbol")
+    header = ("combination", "value ± 2 sigma", "unit", "known", "symbol")
     return Table(header, tuple(rows), caption, words=(0, 2, 3, len(header) - 1))
 
 
 def bounds_table(estimate: EstimateParts, caption: str = "") -> Table | None:
     """Return the lower bounds of a refused stiffness; None where it is not refused, or the fit says nothing of it."""
-    bounds, other = told_bounds(estimate), estimate.other
+    bounds = told_bounds(estimate)
     if not bounds:
         return None
     unit = estimate["stiffness"].unit
-    header: tuple[str, ...] = ("load's share of the inertia", f"stiffness at least [{unit}]", "free-free mode [Hz]")
+    header = ("load's share of the inertia", f"stiffness at least [{unit}]", "free-free mode [Hz]")
     shown = uniform([b.stiffness for b in bounds], "not bounded")
     modes = ["-" if b.stiffness is None or b.frequency is None else f"{b.frequency:.0f}" for b in bounds]
-    rows: list[tuple[str, ...]] = [(f"{b.share:.2f}", *row) for b, *row in zip(bounds, shown, modes, strict=True)]
-    if other is not None:
-        header = (*header, f"{other.side} side [{other.unit(unit)}]")
-        there = uniform([None if b.stiffness is None else other.ratio**2 * b.stiffness for b in bounds], "-")
-        rows = [(*row, value) for row, value in zip(rows, there, strict=True)]
+    rows = [(f"{b.share:.2f}", *row) for b, *row in zip(bounds, shown, modes, strict=True)]
     return Table(header, tuple(rows), caption)
 
 
@@ -574,7 +514,7 @@ def describe_robot_estimate(estimate: EstimateParts, verdicts: tuple[Block, ...]
             *verdicts,
             Facts(tuple(("warning", warning) for warning in estimate.checks.warnings)),
             *(Paragraph(f"{one}.") for one in part.springs),
-            Facts((*_sharper(estimate), ("method", estimate.settings.variant), ("search", estimate.fit.stop))),
+            Facts((("method", estimate.settings.variant), ("search", estimate.fit.stop))),
             *robot_blocks(estimate, details=details),
         ),
     )

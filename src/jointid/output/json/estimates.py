@@ -15,7 +15,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
-from jointid.estimation.result.parts import bounds_on_other_side, known_on_other_side, on_other_side
 from jointid.estimation.result.summary import describe_drift
 from jointid.models.disturbances import Drift, Effect, EncoderOffset
 from jointid.models.position_forces import PositionHarmonics
@@ -85,19 +84,6 @@ EFFECTS: dict[str, type[PositionHarmonics] | type[Drift] | type[EncoderOffset]] 
     "encoder_offset": EncoderOffset,
 }
 """The effects beside a joint, by what documents call them."""
-
-
-def _other_side(estimate: Estimate) -> Json | None:
-    """Return all that an estimate says of the other side of its transmission."""
-    side, known = estimate.other, estimate.checks.known
-    if side is None:
-        return None
-    return {
-        "side": side.side,
-        "parameters": {p.name: p for p in on_other_side(estimate.params.rows, side)},
-        "combinations": () if known is None else known_on_other_side(known.physical, side),
-        "stiffness_bounds": bounds_on_other_side(estimate.checks.bounds, side),
-    }
 
 
 def _effects(estimate: Estimate) -> tuple[Effect, ...]:
@@ -183,7 +169,6 @@ _OF_A_JOINT: Shape = document_shape(
     },
     correlation=_correlation,
     position_rms=lambda estimate: estimate.fit.position_rms.get(""),
-    other_side=_other_side,
     controller_sha256=_controller_sha256,
     effects=_effects,
     records=_records,

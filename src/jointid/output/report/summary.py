@@ -8,7 +8,7 @@ from jointid.common.document import Block, Heading, Listing, Paragraph, Picture,
 from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
-from jointid.estimation.result.answer import Trust, consequence, mark_of, told_bounds
+from jointid.estimation.result.answer import Trust, mark_of, told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import describe_positions, parameters_table
 from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
@@ -121,7 +121,7 @@ def _results(estimate: Estimate) -> Iterator[str]:
 
 
 def _checks(estimate: Estimate) -> Iterator[Block]:
-    """Yield the checks, failed ones first, with their effect on the requested parameter."""
+    """Yield the checks, failed ones first."""
     verdicts = estimate.checks.verdicts
     if not verdicts:
         yield Paragraph("This method has no checks; its warnings and intervals say how far it can be trusted.")
@@ -133,7 +133,7 @@ def _checks(estimate: Estimate) -> Iterator[Block]:
     for v in (*failed, *unknown):
         first, *others = (reason.brief for reason in v.reasons)
         more = f" (and {len(others)} more in the appendix)" if others else ""
-        rows.append((v.subject.question, mark_of(estimate, v), (sentence(f"{first}{more}"), consequence(estimate, v))))
+        rows.append((v.subject.question, mark_of(estimate, v), (sentence(f"{first}{more}"),)))
     yield Paragraph(f"{len(passed)} of {len(verdicts)} checks passed. The appendix has the reasons in full.")
     yield Verdicts((*rows, *((v.subject.question, True, ()) for v in passed)))
     if estimate.checks.warnings:
