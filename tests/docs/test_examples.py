@@ -10,7 +10,6 @@ import pytest
 
 import jointid as ji
 from examples.axes import make_records as axes
-from jointid.output.report.data_sheet import data_sheets
 from tests.docs.blocks import ROOT
 
 QUICK = "leg"
@@ -34,26 +33,6 @@ def test_a_typical_axis_is_identified_from_its_record(name: str, tmp_path: Path)
         assert row.value == pytest.approx(truth[row.name], abs=5.0 * row.stderr), row.name
     asked = estimate.answer.found.values["parameter"]
     assert estimate[asked].value == pytest.approx(truth[asked], rel=0.03)
-
-
-@pytest.mark.parametrize(
-    "name", [QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in ("strain-wave", "servo"))]
-)
-def test_an_actuator_is_identified_from_the_torque_of_its_log(name: str, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="the logs are made by MuJoCo, which is not installed")
-    from examples.actuator import make as actuators
-
-    actuators.make(name, tmp_path / "log.csv")
-    file = ji.load(ROOT / "examples" / "actuator" / f"{name}.toml")
-    estimate = file.identify(file.record(tmp_path / "log.csv"))
-    assert estimate.answer.reliable, estimate.answer
-    truth = actuators.ACTUATORS[name].values
-    for row in (row for row in estimate.params.rows if row.of_joint):
-        assert row.interval is not None
-        assert row.interval[0] <= truth[row.name] <= row.interval[1], (row.name, row.interval)
-    (sheet,) = data_sheets(estimate)
-    said = {row[0]: row[1] for row in sheet.rows}
-    assert (float(said["kp"]), float(said["kd"])) == pytest.approx(actuators.ACTUATORS[name].gains, rel=1e-4)
 
 
 @pytest.mark.docs
