@@ -10,7 +10,7 @@ import pytest
 
 from jointid.models.friction import StribeckFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
+from jointid.simulation.closed_loop import Initial, simulate, simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import Case, prismatic, rotary
@@ -113,10 +113,3 @@ def test_the_derivatives_by_the_first_velocity_follow_the_drag_at_it() -> None:
     low, high = (simulate_torque(loop, experiment, values, Initial(velocity=speed + by)).torque for by in (-step, step))
     expected = (high - low) / (2 * step)
     assert np.linalg.norm(found - expected) < 2e-3 * np.linalg.norm(expected)
-
-
-def test_a_speed_of_nothing_is_no_joint() -> None:
-    case = rigid(prismatic(1))
-    loop, values = slow(case, RISES)
-    found = simulate(loop, prepare(loop, case.clean), values | {"stribeck_speed": 0.0})
-    assert found.outcome is Outcome.INVALID

@@ -219,9 +219,3 @@ def test_the_drive_side_sees_the_same_gravity(model: str) -> None:
         ]
         column = (ends[1] - ends[0]) / (2e-5 * values[name])
         assert np.linalg.norm(found.derivatives[:, j] - column) < 1e-4 * np.linalg.norm(column), name
-
-
-def test_a_load_without_a_spring_to_hold_it_is_no_joint() -> None:
-    loop = ClosedLoop(FlexibleJoint(kind="revolute", gravity=LINK), CONTROLLER)
-    response = simulate_torque(loop, prepare(loop, swing()), VALUES | {"stiffness": 0.0})
-    assert response.outcome is Outcome.INVALID

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
@@ -151,32 +150,6 @@ def test_a_robot_has_again_what_its_numbers_say(joint: Joint) -> None:
     assert again.laws == numbers.laws
 
 
-def test_a_joint_has_the_numbers_of_its_laws() -> None:
-    with pytest.raises(MethodError, match="lacks presliding_distance; expected the numbers of its laws"):
-        RobotJoint("one", 0.3, friction=FRICTIONS["presliding"]())
-    with pytest.raises(MethodError, match="has gap; expected"):
-        RobotJoint("one", 0.3, spring=JointSpring(900.0), numbers={"gap": 0.1})
-    with pytest.raises(MethodError, match="lacks friction_per_torque; expected"):
-        RobotJoint("one", 0.3, friction=FRICTIONS["load-dependent"]())
-    with pytest.raises(MethodError, match="a link of its own"):
-        JointSpring(900.0, law=ElasticLoad())
-
-
-@pytest.mark.parametrize("backwards", [None, 2.0])
-@pytest.mark.parametrize("law", [None, SPRINGS["linear"]()])
-def test_numbers_of_an_axis_become_the_axis_again(backwards: float | None, law: object) -> None:
-    """The viscous friction of a link has one place, whatever that of its motor depends on."""
-    spring = None if law is None else JointSpring(900.0, 1.5, viscous=3.0, coulomb=0.25)
-    joint = RobotJoint("one", 0.3, viscous=1.0, coulomb=0.5, viscous_backwards=backwards, spring=spring)
-    robot = Robot((Link("arm", -1, inertial=np.arange(1.0, 11.0)),), (joint,), gravity=np.zeros(3))
-    numbers = RobotNumbers.of(robot)
-    again = RobotNumbers.of(robot_with(robot, numbers))
-    for one, other in zip(numbers.arrays, again.arrays, strict=True):
-        np.testing.assert_array_equal(one, other)
-    if spring is not None:
-        assert numbers.masses[0, MassNumbers.VISCOUS] == 3.0
-
-
 @pytest.mark.parametrize(
     ("law", "name", "value"),
     [("hysteretic", "hysteresis_torque", 0.0), ("three-piece", "torque_2", 2.0)],
@@ -188,11 +161,3 @@ def test_a_spring_that_no_joint_may_have_is_not_simulated(law: str, name: str, v
     springs = numbers.springs.copy()
     springs[0, SPRING_NUMBERS.index(name)] = value
     assert not replace(numbers, springs=springs).possible(1.0)
-
-
-def test_friction_that_drifts_below_zero_is_not_simulated() -> None:
-    numbers = RobotNumbers.of(robot_of(FlexibleJoint("revolute")))
-    masses = numbers.masses.copy()
-    masses[0, [MassNumbers.COULOMB, MassNumbers.COULOMB_DRIFT]] = 1.0, -0.1
-    fading = replace(numbers, masses=masses)
-    assert fading.possible(9.0) and not fading.possible(11.0)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.models.controllers import PD, PID, Cascade, Controller
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.robots.equations import ROOM
@@ -22,7 +21,6 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robot_start import begin
 from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, add_feed_forward, prepare_robot, run_robot
-from jointid.simulation.simulated import Simulated, require_success
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, serial, seven, six, two
 from tests.simulation.robot_oracle import simulate_pd
@@ -326,39 +324,3 @@ def test_outcomes() -> None:
     assert simulate(loop, records, steps=65).outcome is RobotOutcome.FINISHED  # as many as are asked for
     stiff = RobotNumbers.of(two((None, 16.0)).robot)
     assert outcome(loop, replace(stiff, springs=1e8 * stiff.springs)) is RobotOutcome.TOO_STIFF
-
-
-def test_faults_are_said() -> None:
-    twin = two()
-    loop, records = twin.loop(), twin.records(1.0)
-    with pytest.raises(MethodError, match="a controller for each joint; received 1 for 2 joints"):
-        RobotLoop(twin.robot, loop.controllers[:1])
-    with pytest.raises(MethodError, match="a record of each joint; received 1 for 2 joints"):
-        simulate(loop, records[:1])
-    odd = RobotLoop(twin.robot, tuple(PD(position_gain=9.0, derivative_gain=1.0, period=1e-3 / n) for n in (18, 19)))
-    with pytest.raises(MethodError, match=r"share a clock.*received joint1 0.0555556 ms and joint2 0.0526316 ms"):
-        simulate(odd, records)
-    with pytest.raises(MethodError, match="one log; the records of joint2 differ from that of joint1"):
-        simulate(loop, (records[0], twin.records(0.5)[1]))
-
-
-def test_what_is_of_a_joint_is_not_of_a_robot() -> None:
-    loop, records, joint = two().loop(), two().records(0.1), ClosedLoop(RigidJoint("revolute"), LAWS["PD"])
-    with pytest.raises(MethodError, match="A robot is simulated from a record of each joint"):
-        simulate(loop, records[0])  # type: ignore[call-overload]
-    with pytest.raises(MethodError, match="A joint is simulated from one record, with the value of each parameter"):
-        simulate(joint, records, {})  # type: ignore[call-overload]
-
-
-def test_runs_of_a_joint_and_of_a_robot_answer_alike() -> None:
-    """What did not finish is refused in one sentence, whichever simulation it was."""
-    twin = two()
-    good, bad = twin.loop(), twin.loop()
-    wild = replace(
-        bad, controllers=tuple(replace(c, derivative_gain=100.0 * c.derivative_gain) for c in bad.controllers)
-    )
-    driven = twin.records(1.0)
-    finished: Simulated = simulate(good, driven)
-    assert require_success(finished) is finished
-    with pytest.raises(MethodError, match=r"stopped after [\d.]+ % of the record because a joint ran away"):
-        require_success(simulate(wild, driven))

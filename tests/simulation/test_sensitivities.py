@@ -7,10 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.models.controllers import Cascade, DigitalFilter, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, simulate_torque
@@ -146,14 +145,6 @@ def test_a_candidate_that_cannot_be_simulated_has_no_slope() -> None:
     found = simulate_sensitivities(unstable, prepare(unstable, TWIN.record), TWIN.truth, ["stiffness", "position_gain"])
     assert found.response.outcome is Outcome.DIVERGED
     assert not found.torque.any()
-
-
-@pytest.mark.parametrize("joint", [RigidJoint("prismatic"), FlexibleJoint("prismatic")])
-def test_what_has_no_derivative_is_named(joint: Joint) -> None:
-    loop = ClosedLoop(joint, Cascade(position_gain=60.0, velocity_gain=5e3))
-    values = dict.fromkeys((p.name for p in joint.parameters), 1.0)
-    with pytest.raises(MethodError, match='"period" is no parameter'):
-        simulate_sensitivities(loop, prepare(loop, driven()), values, ["period"])
 
 
 @pytest.mark.parametrize("gains", [(110.0, 0.0), (60.0, 4000.0)])  # one too large, one beyond all numbers

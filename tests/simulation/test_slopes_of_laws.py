@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record, Timing
@@ -143,18 +141,3 @@ def test_what_is_0_has_a_slope_all_the_same() -> None:
         steps = (1e-9, 1e-8, 1e-7) if name.endswith("delay") else (1e-5, 1e-3, 1e-1)
         own, record = (found.torque[:, j],), driven()
         assert error_beside_differences(own, loop, record, RIGID, name, steps, start, back=0.0) < 3e-4, name
-
-
-def test_what_is_not_there_has_no_slope() -> None:
-    for limit in (50.0, math.inf):
-        law = replace(BASE, integral_gain=0.0, limit=limit)
-        loop, values = ClosedLoop(RigidJoint("prismatic"), law), RIGID
-        experiment = prepare(loop, driven())
-        with pytest.raises(
-            MethodError, match="The integral_gain of this controller is 0, and what it belongs to is not there"
-        ):
-            simulate_sensitivities(loop, experiment, values, ["integral_gain"])
-    assert law.velocity_limit == math.inf
-    assert not simulate_sensitivities(loop, experiment, values, ["velocity_limit"]).torque.any()
-    with pytest.raises(MethodError, match=r"velocity_filter\.depth"):
-        simulate_sensitivities(loop, experiment, values, ["velocity_filter.depth"])

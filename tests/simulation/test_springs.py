@@ -8,11 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.models.position_forces import Gravity
-from jointid.models.springs import Backlash, Spring, ThreePieceSpring, TwoPieceSpring
-from jointid.simulation.closed_loop import Outcome, Simulation, simulate, simulate_torque
+from jointid.models.springs import Backlash, Spring, ThreePieceSpring
+from jointid.simulation.closed_loop import Simulation, simulate, simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import Case, prismatic, rotary
@@ -122,28 +120,3 @@ def test_the_motion_obeys_the_equation_of_the_load(spring: Callable) -> None:
     loop, values = spring(case, *((0.6, 1.4) if spring is of_three else ()))
     found = simulate(loop, prepare(loop, case.clean), values)
     assert np.abs(balance(found, loop, values)).max() < 1e-9
-
-
-def test_a_gap_of_nothing_is_a_linear_spring() -> None:
-    case = prismatic(0)
-    experiment = prepare(case.loop, case.clean)
-    loop, values = sprung(case, Backlash(), {"gap": 0.0})
-    found, expected = (
-        simulate_torque(*at).torque for at in ((loop, experiment, values), (case.loop, experiment, case.truth))
-    )
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
-
-
-def test_pieces_out_of_order_are_no_spring() -> None:
-    case = prismatic(0)
-    loop, values = of_three(case, 1.0, 1.0)
-    experiment = prepare(loop, case.clean)
-    for wrong in ({"torque_1": 2 * values["torque_2"]}, {"stiffness": 0.0}, {"stiffness_3": -1.0}):
-        assert simulate_torque(loop, experiment, values | wrong).outcome is Outcome.INVALID
-
-
-def test_what_a_spring_in_pieces_cannot_be_is_refused() -> None:
-    with pytest.raises(MethodError, match="gravity that follows the position"):
-        FlexibleJoint("revolute", gravity=Gravity("link"), spring=TwoPieceSpring())
-    with pytest.raises(MethodError, match="takes the spring for linear"):
-        FlexibleJoint("prismatic", spring=Backlash()).regressor(None)  # type: ignore[arg-type]

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.models.controllers import Cascade, numbers_of
 from jointid.models.friction import FRICTIONS, PARTS
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, frictions_beside, springs_beside
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
@@ -174,59 +173,6 @@ def test_accelerations_balance_friction_that_drifts() -> None:
         moving = motion.velocity != 0
         expected = left[moving] / values[f"{side}_inertia"]
         np.testing.assert_allclose(motion.acceleration[moving], expected, rtol=0, atol=1e-6 * np.abs(expected).max())
-
-
-def test_a_run_that_fails_has_no_derivatives() -> None:
-    case = prismatic(1)
-    loop, values = _nothing_more(case)
-    experiment = prepare(loop, case.clean)
-    wrong = values | {"motor_inertia": -1.0}
-    found = simulate_sensitivities(loop, experiment, wrong, ["stiffness"])
-    assert found.response.outcome is Outcome.INVALID
-    assert not np.any(found.torque)
-
-
-@pytest.mark.parametrize(
-    ("law", "wrong"),
-    [("presliding", {"load_presliding_distance": -1.0}), ("hysteretic", {"hysteresis_torque": 0.0})],
-)
-def test_a_law_that_no_joint_has_is_said(law: str, wrong: dict[str, float]) -> None:
-    case = prismatic(1)
-    joint = case.loop.joint
-    assert isinstance(joint, FlexibleJoint)
-    other = replace(joint, friction=FRICTIONS[law]()) if law in FRICTIONS else replace(joint, spring=SPRINGS[law]())
-    loop = replace(case.loop, joint=other)
-    values = {p.name: 1e-3 for p in other.parameters} | case.truth | wrong
-    assert simulate(loop, prepare(loop, case.clean), values).outcome is Outcome.INVALID
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"load_coulomb_drift": -1e3}, {"swinging_share": 1.0}, {"harmonic_1_sine": float("nan")}]
-)
-def test_what_fades_to_less_than_nothing_or_is_no_number_is_not_simulated(wrong: dict[str, float]) -> None:
-    case = prismatic(1)
-    joint = replace(
-        case.loop.joint, friction=FRICTIONS["drifting"](), spring=SPRINGS["elastic-load"](),  # type: ignore[call-arg]
-        ripple=PositionHarmonics(0.05),
-    )  # fmt: skip
-    loop, values = replace(case.loop, joint=joint), case.truth | {"swinging_stiffness": 1e5}
-    values |= {p.name: 0.0 for p in joint.parameters if p.name not in values}
-    experiment = prepare(loop, case.clean)
-    assert simulate(loop, experiment, values).outcome is Outcome.FINISHED
-    assert simulate(loop, experiment, values | wrong).outcome is Outcome.INVALID
-
-
-def test_laws_in_pieces_and_smooth_ones_are_not_simulated_beside_each_other() -> None:
-    with pytest.raises(
-        MethodError, match=r'"stribeck" and "cubic" of friction and spring are not simulated beside each'
-    ):
-        FlexibleJoint("prismatic", friction=FRICTIONS["stribeck"](), spring=SPRINGS["cubic"]())
-    assert "backlash" not in [
-        law.name for law in springs_beside(FlexibleJoint("prismatic", friction=FRICTIONS["presliding"]()))
-    ]
-    assert "stribeck" not in [
-        law.name for law in frictions_beside(FlexibleJoint("prismatic", spring=SPRINGS["cubic"]()))
-    ]
 
 
 def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -> None:
