@@ -4,79 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from jointid.apps.web import application as serving
-from jointid.apps.web.folder import Limits
 from tests.apps.web.asking import MULTIPART, TOKEN, Served, parts
-
-
-@pytest.fixture
-def limits() -> Limits:
-    return Limits(upload=2_000_000, joint_file=20_000, arriving=4_000_000)
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open
-def test_uploads_that_stand_still_shut_nobody_out(served: Served, log: bytes) -> None:
-    with ExitStack() as stalled:
-        for _ in range(85):
-            stalled.enter_context(served.begin_upload(declared=20_000))
-        assert served.ask("GET", "/")[0] == 200
-        status, _ = served.ask("POST", "/record", parts(log), MULTIPART)
-        assert status == 303
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open
-def test_no_more_comes_in_than_there_is_room_for(served: Served, log: bytes, folder: Path) -> None:
-    with ExitStack() as stalled:
-        for _ in range(2):
-            stalled.enter_context(served.begin_upload(declared=1_990_000))
-        for _ in range(200):
-            status, said = served.ask("POST", "/record", parts(log), MULTIPART)
-            if status == 422:
-                break
-        assert b"leave no room for this one; send it again later" in said
-    for _ in range(200):  # those that have gone keep no room
-        status, _ = served.ask("POST", "/record", parts(log), MULTIPART)
-        if status == 303:
-            break
-    assert status == 303
-    assert len([*folder.glob("upload-*.csv")]) == 1
-
-
-class TestHasty:
-    """A page that waits a moment only."""
-
-    @pytest.fixture
-    def limits(self) -> Limits:
-        return Limits(idle=0.2)
-
-    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-    def test_a_request_that_stands_still_is_ended(self, served: Served) -> None:
-        with served.begin_upload(declared=20_000) as stalled:
-            assert stalled.recv(4096).startswith(b"HTTP/1.1 408 ")
-            while stalled.recv(4096):
-                pass  # to the end, which comes
-
-    def test_progress_is_sent_to_whoever_waits_longer(self, served: Served, folder: Path) -> None:
-        (folder / "runs" / "1").mkdir(parents=True)
-        (folder / "runs" / "1" / "run.json").write_text('{"state": "running"}')
-        with served.connect() as watching:
-            watching.sendall(f"GET /{TOKEN}/runs/1/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n".encode())
-            assert watching.recv(4096).startswith(b"HTTP/1.1 200 ")
-            (folder / "runs" / "1" / "progress.txt").write_text("one\n")
-            assert b'"one"' in watching.recv(4096)
-
-
-def test_a_connection_that_never_asks_is_closed(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_HEADER_TIME", 0.2)
-    for begun in (b"", b"GET / HTTP/1.1\r\nhost: 127"):
-        with served.connect() as silent:
-            silent.sendall(begun)
-            assert silent.recv(100) == b""
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open

@@ -1,4 +1,4 @@
-"""`jointid serve`: the page in the browser, for those who do not use a terminal; to this machine alone unless asked."""
+"""`jointid serve`: the page in the browser, for those who do not use a terminal; to this machine alone."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from jointid.apps.cli.console import make_folder, show, tell
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import JointidError, extra
 
+_HOST = "127.0.0.1"  # which no other machine reaches
 _TOKEN = 24  # bytes that nobody guesses
 
 
 def serve(
     *,
-    host: str = "127.0.0.1",
     port: int = 8765,
     folder: Path = Path("jointid-page"),
     open_: Annotated[bool, Parameter(name=["--open", "-o"], negative=())] = False,
@@ -33,21 +33,13 @@ def serve(
     this machine. Ctrl-C stops the page; the record and the answers stay in the folder.
 
     Args:
-        host: address to listen at; another than this machine's own lets the network reach it.
         port: to listen at; 0 takes a free one.
         folder: in which records and answers are kept; it is made if it is not there.
         open_: also open the page in the browser.
     """
 
     def announce(address: str) -> None:
-        from jointid.apps.web.folder import LOOPBACK
-
         show(f"The page is at {address} (Ctrl-C stops it); records and answers are kept in {folder}.")
-        if host not in LOOPBACK:
-            tell(
-                f"Warning: at {host} the network reaches the page. It is not encrypted, so that others there may read "
-                "the token and use it; use it in a network you trust, or leave --host out."
-            )
         # Whether other users may list the folder or reach its files, where the system tells.
         if os.name == "posix" and folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             tell(
@@ -65,10 +57,10 @@ def serve(
                 file.write(text)
             webbrowser.open(path.as_uri())
 
-    run_page(folder, host, port, announce)
+    run_page(folder, port, announce)
 
 
-def run_page(folder: Path, host: str, port: int, announce: Callable[[str], None]) -> None:
+def run_page(folder: Path, port: int, announce: Callable[[str], None]) -> None:
     """Serve the page until it is interrupted; a folder that is made for it may be read by its owner alone.
 
     `announce` is called with the page's address, including the token, as soon as it can be reached.
@@ -84,26 +76,24 @@ def run_page(folder: Path, host: str, port: int, announce: Callable[[str], None]
     Outputs(folders={"--folder": folder})
     make_folder(folder, "--folder", mode=0o700)
     token = secrets.token_urlsafe(_TOKEN)
-    with _listen(host, port) as listening:
-        shown = f"[{host}]" if ":" in host else host
-        announce(f"http://{shown}:{listening.getsockname()[1]}/{token}/")
-        run(build_application(folder, token, host), listening)
+    with _listen(port) as listening:
+        announce(f"http://{_HOST}:{listening.getsockname()[1]}/{token}/")
+        run(build_application(folder, token), listening)
 
 
-def _listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens there.
+def _listen(port: int) -> socket.socket:
+    """Return a socket of this machine that listens there.
 
     Raises:
         JointidError: it cannot.
     """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening = socket.socket()
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind((host, port))
+        listening.bind((_HOST, port))
     except (OSError, OverflowError) as error:
         listening.close()
         reason = getattr(error, "strerror", None) or error
-        raise JointidError(f"{host} port {port} cannot be listened at ({reason}); choose another --port.") from None
+        raise JointidError(f"Port {port} cannot be listened at ({reason}); choose another --port.") from None
     listening.listen()
     return listening

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import os
 import secrets
 import socket
@@ -15,7 +14,6 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import h11
 import uvicorn
 from starlette.applications import Starlette
 from starlette.convertors import IntegerConvertor, register_url_convertor
@@ -26,7 +24,6 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from jointid.apps.web import pages, routes
 from jointid.apps.web.folder import LOOPBACK, Limits, refusal_of
@@ -49,23 +46,16 @@ _HEADERS = {
 }
 
 
-class _StalledError(Exception):
-    """A request of which nothing more came for too long."""
-
-
 class _Guard:
     """Refuse requests without the token, under a foreign name or from another site; bound what browsers may do.
 
-    A page elsewhere can have a browser send requests here, under this host's name or, by rebinding its own name's
+    A page elsewhere can have a browser send requests here, under this machine's name or, by rebinding its own name's
     address, under its own. It does not know the token; the header Host tells the name all the same.
     """
 
-    def __init__(self, app: ASGIApp, host: str, token: str, idle: float) -> None:
+    def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app
-        self._idle = idle
         self._token = token.encode()
-        self._loopback = host in LOOPBACK
-        self._names = {*LOOPBACK, host.lower(), socket.gethostname().lower()}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
@@ -73,17 +63,7 @@ class _Guard:
             await self._app(scope, receive, send)
             return
 
-        started, whole = False, False
-
-        async def receive_guarded() -> Message:
-            nonlocal whole
-            try:
-                async with asyncio.timeout(None if whole else self._idle):
-                    message = await receive()
-            except TimeoutError:
-                raise _StalledError from None
-            whole = not message.get("more_body", False)
-            return message
+        started = False
 
         async def send_guarded(message: Message) -> None:
             nonlocal started
@@ -97,17 +77,13 @@ class _Guard:
         refusal = self._refuse(scope["method"], scope["path"], Headers(scope=scope))
         app = self._app if refusal is None else PlainTextResponse(f"{refusal}\n", 403)
         try:
-            await app(scope, receive_guarded, send_guarded)
-            return
+            await app(scope, receive, send_guarded)
         except ClientDisconnect:  # whoever asked has gone
             return
-        except _StalledError:
-            ended = PlainTextResponse("The request stood still on its way in; send it again.\n", 408)
         except asyncio.CancelledError:
-            ended = PlainTextResponse("The page is ending.\n", 503)
-        if not started:
-            ended.headers["connection"] = "close"
-            await ended(scope, receive, send_guarded)
+            ended = PlainTextResponse("The page is ending.\n", 503, {"connection": "close"})
+            if not started:
+                await ended(scope, receive, send_guarded)
 
     def _refuse(self, method: str, path: str, headers: Headers) -> str | None:
         """Return why a request is refused, None if it is not."""
@@ -121,20 +97,12 @@ class _Guard:
             return "This request comes from another site, and is refused; use the page itself."
         return None
 
-    def _is_here(self, host: str) -> bool:
+    @staticmethod
+    def _is_here(host: str) -> bool:
         try:
-            name = (urlsplit(f"//{host}").hostname or "").lower()
+            return (urlsplit(f"//{host}").hostname or "").lower() in LOOPBACK
         except ValueError:
             return False
-        if name in self._names:
-            return True
-        if self._loopback:
-            return False
-        try:  # a number is nobody's name, and cannot be rebound
-            ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return True
 
 
 class _Number(IntegerConvertor):
@@ -146,7 +114,7 @@ class _Number(IntegerConvertor):
 register_url_convertor("number", _Number())
 
 
-def build_application(folder: Path, token: str, host: str = "127.0.0.1", limits: Limits | None = None) -> Starlette:
+def build_application(folder: Path, token: str, limits: Limits | None = None) -> Starlette:
     """Return the page as an ASGI application; the token is the first part of every address that it answers."""
     state = AppState(folder, token, limits or Limits())
 
@@ -169,7 +137,7 @@ def build_application(folder: Path, token: str, host: str = "127.0.0.1", limits:
 
     application = Starlette(
         routes=[Mount(state.root, routes=_ROUTES)],
-        middleware=[Middleware(_Guard, host=host, token=token, idle=state.limits.idle)],
+        middleware=[Middleware(_Guard, token=token)],
         exception_handlers={
             JointidError: show_refusal,
             OSError: show_refusal,
@@ -207,55 +175,14 @@ _ROUTES = [
 
 
 _GRACE = 2  # seconds that an open connection is given when the page ends
-_HEADER_TIME = 10.0  # seconds in which a request has to say what it is
 _CONNECTIONS = 200  # more are refused
 _OWNER_ALONE = 0o077
-
-
-class _Protocol(H11Protocol):
-    """HTTP whose connections are closed when no request comes in time; the server by itself waits for ever."""
-
-    _late: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for a request."""
-        super().connection_made(transport)
-        self._await_request()
-
-    def data_received(self, data: bytes) -> None:
-        """Take what came, and wait for the rest of a request's head."""
-        super().data_received(data)
-        self._await_request()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no longer."""
-        super().connection_lost(exc)
-        if self._late is not None:
-            self._late.cancel()
-
-    def send_400_response(self, msg: str) -> None:
-        """Refuse what is no HTTP; for whoever already answers the beginning of it, the visitor has gone."""
-        if self.cycle is not None and not self.cycle.response_complete:
-            self.cycle.disconnected = True
-            self.cycle.message_event.set()
-        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
-            super().send_400_response(msg)
-        else:
-            self.transport.close()
-
-    def _await_request(self) -> None:
-        waits = self.cycle is None or self.cycle.response_complete
-        if waits and self._late is None:
-            self._late = self.loop.call_later(_HEADER_TIME, self.transport.close)
-        elif not waits and self._late is not None:
-            self._late.cancel()
-            self._late = None
 
 
 def run(application: Starlette, listening: socket.socket) -> None:
     """Serve the page on a socket that listens, until it is interrupted; nobody else may read what it writes."""
     config = uvicorn.Config(
-        application, http=_Protocol, ws="none", limit_concurrency=_CONNECTIONS, log_level="warning",
+        application, http="h11", ws="none", limit_concurrency=_CONNECTIONS, log_level="warning",
         timeout_graceful_shutdown=_GRACE, server_header=False,
     )  # fmt: skip
     before = os.umask(_OWNER_ALONE)

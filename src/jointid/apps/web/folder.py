@@ -67,8 +67,6 @@ class Limits:
         reading: seconds after which the reading of a record is stopped.
         form: seconds after which that of a joint file, or of a form, is.
         planning: seconds that the search for the next test takes.
-        idle: seconds after which a request that stands still on its way in is ended.
-        arriving: bytes of all files on their way in together, as they are declared.
     """
 
     upload: int = 256 * 2**20
@@ -78,8 +76,6 @@ class Limits:
     reading: float = 300.0
     form: float = 20.0
     planning: float = 60.0
-    idle: float = 20.0
-    arriving: int = 2**30
 
 
 @dataclass(frozen=True, slots=True)

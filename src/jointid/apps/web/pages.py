@@ -10,8 +10,7 @@ import asyncio
 import math
 import re
 import shutil
-from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -73,7 +72,6 @@ class AppState:
         self.limits = limits
         self.jobs = Jobs(limits)
         self.files = asyncio.Lock()
-        self._arriving = 0
 
     @classmethod
     def of(cls, request: Request) -> AppState:
@@ -85,22 +83,6 @@ class AppState:
     def redirect(self, path: str) -> Response:
         """Lead the browser to another address of the page, such as "/channels"."""
         return RedirectResponse(f"{self.root}{path}", 303)
-
-    @asynccontextmanager
-    async def reserve(self, request: Request, bound: int) -> AsyncIterator[None]:
-        """Keep room for a file while it comes in: of the size that is declared, or of the bound where none is.
-
-        Raises:
-            PageError: files that are on their way in have taken it.
-        """
-        size = min(_declared_size(request, bound), bound)
-        if self._arriving + size > self.limits.arriving:
-            raise PageError("Other files are on their way in, and leave no room for this one; send it again later.")
-        self._arriving += size
-        try:
-            yield
-        finally:
-            self._arriving -= size
 
     async def read_form(self, request: Request) -> list[tuple[str, str]]:
         """Return the entries of a form without a file.
@@ -131,16 +113,11 @@ def format_size(size: float) -> str:
     return f"{size / 2**20:.0f} MB" if size >= 2**20 else f"{size / 2**10:.0f} kB"
 
 
-def _declared_size(request: Request, unknown: int) -> int:
-    """Return the bytes that a request declares, or a number for none."""
-    declared = request.headers.get("content-length", "")
-    return int(declared) if re.fullmatch("[0-9]{1,18}", declared) else unknown
-
-
 def bound_body(request: Request, bound: int, sentence: str) -> Request:
     """Return a request whose body raises a `PageError` above a number of bytes, or at once if it declares more."""
     sent = 0
-    if _declared_size(request, 0) > bound:
+    declared = request.headers.get("content-length", "")
+    if re.fullmatch("[0-9]{1,18}", declared) and int(declared) > bound:
         raise PageError(sentence)
 
     async def receive() -> Sent:
@@ -169,7 +146,7 @@ async def receive_files(
     received: list[tuple[Path, str]] = []
     try:
         body = bound_body(request, bound + most * _AROUND, sentence)
-        async with state.reserve(request, bound), body.form(max_files=most) as form:
+        async with body.form(max_files=most) as form:
             files = [file for file in form.getlist("file") if isinstance(file, UploadFile) and file.filename]
             if not files:
                 raise PageError("No file arrived; choose one, and send it again.")
