@@ -5,15 +5,14 @@ from __future__ import annotations
 import io
 import json
 import os
-import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 
 from jointid.apps.web.application import build_application
-from jointid.apps.web.folder import Folder, Limits, PageError
-from tests.apps.web.asking import ADDRESS, TOKEN, Asker, Served
+from jointid.apps.web.folder import Folder, PageError
+from tests.apps.web.asking import ADDRESS, TOKEN
 from tests.apps.web.testclient import TestClient
 
 DEEP = "[" * 100_000
@@ -87,14 +86,6 @@ def test_no_link_leads_out_of_the_folder(run: Path, folder: Path, client: TestCl
     assert secret.read_text() == SECRET
 
 
-@pytest.mark.parametrize("answer", ["{}", '{"method": "didim"}', '{"method": 1, "record": {"name": "a"}}'])
-def test_an_answer_that_lacks_something_is_damaged(run: Path, client: TestClient, answer: str) -> None:
-    (run / "answer.json").write_text(answer)
-    said = client.get("/runs/1")
-    assert said.status_code == 422
-    assert "answer.json of identification 1, or a file beside it, is damaged" in said.text
-
-
 @pytest.mark.parametrize("content", ["", "{}", "7", DEEP, '{"state": 1}', '{"state": "planning", "started": "x"}'])
 def test_the_page_starts_with_a_folder_that_is_damaged(run: Path, folder: Path, content: str) -> None:
     (folder / "runs" / "\u00b2").mkdir()
@@ -104,25 +95,3 @@ def test_the_page_starts_with_a_folder_that_is_damaged(run: Path, folder: Path, 
     with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as client:
         for address in ("/", "/channels", "/joint", "/runs/1"):
             assert client.get(address).status_code == 200, address
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
-def test_a_record_from_elsewhere_is_none(run: Path, asker: Asker, folder: Path) -> None:
-    os.mkfifo(folder / "upload-pipe.csv")
-    for file in ("../secret.txt", str(folder.parent / "secret.txt"), "upload-pipe.csv", ["a"], ""):
-        (folder / "record.json").write_text(json.dumps({"file": file, "name": "a.csv", "size": 1, "format": "CSV"}))
-        assert "Your record is" not in asker.get("/")
-
-
-@pytest.mark.slow
-def test_a_key_of_thousands_of_points_takes_no_time_on_the_page(asker: Asker, limits: Limits) -> None:
-    said = asker.send("axis.toml", b"a" + b".a" * (limits.joint_file // 2 - 10) + b" = 1", "/jointfile")
-    assert said[0] == 422
-    assert "nests lists or tables too deeply" in said[1]
-
-
-def test_a_declared_length_over_the_bound_is_refused_at_once(served: Served, limits: Limits) -> None:
-    with served.begin_upload(2**40) as upload:  # of which no more comes
-        upload.settimeout(0.5 * limits.idle)
-        answer = upload.recv(65536)
-    assert answer.startswith(b"HTTP/1.1 422")

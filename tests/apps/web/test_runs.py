@@ -11,7 +11,6 @@ import signal
 import zipfile
 from asyncio.subprocess import Process
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -111,25 +110,6 @@ def test_the_report_is_shown_in_a_sandbox(finished: tuple[Asker, Run]) -> None:
     later = client.get(f"/runs/{run.number}/events", headers={"last-event-id": "0"}).text
     assert "id: 0\n" not in later
     assert "id: 1\n" in later
-
-
-def test_the_answer_is_there_before_its_report_which_gives_way(asker: Asker, log: bytes) -> None:
-    run = asker.identify(log)
-    running(run, "writing the report")
-    assert run.active
-    assert not run.has("report.html")
-    page = asker.get(f"/runs/{run.number}")
-    assert re.search(r"<p class=\"found\">Inertia [45]\.\d+ ± \S+\skg", page)
-    assert "It is being written" in page
-    assert "hidden>" in page[page.index("data-report") :][:40]
-    names = zipfile.ZipFile(io.BytesIO(asker.client.get(f"/runs/{run.number}/all.zip").content)).namelist()
-    assert "report.html" not in names
-    following = asker.client.post("/joint", data=LAW, follow_redirects=False)
-    assert following.headers["location"].endswith(f"/runs/{run.number + 1}")
-    assert run.status["state"] == "cancelled"
-    page = asker.get(f"/runs/{run.number}")
-    assert "What was found" in page
-    assert "Another identification was started before its report was written" in page
 
 
 def test_a_plan_that_is_refused_or_cancelled_leaves_the_answer(finished: tuple[Asker, Run]) -> None:
@@ -263,18 +243,6 @@ def test_a_page_that_is_started_again_finds_everything_under_its_new_token(folde
         assert "log.csv" in client.get("/").text
         assert "stopped before this had ended" in client.get("/runs/1").text
         assert client.get(f"http://127.0.0.1:8765/{TOKEN}/").status_code == 403
-
-
-def test_two_tabs_take_turns(asker: Asker, log: bytes) -> None:
-    asker.send("log.csv", log)
-    tabs = [
-        lambda: asker.send("one.csv", log),
-        lambda: asker.send("two.csv", log),
-        lambda: asker.post("/channels", UNITS),
-    ]
-    with ThreadPoolExecutor() as pool:
-        codes = [each.result()[0] for each in [pool.submit(tab) for tab in tabs]]
-    assert codes == [200, 200, 200]
 
 
 @pytest.mark.parametrize("module", ["none", "resource"])

@@ -62,11 +62,6 @@ def test_every_record_that_is_sent_is_one_of_several() -> None:
     assert loads(make_order(joined, "a.csv", "b.csv")[0]).source.first == "a.csv"
 
 
-def test_a_record_that_was_not_sent_is_named() -> None:
-    with pytest.raises(JointFileError, match=r'^records\.2\.file is "two\.csv", which was not sent; add that file'):
-        make_order(fill_in_form(JOINT)["draft"], "one.csv")
-
-
 def write_model(robot: Robot, folder: Path) -> Path:
     path = folder / "arm.xml"
     path.write_text(robot_mjcf(robot)[0], encoding="utf-8")

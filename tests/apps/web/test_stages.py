@@ -14,11 +14,9 @@ import pytest
 from jointid.apps.web import worker
 from jointid.apps.web.folder import Run
 from jointid.apps.web.form import make_order
-from jointid.apps.web.pages import _build_checks, _build_rows
 from jointid.apps.web.routes import _bundle, _events
 from jointid.common import parallel
 from jointid.diagnostics.check_loop import search_faults
-from jointid.uncertainty.verdict import Subject
 from tests.apps.web.asking import LAW, UNITS
 
 DRAFT = LAW | UNITS | {f"record.channels.{name}.column": name for name in ("torque", "reference", "motor_position")}
@@ -102,24 +100,6 @@ async def test_each_version_is_told_once(tmp_path: Path, anyio_backend: str) -> 
     assert [said.split("\n")[0] async for said in told] == ["event: end"]
 
 
-def _answer(*reasons: dict[str, Any]) -> dict[str, Any]:
-    shown = {"symbol": "K12", "unit": "N/m", "value": 2e4, "std": 100.0, "free": True, "lower_bound": None}
-    parameters = {"stiffness": shown | {"at_bound": None}, "load_viscous": shown | {"at_bound": 0.0, "symbol": "Fv2"}}
-    verdicts = [{"subject": "loop", "status": "failed", "reasons": list(reasons)}]
-    return {"parameters": parameters, "verdicts": verdicts}
-
-
-def test_what_a_fault_moves_is_remarked_as_in_the_table_of_the_command() -> None:
-    """A law that is not excluded adds nothing to a fault that was found; what is within the interval is not said."""
-    fault = {"code": "loop_not_as_declared", "words": "", "values": {"changes": {"stiffness": 1234.0}}}
-    law = {"code": "law_undecided", "words": "", "values": {"changes": {"stiffness": -3000.0}}}
-    small = {"code": "loop_not_as_declared", "words": "", "values": {"changes": {"stiffness": 20.0}}}
-    assert [row["note"] for row in _build_rows(_answer(fault, law))] == ["+1234 N/m once corrected", "at its bound"]
-    assert _build_rows(_answer(law))[0]["note"] == "-3000 N/m under the other law"
-    assert not _build_rows(_answer(small))[0]["note"]
-    assert not _build_rows(_answer())[0]["note"]
-
-
 def test_an_archive_holds_the_newest_answer(tmp_path: Path) -> None:
     """The first one may have been made of an answer whose loop was not checked yet, before there was a report."""
     run = Run(tmp_path)
@@ -129,21 +109,3 @@ def test_an_archive_holds_the_newest_answer(tmp_path: Path) -> None:
         (tmp_path / "answer.json").write_text(answer)
         path, _ = _bundle(run)
         assert zipfile.ZipFile(path).read("answer.json").decode() == answer
-
-
-def test_a_check_asks_the_same_on_the_page_and_in_the_report() -> None:
-    verdicts = [{"subject": subject.value, "status": "passed", "reasons": []} for subject in Subject]
-    assert [one["question"] for one in _build_checks({"verdicts": verdicts}, {})] == [one.question for one in Subject]
-
-
-def test_a_noted_check_is_noted_on_the_page() -> None:
-    failed = {"subject": Subject.WHITENESS.value, "status": "failed", "reasons": []}
-    answer = {"verdicts": [failed, failed | {"subject": Subject.FIT.value}]}
-    assert [one["mark"] for one in _build_checks(answer, {Subject.WHITENESS.value: "noted"})] == ["noted", "not fine"]
-
-
-def test_an_interval_of_the_page_holds_the_lack_of_fit() -> None:
-    """The table had 1.3 kg where the answer above it had 1.8."""
-    answer = _answer()
-    answer["parameters"]["stiffness"]["lack_of_fit"] = 300.0
-    assert _build_rows(answer)[0]["value"] == "20000 ± 630 N/m"

@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from python_multipart.exceptions import FormParserError
-from starlette.requests import Request
 
 from jointid.apps.web.application import build_application
-from jointid.apps.web.folder import Limits, clean_name, name_in_run, read_json, write_json
+from jointid.apps.web.folder import Limits, clean_name, read_json, write_json
 from jointid.common.errors import RecordError
-from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker
+from tests.apps.web.asking import ADDRESS, TOKEN, Asker
 from tests.apps.web.testclient import TestClient
 
 HOSTILE = '../../<img src=x onerror=alert(1)>".csv'
@@ -34,21 +32,6 @@ def test_a_clean_name_is_one_name_of_harmless_characters(raw: str) -> None:
     assert not name.startswith(".")
     assert name not in (".", "..")
     assert clean_name(name) == name
-
-
-@pytest.mark.parametrize(
-    ("raw", "name"),
-    [
-        ("run 1.csv", "run 1.csv"),
-        ("../../etc/passwd", "passwd"),
-        ("C:\\logs\\Achse-3 (neu).CSV", "Achse-3 (neu).CSV"),
-        ("", "record"),
-        ("...", "record"),
-        ("é" * 200 + ".mat", "é" * 76 + ".mat"),
-    ],
-)
-def test_what_is_left_of_a_name(raw: str, name: str) -> None:
-    assert clean_name(raw) == name
 
 
 def test_a_record_is_kept_under_our_name_and_shown_under_its_own(asker: Asker, log: bytes, folder: Path) -> None:
@@ -68,18 +51,6 @@ def test_a_record_is_kept_under_our_name_and_shown_under_its_own(asker: Asker, l
     assert {path.name for path in folder.parent.iterdir()} == {"page"}
     assert '<option value="reference" selected' in page
     assert asker.folder.draft["record.channels.torque.column"] == "torque"
-
-
-@pytest.mark.parametrize(
-    ("name", "kept"),
-    [
-        ("Achse-3 (neu).CSV", "Achse-3 (neu).CSV"),
-        ("Answer.txt", "record.txt"),  # which the answer itself is called
-        ("\N{MATHEMATICAL BOLD SMALL A}" * 76 + ".mat", "record.mat"),  # 308 bytes
-    ],
-)
-def test_the_folder_of_a_run_has_the_record_under_its_own_name_where_it_can(name: str, kept: str) -> None:
-    assert name_in_run(clean_name(name)) == kept
 
 
 def test_names_of_columns_are_escaped_everywhere(client: TestClient, asker: Asker) -> None:
@@ -114,19 +85,6 @@ def test_a_size_that_nobody_announced_is_stopped_at_the_bound(client: TestClient
     assert answer.status_code == 422
     assert "larger than 2 MB" in answer.text
     assert not asker.kept
-
-
-def test_a_damaged_form_is_a_sentence_with_any_starlette(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its older versions pass on what their parser says."""
-    damaged = {"content": b"--y\r\n", "headers": {"content-type": "multipart/form-data; boundary=x"}}
-    assert client.post("/draft", **damaged).status_code == 422  # type: ignore[arg-type]
-
-    def old(*_: object, **__: object) -> None:
-        raise FormParserError
-
-    monkeypatch.setattr(Request, "form", old)
-    answer = client.post("/draft", **damaged)  # type: ignore[arg-type]
-    assert (answer.status_code, "did not arrive whole" in answer.text) == (422, True)
 
 
 @pytest.mark.parametrize("name", ["run.exe", "run.csv.html", "run", "run.pkl", "run.svg"])
@@ -178,13 +136,6 @@ def test_damaged_forms_are_refused_in_a_sentence(client: TestClient, body: bytes
     assert said in answer.text
 
 
-@pytest.mark.parametrize("path", ["/record", "/again", "/channels", "/joint", "/jointfile", "/draft"])
-def test_so_is_one_at_any_step_of_a_page_without_a_record(client: TestClient, path: str) -> None:
-    answer = client.post(path, content=b"rubbish", headers={"content-type": "multipart/form-data; boundary=x"})
-    assert answer.status_code == 422
-    assert "did not arrive whole" in answer.text
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open
 def test_a_file_that_is_cut_off_leaves_nothing(client: TestClient, asker: Asker) -> None:
     body = b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n1,2\n3,4\n'
@@ -225,50 +176,6 @@ def test_a_joint_file_fills_in_the_form_and_is_named(asker: Asker, log: bytes) -
     assert code == 200
     assert "Filled in from my axis+1.toml" in text
     assert asker.folder.draft["controller.position_gain"] == "61.5"
-
-
-@pytest.mark.parametrize("name", ["Achse 3.npy", "Achse 3.mat", "Achse 3.csv"])
-def test_a_refused_file_is_called_what_it_came_as(asker: Asker, name: str, folder: Path) -> None:
-    said = asker.said(name, b"\x93NUMPY rubbish")
-    assert "Achse 3" in said
-    assert "upload" not in said
-    assert "incoming" not in said
-    assert str(folder) not in said
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("said", ["law = []", "law = {}", 'law = "pd"\ntorque_filters = 3'])
-def test_a_joint_file_with_values_of_no_sense_is_refused_beside_its_fields(asker: Asker, log: bytes, said: str) -> None:
-    asker.send("log.csv", log)
-    assert asker.send("a.toml", f"[controller]\n{said}".encode(), "/jointfile")[0] == 200
-    asker.post("/draft", UNITS)
-    code, text = asker.post("/joint")
-    assert code == 422
-    assert "has to be mended" in text or 'class="fault"' in text
-
-
-@pytest.mark.slow
-def test_an_emptied_choice_is_a_sentence(asker: Asker, log: bytes) -> None:
-    asker.send("log.csv", log)
-    for path, name in (
-        ("/channels", "joint.kind"), ("/joint", "controller.law"), ("/again", "controller.velocity_filter.kind"),
-    ):  # fmt: skip
-        asker.post("/draft", UNITS | LAW)
-        code, text = asker.post(path, {name: "", "extra": '[joint]\nkind = ""'})
-        assert code == 422 or path == "/again", path
-        assert "The page failed" not in text, path
-
-
-def test_a_joint_file_that_takes_long_holds_up_nobody(folder: Path, log: bytes) -> None:
-    hasty = build_application(folder, TOKEN, limits=Limits(form=0.01))  # less than any process takes to begin
-    with TestClient(hasty, base_url=ADDRESS) as client:
-        asker = Asker(client)
-        asker.send("log.csv", log)
-        asker.post("/draft", UNITS | LAW)
-        for code, text in (asker.send("a.toml", b"[joint]", "/jointfile"), asker.post("/joint")):
-            assert code == 422
-            assert "Reading the joint file took longer than 0.01 s and was stopped" in text
-    assert not [*folder.glob("form-*")]
 
 
 def test_what_was_on_its_way_in_when_the_page_was_killed_is_removed(folder: Path, log: bytes) -> None:
