@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -57,6 +58,15 @@ _MAY_VANISH = (  # a gap, a damping, a share of the torque, a drift, a cube
 )  # fmt: skip
 _BESIDE = 1e-3  # standard errors: so little is 0
 _ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where the whole record's ended
+
+
+class LawCode(StrEnum):
+    """What a comparison of laws answers."""
+
+    NO_SPRING = "no_spring"
+    AS_DECLARED = "as_declared"
+    ANOTHER_SPRING = "another_spring"
+    ANOTHER_FRICTION = "another_friction"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,12 +141,12 @@ class LawComparison(Documented):
             words = f"The record shows no spring: a rigid joint leaves {left}, one with a linear spring "
             words += f'{_format_share(simple.kept)}; declare the joint with model = "rigid", or identify how soft '
             words += "the spring may be"
-            return Message("no_spring", words, values)
+            return Message(LawCode.NO_SPRING, words, values)
         words = f"The record shows {self.article}{found.name} {self.kind}, {found.words}: it leaves {left}"
         if found is not simple:
             words += f", {self.article}{simple.name} one {_format_share(simple.kept)}"
         code = "as_declared" if found.name == self.declared else f"another_{self.kind}"
-        return Message(code, words + self._beside(), values)
+        return Message(LawCode(code), words + self._beside(), values)
 
     @property
     def sentence(self) -> str:

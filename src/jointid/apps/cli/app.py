@@ -113,13 +113,14 @@ def _ending(command: Callable[..., Any]) -> str:
     return f"Example{folder}:\n  {_EXAMPLES[where][command]}\n{_ENDING}"
 
 
-for _group, _commands in (
+_GROUPED: tuple[tuple[Group, tuple[Callable[..., Any], ...]], ...] = (
     (_START, (demo, inspect, serve, reproduce)),
     (_IDENTIFY, (identify, learn_controller, report, payload)),
     (_ASK, (diagnose, validate, compare)),
     (_USE, (tune, design, simulate, export)),
     (_MANY, (campaign,)),
-):
+)
+for _group, _commands in _GROUPED:
     for _place, _command in enumerate(_commands):
         app.command(_command, group=_group, sort_key=_place, help_epilogue=_ending(_command))
 
