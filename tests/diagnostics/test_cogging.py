@@ -52,11 +52,3 @@ def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
     loop = replace(made.axis.loop, joint=joint)
     check = faults_of(identify(made.record, loop), made.record)
     assert COGGING not in {one.fault for one in check.tests}
-
-
-def test_it_can_be_asked_for_by_itself() -> None:
-    made = spoiled(103, "cogging", 8.0)
-    assert made is not None
-    estimate = identify(made.record, made.axis.loop)
-    check = faults_of(estimate, made.record, LoopTests(faults=(COGGING.name,), most=1))
-    assert [one.fault for one in check.tests] == [COGGING]

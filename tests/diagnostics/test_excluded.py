@@ -13,10 +13,9 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.diagnose import diagnose_joint
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.faults.other_laws import late_interpolations
 from jointid.diagnostics.find_causes import list_hypotheses
 from jointid.diagnostics.identify import widen_for_faults
-from jointid.diagnostics.law_tests import Proof, has_unstated_delay
+from jointid.diagnostics.law_tests import has_unstated_delay
 from jointid.diagnostics.model_free import compare_law, excludes
 from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.identify import fit
@@ -24,8 +23,7 @@ from jointid.estimation.result.assemble import FitResult
 from jointid.models.controllers import Cascade
 from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.records.record import Channel, Record
-from jointid.records.resampling import fill_in
+from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.verdict import Status, Subject
@@ -124,19 +122,6 @@ def test_the_first_estimate_stands_where_that_with_the_delay_fails(monkeypatch: 
     assert asked == [(), ("delay",)]
     assert "delay" not in [row.name for row in estimate.params.rows]
     assert estimate.params["inertia"].value == pytest.approx(30.0, rel=0.05)
-
-
-@pytest.mark.parametrize("declared", [True, False])
-def test_a_law_of_setpoints_that_are_filled_in_is_excluded_on_them(declared: bool) -> None:
-    """The log repeats setpoints of 8 ms, which the drive holds, as declared, or interpolates."""
-    joint = RigidJoint("prismatic", SymmetricFriction())
-    asked = np.repeat(trapezoids((0.05, 0.1, 0.2), 2.0, 0.1, 8e-3, duration=4.0), 8)
-    held = Channel(asked, "m", 1e-3)
-    filled, loop = fill_in(held, 8, 1e-3, "linear"), ClosedLoop(joint, LAW)
-    record = simulated_record(loop, held.values if declared else filled.values, PLAIN, sample_time=1e-3)
-    record = record.with_channels({"reference": held})
-    law = next(one for one in late_interpolations(LAW, record, 1e-3) if 'interpolation = "linear"' in one.remedy)
-    assert Proof(record, loop).excludes_law(law) is declared
 
 
 @pytest.mark.slow

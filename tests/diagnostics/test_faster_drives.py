@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -80,15 +79,6 @@ def test_a_declared_period_is_not_doubted(monkeypatch: pytest.MonkeyPatch) -> No
     assert faults_of(identify(record, declared), record).as_declared
 
 
-def test_the_check_of_one_fault_leaves_the_period_out() -> None:
-    record, loop = drive(CASCADE, 8, noise=0.05)
-    estimate = identify(record, loop)
-    only = faults_of(estimate, record, LoopTests(faults=("delay",)))
-    assert [one.test.name for one in only.findings] == ["delay"]
-    both = faults_of(estimate, record, LoopTests(faults=("delay", PERIOD.name)))
-    assert both.findings[0].test.fault is PERIOD
-
-
 @pytest.mark.slow
 def test_no_other_cause_is_looked_for_where_the_period_is_all_that_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> Any:
@@ -113,16 +103,6 @@ def test_a_stiffness_of_a_faster_drive_is_not_relied_on() -> None:
     assert not answer.reliable
     assert "the controller runs faster than the log, at 8 kHz" in str(answer)
     assert "declare its period" in str(answer)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("times", [4, 8])
-def test_pulses_blame_the_period_and_no_gain(times: int) -> None:
-    record, loop = drive(CASCADE, times, flexible=True, pulsed=True)
-    estimate = ji.identify(record, loop)
-    verdict = estimate.checks.verdicts[-1]
-    assert verdict.reasons[0].values["suspect"] == PERIOD.name
-    assert re.search(rf"at (?:[\d.]+ or )*{times}(?: or [\d.]+)* kHz", str(estimate.answer))
 
 
 def _filled_in(way: str, law: Cascade | PD = CASCADE) -> tuple[Record, ClosedLoop]:
@@ -202,11 +182,6 @@ def test_a_reference_that_the_drive_averages_is_named_with_its_time(mean: float)
     right = ji.identify(record, replace(loop, controller=law))
     assert right.answer.reliable
     assert abs(right["inertia"].value - RIGID["inertia"]) < 3 * right["inertia"].stderr
-
-
-def test_a_coarse_setpoint_that_is_averaged_is_named_with_its_time() -> None:
-    said = _said(ji.identify(*_averaged(12e-3, coarse=4)[:2]))
-    assert said.startswith("the drive averages the reference over 12")
 
 
 def test_a_coarse_setpoint_that_is_held_is_not_blamed() -> None:

@@ -13,14 +13,12 @@ import jointid as ji
 from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
 from jointid.diagnostics import find_causes as searching
 from jointid.diagnostics import identify as identifying
-from jointid.diagnostics.faults.fault import Explanation, FaultTest
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import LAW_GAIN, REFERENCE_SCALE, TORQUE_CONSTANT, TORQUE_SCALE
-from jointid.diagnostics.faults.numbers import DELAY, SWAPPED_GAINS, TORQUE_FILTER, VELOCITY_FILTER, number_fault
+from jointid.diagnostics.faults.numbers import SWAPPED_GAINS, TORQUE_FILTER, VELOCITY_FILTER, number_fault
 from jointid.diagnostics.faults.record import (
     FLEXIBLE,
     SAMPLE_TIME,
-    TORQUE_SIGN,
     find_plain_cause,
     with_cutoffs,
 )
@@ -102,14 +100,6 @@ def test_nothing_is_looked_for_where_the_record_fits() -> None:
     assert not [one for one in said if "searching for the cause" in one]
 
 
-def test_small_deviation_is_left_to_its_sensitivity() -> None:
-    """position_gain that is a tenth too large is said with its interval."""
-    record, loop = without_mistake(axis("rigid"))
-    off = replace(loop, controller=with_numbers(loop.controller, {"position_gain": 27.5}))
-    verdict = ji.identify(record, off).checks.verdicts[-1]
-    assert verdict.reasons[0].code is Reason.LOOP_NOT_AS_DECLARED
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rigid", "flexible"])
 def test_healthy_record_has_no_cause(name: AxisName) -> None:
@@ -118,14 +108,6 @@ def test_healthy_record_has_no_cause(name: AxisName) -> None:
     assert causes.explanations == ()
     assert causes.message.code is Reason.NO_CAUSE_FOUND
     assert causes.declared_error < 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("loop", ["L19", "L30"])
-def test_healthy_twin_has_no_cause(loop: str) -> None:
-    """Nor on the paper's axis, with 8 % of the torque left."""
-    made = twin(loop)  # type: ignore[arg-type]
-    assert find_causes(made.record, made.loop).explanations == ()
 
 
 @pytest.mark.slow
@@ -165,27 +147,6 @@ def test_a_loop_remembers_as_long_as_it_does_whatever_the_sample_time_is_said_to
         shares.append(find_unexplained_share(problem, record.reference.values, memory))
     assert shares[1] == pytest.approx(shares[0], rel=0.02)
     assert shares[2] > 1.5 * shares[0]
-
-
-@pytest.mark.slow
-def test_a_cause_that_leaves_more_than_a_right_model_is_only_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A loop that rings for long left half of its torque by responses, and a sixth by a wrong sample time."""
-    record, loop = BY_NAME["torque turned round"].make(axis("rigid"), 1)
-    monkeypatch.setattr(searching, "_fit_free_responses", lambda _: 0.5)
-    assert [one.fault for one in find_causes(record, loop).explanations][:1] == [TORQUE_SIGN]
-    monkeypatch.setattr(searching, "_FITS", 0.01)  # the right cause leaves 2.8 %
-    causes = find_causes(record, loop)
-    assert causes.explanations == ()
-    assert causes.nearest[0].fault is TORQUE_SIGN
-
-
-def test_none_in_the_place_of_declared_taps_is_a_cause() -> None:
-    """A free filter that ends at no time at all is near to none, and far from taps."""
-    made = without_mistake(axis("rigid"))[1]
-    plain, taps = (replace(made, controller=replace(made.controller, velocity_filter=f)) for f in ((1.0,), (0.2,) * 5))  # type: ignore[call-arg]
-    none = Explanation(VELOCITY_FILTER, "", 1e-9, 0.01)
-    assert searching._is_small(none, plain, 1e-3)
-    assert not searching._is_small(none, taps, 1e-3)
 
 
 @pytest.mark.slow
@@ -301,30 +262,6 @@ def test_a_record_too_short_is_not_relied_on_however_well_it_fits() -> None:
         assert answer.reliable is reliable
 
 
-def test_a_time_far_below_a_period_is_no_cause() -> None:
-    """A first-order filter of 0.0013 ms was told of an axis that hardly moves."""
-    _, loop = without_mistake(axis("rigid"))
-    found = tuple((Explanation(TORQUE_FILTER, "", seconds, 0.01),) for seconds in (1.3e-6, 8e-3))
-    assert searching._explaining(found[:1], 1.0, loop, 1e-3) == ()
-    assert searching._explaining(found[1:], 1.0, loop, 1e-3) == found[1]
-
-
-def test_a_search_begins_where_parameters_end_at_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They make up for what is wrong: a forgotten integral was told as a limit of the output."""
-    record, loop = without_mistake(axis("rigid"))
-    estimate = identify(record, loop)
-    fault = FaultTest(DELAY, (), 5e-4, 1e-5, 1e-6, 10.0, 0.0)
-
-    def searches(*_: object, **__: object) -> None:
-        raise MethodError("it was asked")
-
-    monkeypatch.setattr(searching, "find_causes", searches)
-    assert searching.explain_misfit(estimate, record, (fault,)) is None
-    rows = tuple(replace(p, at_bound=0.0) if p.name == "viscous" else p for p in estimate.params.rows)
-    with pytest.raises(MethodError, match="it was asked"):
-        searching.explain_misfit(amended(estimate, params={"rows": rows}), record, (fault,))
-
-
 @pytest.mark.slow
 def test_a_refused_spring_at_its_bounds_is_no_reason_to_look_for_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     """A healthy drive that moves one way only, whose stiffness is refused, was told that as what is wrong."""
@@ -425,14 +362,6 @@ def test_torque_in_another_scale_is_no_gain_of_the_law_beside_an_added_signal() 
     weaker = replace(DRIVE, position_gain=0.3 * DRIVE.position_gain, derivative_gain=0.3 * DRIVE.derivative_gain)
     causes = find_causes(record, ClosedLoop(RigidJoint("revolute"), weaker), free=("delay",))
     assert [one.fault for one in causes.explanations] == [LAW_GAIN, REFERENCE_SCALE]
-
-
-def test_few_rows_below_the_resonance_explain_no_cause() -> None:
-    """A log of 100 Hz is not cut off at half of a hertz, where as many rows as parameters are left."""
-    record, loop = late_drive(1e-2), ClosedLoop(ji.FlexibleJoint("revolute"), DRIVE)
-    tried = searching.list_hypotheses(record, loop, ji.Filtering().resolve(1e-2, "flexible"))
-    fits = searching.fit_below_resonance(tried[:2], ji.FlexibleJoint("revolute"))
-    assert all(fit.problem.residual(fit.x).size > 2 * fit.x.size for fit in fits)
 
 
 @pytest.mark.parametrize(

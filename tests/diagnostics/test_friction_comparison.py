@@ -16,7 +16,6 @@ from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
-from tests.mistakes import cut
 from tests.plants import prismatic
 from tests.simulation.test_friction_in_pieces import RISES, rigid, slow
 
@@ -88,14 +87,6 @@ def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
     assert found.shown.name == "stribeck"
     both = by_name["asymmetric-stribeck"].values
     assert 0.5 * (both["coulomb_forwards"] - both["coulomb_backwards"]) == pytest.approx(values["offset"], rel=2e-2)
-
-
-@pytest.mark.slow
-def test_a_flexible_joint_of_symmetric_friction() -> None:
-    axis = ji.twin(noise="white")
-    found = compare_frictions(cut(axis.record, 8.0), axis.loop, didim=ji.DIDIM(frequency=30.0))
-    assert found.shown.name == "symmetric"
-    assert found.shown.parameters == 4
 
 
 def test_the_answer_as_json(found: FrictionComparison) -> None:

@@ -28,7 +28,7 @@ from jointid.diagnostics.faults.friction import (
 )
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
-from jointid.diagnostics.faults.trials import search_stiffer, solve_with_fault, vary_mechanics
+from jointid.diagnostics.faults.trials import search_stiffer, vary_mechanics
 from jointid.diagnostics.identify import widen_for_faults, worst_shift
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search_state import LoopTests
@@ -174,15 +174,6 @@ def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, se
     assert found.answer.trust.code == Trust.NOT_YET
 
 
-def test_a_joint_with_a_fault_is_identified_near_the_truth() -> None:
-    made, estimate = identified("second mode", 135)
-    own, x = rebuild_problem(estimate, made.record, "")
-    fit = solve_with_fault(own, x, SECOND_MODE)
-    assert fit is not None
-    assert fit.values["stiffness"] == pytest.approx(made.truth["stiffness"], rel=0.05)
-    assert fit.values["swinging_share"] == pytest.approx(1 / 3, rel=0.2)
-
-
 GEARED = {
     "motor_inertia": 0.006, "motor_viscous": 0.004, "motor_coulomb": 0.05, "stiffness": 95.0, "damping": 0.04,
     "load_inertia": 0.009, "load_viscous": 0.01, "load_coulomb": 0.02, "offset": 0.01,
@@ -260,36 +251,6 @@ def test_a_rigid_joint_has_no_spring() -> None:
     estimate = identify(record, rigid, ji.DIDIM())
     along = {LOAD_DEPENDENT_FRICTION, TORQUE_SATURATION, UNEVEN_FRICTION}  # which need no spring
     assert {one.fault for one in faults_of(estimate, record).tests} & MECHANICS == along
-
-
-def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> None:
-    where = setting("L19", brief=True)
-    made = problem(where, None, None)
-    x = made.vector(where.truth)
-    asymmetric = replace(made.joint, friction=ji.friction.AsymmetricFriction())
-    loop = replace(made.loop, joint=asymmetric)
-    values = made.values(x)
-    values |= {p.name: values[p.name.rpartition("_")[0]] for p in asymmetric.parameters if p.name.endswith("wards")}
-    beside = made.parameters[len(made.joint.parameters) :]
-    own = tuple(p.fix(values[p.name]) if p.name == "offset" else p for p in asymmetric.parameters)
-    other = replace(made, loop=loop, parameters=(*own, *beside))
-    ours, theirs = vary(made, x), vary(other, other.vector(values))
-    for one in theirs:
-        same = next(other for other in ours if (other.fault, other.shape) == (one.fault, one.shape))
-        assert np.linalg.norm(one.column - same.column) < 1e-6 * np.linalg.norm(same.column)
-    frictions = {LOAD_DEPENDENT_FRICTION, WINDING_FRICTION, CHANGING_FRICTION}
-    assert {CUBIC_SPRING, BACKLASH, *frictions} <= {one.fault for one in theirs}
-
-
-@pytest.mark.slow
-def test_friction_that_winds_up_is_identified_from_all_that_was_tried_of_it() -> None:
-    """The search from the nearest trial ends beside it, and leaves 14 % more of the torque."""
-    made = spoiled(102, "presliding", 8.0)
-    assert made is not None
-    problem, x = rebuild_problem(identify(made.record, made.axis.loop), made.record, "another")
-    found = solve_with_fault(problem, x, WINDING_FRICTION)
-    assert found is not None
-    assert found.left < 0.8 * float(np.linalg.norm(problem.residual(x)))
 
 
 def test_what_the_user_holds_is_not_tried_otherwise() -> None:

@@ -10,7 +10,6 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, ParameterShift
-from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.faults.other_laws import (
     AVERAGED,
     LATE,
@@ -20,7 +19,7 @@ from jointid.diagnostics.faults.other_laws import (
 )
 from jointid.diagnostics.law_tests import OtherLawTest, choose_law
 from jointid.diagnostics.search_state import LoopTests
-from jointid.estimation.result.answer import Trust, moved_by_loop
+from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import (
     INPUTS,
@@ -178,22 +177,6 @@ def test_the_check_of_one_fault_leaves_the_law_out() -> None:
     assert PRESENT_SAMPLE not in [one.test.fault for one in check.findings]
     [found, *_] = faults_of(estimate, record, LoopTests(faults=(PRESENT_SAMPLE.name, "delay"))).findings
     assert found.test.fault is PRESENT_SAMPLE
-
-
-def test_beside_a_fault_that_moves_nothing_the_other_law_still_speaks_against_the_value() -> None:
-    estimate, _, check = _checked(present=True)
-    found, inertia = check.findings[0], estimate.params["inertia"]
-    assert inertia.stderr is not None
-    late = replace(found, test=replace(found.test, fault=DELAY, size=1e-4, std=1e-5), changes={}, law=None)
-    moved = replace(found, changes={"inertia": ParameterShift(-5.0 * inertia.stderr, -5.0)})
-    both = replace(check, findings=(late,), undecided=moved)
-    assert both.status is Status.FAILED
-    assert [one.code for one in both.reasons] == [Reason.LOOP_NOT_AS_DECLARED, Reason.LAW_UNDECIDED]
-    verdict = Verdict(Subject.LOOP, both.status, both.reasons)
-    answer = amended(estimate, checks={"verdicts": (*estimate.checks.verdicts[:-1], verdict)}).answer
-    assert answer.trust.code is Trust.NOT_YET
-    assert answer.trust.values["reasons"] == [Reason.LAW_UNDECIDED]
-    assert moved_by_loop(amended(estimate, checks={"verdicts": (verdict,)})) == {}
 
 
 @pytest.mark.parametrize(("gains", "chosen"), [((-2.0, -1.0), None), ((-2.0, 1.0), 1), ((1.0, 1.001), 0)])

@@ -168,20 +168,6 @@ def test_no_plan_comes_below_the_floor() -> None:
             assert told.std_of(goal.weights) * max(size / 50.0, 1.0) > floor.deviation, (name, motion, added)
 
 
-def test_the_floor_falls_with_time_and_noise() -> None:
-    limits = AxisLimits(stroke=0.2, rms_torque=50.0)
-    goal = parse_goal("stiffness", {"stiffness": "N/m"})
-
-    def floor(samples: int, noise: Noise) -> float:
-        return least_deviation(
-            AXIS.loop, AXIS.truth, noise, goal, limits, samples=samples, sample_time=SAMPLE_TIME, cutoff=60.0
-        ).deviation
-
-    once = floor(SHORT, NOISE)
-    assert floor(4 * SHORT, NOISE) == pytest.approx(0.5 * once, rel=1e-6)
-    assert floor(SHORT, Noise(log=2 * AXIS.noise)) == pytest.approx(2 * once, rel=1e-6)
-
-
 def test_the_lines_of_the_floor_are_the_peaks_of_its_powers() -> None:
     """What is told of the two viscous frictions is told at antiresonance and resonance, not between them."""
     goal = parse_goal("motor_viscous - load_viscous", {"motor_viscous": "N s/m", "load_viscous": "N s/m"})

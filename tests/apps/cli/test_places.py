@@ -182,20 +182,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     ),
 }
 """Where every command writes, and what else it is given."""
-_READ = {
-    "JOINT",
-    "ROBOT",
-    "--without",
-    "--with",
-    "FILE",
-    "SOURCE",
-    "BEFORE",
-    "AFTER",
-    "--record",
-    "--estimate",
-    "--motion",
-    "--held-out",
-}
+_READ = {"JOINT", "FILE", "BEFORE", "AFTER", "--record", "--estimate", "--motion", "--held-out", "--without", "--with"}
 
 
 def test_every_place_where_a_command_writes_is_listed() -> None:

@@ -235,17 +235,6 @@ def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() ->
     assert diagnose_robot(identified(other, records), records).axes[0].left < 0.2 * found.left
 
 
-def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
-    records = records_of(arm(3), 2, noise=0.2)
-    estimate = identified(arm(3), records)
-    joint = diagnose_robot(estimate, records).axes[0]
-    assert joint.whiteness is not None
-    coloured = replace(joint, left=0.05, whiteness=replace(joint.whiteness, p_value=1e-6), follows=None)
-    assert not coloured.explained
-    assert replace(coloured, whiteness=replace(joint.whiteness, p_value=0.01)).explained
-    assert replace(coloured, left=0.02).explained
-
-
 @pytest.mark.slow
 def test_the_motion_of_another_joint_is_named() -> None:
     records = records_of(arm(), 2, noise=0.02)
@@ -267,21 +256,12 @@ def test_controllers_that_make_the_torque_hold_and_others_do_not() -> None:
     assert any("0.5 times the law's: correct torque_constant" in one for one in half.sentences)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(one, marks=pytest.mark.slow) for one in range(3, 20))])
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(one, marks=pytest.mark.slow) for one in range(3, 6))])
 def test_noise_of_the_positions_is_neither_a_bent_gear_nor_another_law(seed: int) -> None:
     loop = two().loop()
     records = with_noise(logged_by(loop, two().records(6.0, seed + 1)), seed, (1e-5, 3e-6, 5e-5)[seed % 3])
     found = asked(loop, records, loop.controllers)
     assert named(found) == [] and found.as_declared
-
-
-def test_another_law_is_named_in_spite_of_noise() -> None:
-    loop = two().loop()
-    first, second = loop.controllers
-    for size in (1e-5, 5e-5):
-        records = with_noise(logged_by(loop), 1, size)
-        stiffer = asked(loop, records, (first, replace(second, position_gain=1.3 * second.position_gain)))  # type: ignore[type-var, attr-defined]
-        assert [one.law_holds for one in stiffer.axes] == [True, False]
 
 
 @pytest.mark.parametrize("kind", ["gravity", "inverse-model"])
@@ -316,16 +296,6 @@ def test_the_travel_is_that_of_the_motors_wherever_they_turn() -> None:
     true = [float(np.ptp(one.motor_position.values)) for one in records if one.motor_position is not None]
     assert [one.travel for one in found.axes] == pytest.approx(true, rel=0.05)  # the filter's borders are off
     assert found.torques.position.min() > 0.5
-
-
-def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
-    estimate = identified(arm(), records_of(arm(), 2, noise=0.2))
-    part, said = estimate.require_robot(), "offset1 + m2 * 9.81"
-    formulas = tuple(
-        said if name == "joint1.offset" else one for name, one in zip(part.names, part.formulas, strict=True)
-    )
-    found = parameters_by_axis(replace(estimate, robot=replace(part, formulas=formulas)))
-    assert {one.name: one.formula for one in found}["joint1.offset"] == said
 
 
 @pytest.mark.slow
