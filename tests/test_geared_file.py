@@ -13,7 +13,7 @@ import pytest
 from jointid.apps.cli import main
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.transmission import Transmission
-from jointid.config import JointFile, dumps, loads, save
+from jointid.config import JointFile, dumps, loads
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import load_estimate, to_dict, write
@@ -201,7 +201,7 @@ def test_a_transmission_that_cannot_be_is_refused(wrong: dict[str, Any]) -> None
 @pytest.mark.slow
 def test_a_simulated_record_is_written_on_the_sides_of_its_channels(folder: Path) -> None:
     geared, estimate = folder / "geared.toml", folder / "estimate.json"
-    save(file_of(folder, BY_THE_LOAD), geared)
+    geared.write_text(dumps(file_of(folder, BY_THE_LOAD)))
     for words in (("identify", geared, "--json", estimate), ("simulate", geared, "--estimate", estimate)):
         out = ("--out", folder / "out.csv") if words[0] == "simulate" else ()
         with pytest.raises(SystemExit) as end:

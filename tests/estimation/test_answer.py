@@ -89,12 +89,6 @@ def test_a_fault_that_moves_other_parameters_leaves_the_value() -> None:
     assert str(judged(RIGID, inertia=0.9, viscous=-25.0).answer.trust) == within
 
 
-def test_a_fault_without_known_effect_speaks_against_everything() -> None:
-    reason = Message(Reason.LOOP_NOT_AS_DECLARED, "torque and reference are swapped")
-    wrong = amended(RIGID, checks={"verdicts": (Verdict(Subject.LOOP, Status.FAILED, (reason,)),)})
-    assert str(wrong.answer.trust) == "Do not rely on it yet: torque and reference are swapped"
-
-
 @pytest.mark.parametrize("code", AGAINST_EVERY_VALUE)
 def test_a_reason_against_every_value_is_in_the_answer(code: Reason) -> None:
     failed = Verdict(Subject.WHITENESS, Status.FAILED, (Message(code, "it is so"),))
@@ -163,13 +157,6 @@ def test_a_parameter_at_its_bound_reads_it_and_the_verdict_says_so() -> None:
     assert estimate.to_dict()["parameters"]["viscous"]["at_bound"] == 0.0
 
 
-def test_a_name_that_there_is_not_is_answered_by_the_nearest() -> None:
-    with pytest.raises(KeyError, match="did you mean inertia") as caught:
-        RIGID.params["inerta"]
-    assert str(caught.value).startswith('"inerta" is no parameter of this estimate; it has inertia, viscous, coulomb')
-    assert isinstance(caught.value, ji.MethodError)
-
-
 @pytest.mark.parametrize("std", [np.nan, np.inf])
 def test_a_value_without_a_finite_interval_is_not_relied_on(std: float) -> None:
     answer = judged(flexible(1000.0, std)).answer
@@ -198,13 +185,6 @@ def test_a_value_that_is_only_known_with_others_is_not_relied_on() -> None:
 def test_an_error_that_is_no_number_is_not_relied_on() -> None:
     answer = amended(judged(RIGID), fit={"filtered_error": np.nan}).answer
     assert answer.trust.code is Trust.NOT_YET
-
-
-def test_a_value_that_was_declared_is_not_said_to_be_found() -> None:
-    rows = tuple(replace(p, free=False, stderr=None) for p in RIGID.params.rows)
-    answer = judged(amended(RIGID, params={"rows": rows})).answer
-    assert str(answer) == "Inertia 94.903 kg (fixed). It was declared, not identified."
-    assert not answer.reliable
 
 
 def test_an_inertia_of_each_record_comes_before_what_they_share() -> None:

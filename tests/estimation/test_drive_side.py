@@ -145,13 +145,6 @@ def test_white_noise_on_the_log_leaves_the_truth_in_the_intervals() -> None:
     assert np.mean(inside) > 0.85
 
 
-def test_bands_of_white_noise_agree_with_the_rows() -> None:
-    rng = np.random.default_rng(0)
-    J = rng.standard_normal((4000, 2))
-    found = [band_deviations(J, J, rng.standard_normal(4000)) for _ in range(200)]
-    assert np.sqrt(np.mean(np.square(found), axis=0)) == pytest.approx(1 / np.sqrt(4000), rel=0.1)
-
-
 def test_bands_see_a_gain_that_falls_with_frequency() -> None:
     rng = np.random.default_rng(0)
     J = rng.standard_normal((4000, 1))
@@ -305,18 +298,6 @@ def test_a_known_motion_is_blind_to_the_half_it_is_used_in() -> None:
     assert not np.allclose(before[1], after[1], rtol=0, atol=1e-6)
 
 
-def test_a_record_without_instruments_names_the_way_in_its_first_line() -> None:
-    record = twin("L19", noise="none").record.without("reference", "injected")
-    estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
-    assert "the motion was measured under control" in str(estimate.answer)
-    assert "identify by DIDIM, or with the reference as instrument" in str(estimate.answer)
-    assert "a force in the loop" in estimate.params.basis
-    with pytest.raises(ji.MethodError, match='instruments = "never"'):
-        ji.identify(
-            record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0, instruments="always"), filtering=FILTERING
-        )
-
-
 def test_a_rigid_joint_needs_no_load() -> None:
     joint, truth = ji.RigidJoint("prismatic"), {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     loop = ji.ClosedLoop(joint, CONTROLLERS["L19"])
@@ -326,26 +307,6 @@ def test_a_rigid_joint_needs_no_load() -> None:
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
     assert any("rests in" in warning for warning in estimate.checks.warnings)
-
-
-def test_what_is_missing_is_named() -> None:
-    record = twin("L19", noise="none").record
-    with pytest.raises(ji.RecordError, match="needs motor_position"):
-        ji.identify(record.without("motor_position"), ji.DriveSide(JOINT))
-    assert record.motor_position is not None
-    slow = replace(record.motor_position, values=record.motor_position.values[::2], sample_time=2e-3)
-    with pytest.raises(ji.RecordError, match="at the torque's rate"):
-        ji.identify(replace(record, motor_position=slow), ji.DriveSide(JOINT))
-    with pytest.raises(ji.MethodError, match="wrong sign"):
-        against = replace(record.motor_position, values=-record.motor_position.values)
-        bare = replace(record.without("reference", "load_position"), motor_position=against)
-        ji.identify(bare, ji.DriveSide(JOINT))
-    with pytest.raises(ji.MethodError, match=r"give inertia = -.*wrong sign"):
-        ji.identify(bare, ji.DriveSide(ji.RigidJoint("prismatic")))
-    with pytest.raises(ji.MethodError, match="tested"):
-        ji.DriveSideFit(instruments="maybe")
-    with pytest.raises(ji.MethodError, match="positive"):
-        ji.DriveSideFit(frequency=0.0)
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.disturbances import Drift, effect_columns
@@ -94,19 +93,6 @@ def test_columns_stand_in_the_equation_of_their_side() -> None:
     assert not columns[0, :, 2:].any()
     assert not columns[1, :, :2].any()
     assert len({p.name for effect in effects for p in effect.parameters}) == 7
-
-
-def test_effects_that_cannot_be_are_refused() -> None:
-    with pytest.raises(MethodError, match="harmonic_1_cosine, harmonic_1_sine would be there twice"):
-        identify(rippled(), LOOP, IDIM(effects=(PositionHarmonics(0.1), PositionHarmonics(0.2))))
-    with pytest.raises(MethodError, match="A rigid joint has no load side"):
-        identify(rippled(), LOOP, IDIM(effects=(Drift("force", "load"),)))
-    with pytest.raises(MethodError, match=r"period is -0\.1; expected a positive number"):
-        PositionHarmonics(-0.1)
-    with pytest.raises(MethodError, match="harmonics is 0; expected a whole number, 1 or more"):
-        PositionHarmonics(PITCH, harmonics=0)
-    with pytest.raises(MethodError, match='"force", "viscous" or "both"'):
-        Drift("all")  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

@@ -85,12 +85,6 @@ def test_didim_identifies_the_axis_from_torque_and_reference_only(torque_only: E
     assert torque_only["initial_velocity"].value == pytest.approx(0.007, abs=0.001)
 
 
-def test_didim_is_the_default_and_does_not_read_the_motor_position(emps: Record, torque_only: Estimate) -> None:
-    estimate = identify(emps, LOOP)
-    assert estimate.values == torque_only.values
-    assert estimate.settings.method == "didim"
-
-
 def test_didim_with_asymmetric_friction(emps: Record) -> None:
     estimate = identify(emps.without("motor_position"), ASYMMETRIC)
     assert estimate.fit.relative_error <= 0.038
@@ -123,14 +117,6 @@ def test_every_start_ends_at_the_same_place(emps: Record, torque_only: Estimate,
     assert_same(estimate, torque_only)
 
 
-@pytest.mark.parametrize("factor", [10.0, 0.1])
-def test_starts_ten_times_wrong_end_at_the_same_place(emps: Record, torque_only: Estimate, factor: float) -> None:
-    starts = {p.name: replace(p, start=factor * torque_only.values[p.name]) for p in LOOP.joint.parameters}
-    estimate = identify(emps, LOOP, DIDIM(start="given"), parameters=starts)
-    assert_same(estimate, torque_only)
-    assert estimate.fit.trace[0].values["inertia"] == pytest.approx(factor * torque_only.values["inertia"])
-
-
 def assert_same(estimate: Estimate, other: Estimate) -> None:
     assert estimate.fit.converged
     for name, value in other.values.items():
@@ -144,18 +130,6 @@ def test_the_paper_s_form_stops_early_and_says_so(emps: Record) -> None:
     assert "limit 2.5 %" in estimate.fit.stop
     assert estimate.values["inertia"] == pytest.approx(95.0, abs=1.0)
     assert not estimate["initial_velocity"].free
-
-
-def test_the_count_of_simulations_is_the_count_of_simulations(emps: Record, monkeypatch: pytest.MonkeyPatch) -> None:
-    from jointid.simulation.kernels import drive as kernels
-
-    calls = []
-    original = kernels.run
-    monkeypatch.setattr(kernels, "run", lambda *arguments: (calls.append(1), original(*arguments))[1])
-    estimate = identify(emps, LOOP)
-    assert estimate.fit.simulations == len(calls)
-    assert estimate.fit.trace[-1].simulations <= estimate.fit.simulations
-    assert validate(estimate, emps).simulations == len(calls) - estimate.fit.simulations
 
 
 def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Record) -> None:

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import jointid as ji
-from jointid.common.errors import ExtraError, MethodError, RecordError, UnknownName
-from jointid.common.text import interval, number
+from jointid.common.errors import MethodError, RecordError, UnknownName
+from jointid.common.text import interval
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Iteration, Params, Settings
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers
-from jointid.output.figures import save, torque
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.regression import Conditioning, least_squares
+from jointid.solvers.regression import least_squares
 from tests.estimates import amended
 from tests.estimation.conftest import CONTROLLER
 
@@ -82,30 +78,6 @@ ESTIMATE = Estimate(
     ),
 )
 
-TABLE = """\
-Inertia 94.90 ± 0.22 kg. Checked by its fit only (4.0 % of the torque is not
-explained): validate it on another record.
-
-parameter  letter  value ± 2 sigma  unit    ± %  symbol
--------------------------------------------------------
-inertia    m          94.90 ± 0.22  kg     0.23  ZZ
-viscous    b           207.5 ± 2.5  N s/m   1.2  Fv
-coulomb    F_C              > 12.5  N         -  Fc
-offset                   0 (fixed)  N         -  offset
-
-warning       something to know
-
-torque error  4.0000 % raw, 3.9700 % filtered
-method        rigid joint, DIDIM in residual form from an inversion start, of
-              run 1
-read          torque, reference"""
-
-DETAILS = """
-effort        1 iterations, 14 simulations
-stopped       converged: nothing changes any more
-intervals     for a white residual
-"""
-
 
 def test_parameters_are_a_mapping_of_rows() -> None:
     rows = dict(ESTIMATE.params)
@@ -117,11 +89,6 @@ def test_parameters_are_a_mapping_of_rows() -> None:
     assert (rows["viscous"].axis, rows["viscous"].side) == ("", None)
     flexible = replace(rows["viscous"], name="elbow.load_viscous", axis="elbow")
     assert (flexible.axis, flexible.side) == ("elbow", "load")
-
-
-def test_a_raw_error_is_left_out_where_none_was_kept() -> None:
-    kept = replace(ESTIMATE, fit=replace(ESTIMATE.fit, relative_error=math.inf))
-    assert "torque error  3.9700 % filtered" in kept.summary()
 
 
 def test_a_records_own_parameters_have_keys_of_their_own() -> None:
@@ -153,12 +120,6 @@ def test_residual_and_frequencies() -> None:
     assert amended(ESTIMATE, params={"rows": rows[:2]}).frequencies == {}
 
 
-def test_the_table_to_the_letter() -> None:
-    assert str(ESTIMATE) == TABLE
-    assert ESTIMATE.summary() == TABLE
-    assert DETAILS in ESTIMATE.summary(details=True)
-
-
 def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
     html = amended(ESTIMATE, data={"record": "<script>alert(1)</script>"})._repr_html_()
     assert "<script" not in html
@@ -182,45 +143,6 @@ def test_a_data_frame_has_a_row_for_each_parameter() -> None:
     assert np.isnan(frame.loc["coulomb", "value"])
 
 
-def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ExtraError, match=r"jointid\[dataframe\]"):
-        ESTIMATE.to_dataframe()
-
-
-def test_the_figure_of_the_torque_is_at_hand() -> None:
-    assert [axes.get_ylabel() for axes in ESTIMATE.plot.torque().axes] == ["force [N]", "force [N]", "error [N]"]
-    assert ESTIMATE.plot.torque()._repr_png_().startswith(b"\x89PNG"), "what a notebook shows, also without pyplot"
-
-
-def test_the_residual_and_the_report_are_a_word_away() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
-    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    estimate = ji.identify(record, loop)
-    assert [axes.get_xlabel() for axes in estimate.plot.residual(record).axes][:2] == ["velocity [m/s]", "position [m]"]
-    assert [axes.get_xlabel() for axes in estimate.plot.spectrum().axes] == ["frequency [Hz]"]
-    assert estimate.plot.response().axes[1].get_ylabel() == "phase [°]"
-    assert estimate.plot.profile(record, ["inertia"]).axes[0].get_xlabel().startswith("ZZ")
-    report = estimate.report(record, name="axis 1", profiles=())
-    assert isinstance(report, ji.Report)
-
-
-def test_conditioning_is_printed_three_ways() -> None:
-    regressed = amended(ESTIMATE, fit={"conditioning": Conditioning(25.98830347, 4.33, 12.294)})
-    assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in regressed.summary(
-        details=True
-    )
-
-
-def test_a_parameter_is_found_by_name_or_symbol() -> None:
-    assert ESTIMATE["inertia"] is ESTIMATE["ZZ"]
-    with pytest.raises(KeyError):
-        ESTIMATE["stiffness"]
-    assert ESTIMATE.values == {"inertia": 94.9034, "viscous": 207.534, "offset": 0.0}
-
-
 def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
     answer = answers.to_dict(amended(ESTIMATE, fit={"relative_error": float("nan")}))
     answers.write(answer, tmp_path / "out.json")
@@ -234,12 +156,6 @@ def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
     assert [line["iteration"] for line in read["trace"]] == [0, 1]
     top = {"schema", "method", "model", "channels", "parameters", "relative_error_percent", "simulations"}
     assert top | {"iterations", "stop", "warnings"} <= set(read)
-
-
-def test_every_key_of_the_json_is_documented() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "answers.md").read_text(encoding="utf-8")
-    for key in answers.to_dict(ESTIMATE):
-        assert f"`{key}`" in page, key
 
 
 def test_an_estimate_is_read_back(tmp_path: Path) -> None:
@@ -269,24 +185,6 @@ def test_the_error_leaves_out_the_borders() -> None:
     predicted[:50] = 1e6
     assert relative_error(TORQUE, predicted, (50, 0)) == 0.0
     assert relative_error(TORQUE, predicted, (49, 0)) > 1.0
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(94.9034, "94.903"), (0.0, "0"), (1234567.0, "1.2346e+06"), (8e5, "800000"), (-3.16, "-3.1600"), (None, "-")],
-)
-def test_numbers_have_the_digits_they_deserve(value: float | None, text: str) -> None:
-    assert number(value) == text
-
-
-def test_figures_are_saved_in_the_format_of_their_suffix(tmp_path: Path) -> None:
-    figure = torque(ESTIMATE)
-    assert save(figure, tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
-    assert b"<svg" in save(figure, tmp_path / "t.svg").read_bytes()
-    legends = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in figure.axes]  # type: ignore[union-attr]
-    assert legends == [["measured", "simulated"], ["measured", "simulated"], ["error"]]
-    with pytest.raises(RecordError, match=r'received "t.gif"'):
-        save(figure, tmp_path / "t.gif")
 
 
 def test_least_squares_is_the_textbook_s() -> None:

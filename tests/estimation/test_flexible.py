@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
-from jointid.diagnostics.validation import Prediction, validate
+from jointid.diagnostics.validation import validate
 from jointid.estimation.descent import History
 from jointid.estimation.methods import didim, stiffness_search
 from jointid.estimation.methods.didim import DIDIM
@@ -19,7 +19,6 @@ from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.starts import flexible_joint
-from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Injection, Record
 from jointid.records.signals.filtering import Filtering
@@ -45,13 +44,6 @@ def test_idim_recovers_the_noise_free_twin(loop: str) -> None:
         assert abs(value / axis.truth[name] - 1) <= (0.01 if name == "damping" else 1e-3), name
 
 
-def test_idim_needs_the_timing_respected() -> None:
-    axis = twin(noise="none")
-    sampled = identify(axis.record, axis.loop, IDIM(), filtering=Filtering(timing="as_sampled"))
-    worst = {name: abs(value / axis.truth[name] - 1) for name, value in sampled.values.items()}
-    assert max(worst.values()) > 0.05
-
-
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_idim_under_the_paper_s_noise_on_the_log(loop: str, seed: int) -> None:
@@ -61,28 +53,12 @@ def test_idim_under_the_paper_s_noise_on_the_log(loop: str, seed: int) -> None:
     assert all(abs(d) <= 3.0 for d in deviations(estimate, axis.truth).values())
 
 
-def test_idim_needs_the_load_position() -> None:
-    axis = twin(noise="none")
-    with pytest.raises(RecordError, match="IDIM of a flexible joint needs load_position; this record has torque"):
-        identify(axis.record.without("load_position"), axis.loop, IDIM())
-
-
 def test_an_idim_estimate_is_validated_on_both_rows() -> None:
     axis, other = twin(noise="white", seed=1), twin(noise="white", seed=2)
     estimate = identify(axis.record, axis.loop, IDIM())
     own = validate(estimate, axis.record).filtered_error  # the load encoder's zero is found anew in each record
     assert own == pytest.approx(estimate.fit.filtered_error, rel=1e-5)
     assert validate(estimate, other.record).filtered_error == pytest.approx(0.08, abs=0.005)
-
-
-def test_a_load_encoder_may_count_from_elsewhere_in_another_record() -> None:
-    axis, other = twin(noise="white", seed=1), twin(noise="white", seed=2).record
-    estimate, load = identify(axis.record, axis.loop, IDIM()), other.load_position
-    assert load is not None
-    moved = replace(other, load_position=replace(load, values=load.values + 0.3))
-    there, elsewhere = validate(estimate, other), validate(estimate, moved)
-    assert there.answer.code is elsewhere.answer.code is Prediction.PREDICTED
-    assert elsewhere.filtered_error == pytest.approx(there.filtered_error, rel=1e-6)
 
 
 def torque_only(axis: Twin) -> Record:
@@ -121,26 +97,6 @@ def test_didim_recovers_the_noise_free_twin(loop: str, settings: DIDIM, identifi
     assert all(abs(value / axis.truth[name] - 1) <= 1e-4 for name, value in estimate.values.items())
     assert not estimate["initial_velocity"].free
     assert estimate.fit.simulations <= 700
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("loop", ["L19", "L30"])
-def test_any_known_frequency_leads_to_the_same_answer(loop: str, identified: Callable[..., Estimate]) -> None:
-    """On L30 the halved inertia of (13) is an unstable loop: other load shares must be tried."""
-    axis = twin(loop, noise="white")  # type: ignore[arg-type]
-    found = [identified(loop, DIDIM(frequency=f), noise="white") for f in (22.0, 30.0, 38.0)]
-    stiffness = [estimate.values["stiffness"] for estimate in found]
-    assert max(stiffness) / min(stiffness) - 1 <= 1e-4
-    assert abs(stiffness[0] / axis.truth["stiffness"] - 1) <= 0.01
-
-
-@pytest.mark.slow
-def test_nelder_mead_finds_its_way_on_the_fast_loop_too(identified: Callable[..., Estimate]) -> None:
-    axis = twin("L30", noise="white")
-    simplex = identified("L30", DIDIM.paper("flexible"), noise="white")
-    best = identified("L30", noise="white")
-    assert (simplex.fit.filtered_error / best.fit.filtered_error) ** 2 - 1 <= 1e-3
-    assert abs(simplex.values["stiffness"] / axis.truth["stiffness"] - 1) <= 0.01
 
 
 def test_an_axis_that_moves_at_the_first_sample_is_found_moving() -> None:
@@ -257,21 +213,6 @@ def test_a_torque_of_the_wrong_sign_is_refused_in_a_sentence() -> None:
         identify(wrong, axis.loop)
 
 
-@pytest.mark.parametrize("frequency", [30.0, 38.0])
-def test_the_starts_said_to_end_together_are_different_ones(frequency: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At 38 Hz the halves of (13) are the best start: they must not be refined twice."""
-    axis = twin(noise="white")
-    seen = []
-    original = stiffness_search.explore
-    monkeypatch.setattr(
-        stiffness_search, "explore", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1]
-    )
-    estimate = identify(torque_only(axis), axis.loop, DIDIM(frequency=frequency))
-    first, second = (one.values for one in seen[0][:2])
-    assert any(abs(first[name] - second[name]) > 0.1 * abs(first[name]) for name in ("motor_inertia", "stiffness"))
-    assert "; 2 of 2 starts led there" in estimate.fit.stop
-
-
 @pytest.mark.slow
 def test_nelder_mead_reaches_the_minimum_after_one_restart(monkeypatch: pytest.MonkeyPatch) -> None:
     """By ``fminsearch`` rules, from (13) at 30 Hz; the best known is least squares from four starts."""
@@ -306,29 +247,3 @@ def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | DIDIM) -> None
         true_change = after.truth[name] - before.truth[name]
         spread = float(np.hypot(first[name].stderr or 0.0, second[name].stderr or 0.0))
         assert abs(second.values[name] - value - true_change) <= 3 * spread, name
-
-
-def test_the_filter_as_printed_warns() -> None:
-    axis = twin(noise="white")
-    estimate = identify(torque_only(axis), axis.loop, DIDIM(frequency=30.0), filtering=Filtering.as_in_paper())
-    assert any(
-        "one sample in 12 has its Nyquist frequency at 41.7 Hz" in warning for warning in estimate.checks.warnings
-    )
-    assert estimate.settings.filtering.decimation == 12
-    assert abs(estimate.values["stiffness"] / axis.truth["stiffness"] - 1) <= 0.05
-
-
-def test_settings_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(MethodError, match=r'minimiser is "simplex"; expected "least-squares" or "nelder-mead"'):
-        DIDIM(minimiser="simplex")  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match="positive"):
-        DIDIM(frequency=-3.0)
-    axis = twin(noise="none")
-    with pytest.raises(MethodError, match=r"DIDIM\.frequency is for a flexible joint, and this is a rigid joint"):
-        identify(axis.record, ClosedLoop(RigidJoint("prismatic"), axis.loop.controller), DIDIM(frequency=30.0))
-
-
-def test_a_record_without_reference_is_refused_in_a_sentence() -> None:
-    axis = twin(noise="none")
-    with pytest.raises(RecordError, match="DIDIM needs reference; this record has torque"):
-        identify(axis.record.without("reference"), axis.loop)

@@ -8,14 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
 from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
-from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
@@ -178,18 +176,3 @@ def test_a_counterbalance_without_a_spring_is_no_lost_spring() -> None:
     assert "counterbalance_rate" in [p.name for p in free]
     nothing = np.zeros(len(free))
     assert find_lost(free, nothing, nothing) == ("motor_inertia", "stiffness", "load_inertia")
-
-
-def test_what_gravity_cannot_be_is_refused() -> None:
-    with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
-        RigidJoint("prismatic", gravity=Gravity("link"))
-    with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
-        FlexibleJoint("prismatic", gravity=Gravity("constant", Counterbalance(sin=1.0)))
-    with pytest.raises(MethodError, match="cannot be distinguished from asymmetric friction"):
-        FlexibleJoint("prismatic", friction=AsymmetricFriction(), gravity=Gravity("constant"))
-    with pytest.raises(MethodError, match='load is "arm"; expected "constant" or "link"'):
-        Gravity("arm")  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match=r"angle is 0\.0; expected a number other than 0"):
-        Gravity("link", angle=0.0)
-    with pytest.raises(MethodError, match="rate is nan; expected a number"):
-        Counterbalance(rate=float("nan"))

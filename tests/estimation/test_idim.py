@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods import linear
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Rows, instrumental, ordinary
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.paper.twin import Twin, twin
+from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -130,28 +129,6 @@ def test_weights_that_still_change_at_the_last_step_are_not_settled(monkeypatch:
     assert identify(axis.record, axis.loop, IDIM("weighted")).fit.converged
     monkeypatch.setattr(linear, "_REWEIGHTINGS", 1)
     assert not identify(axis.record, axis.loop, IDIM("weighted")).fit.converged
-
-
-def under(axis: Twin, **changed: float) -> ClosedLoop:
-    """Return the twin's joint under another controller."""
-    cascade = axis.loop.controller
-    assert isinstance(cascade, Cascade)
-    return ClosedLoop(axis.loop.joint, replace(cascade, **changed))  # type: ignore[arg-type]
-
-
-def test_what_an_estimator_lacks_is_said() -> None:
-    axis = twin(noise="none")
-    rigid = RigidJoint("prismatic")
-    with pytest.raises(MethodError, match="a rigid joint has one, whose weight changes nothing"):
-        identify(axis.record, rigid, IDIM("weighted"))
-    with pytest.raises(MethodError, match="IDIM-IV simulates the closed loop for its instruments, so it needs the con"):
-        identify(axis.record, rigid, IDIM("iv"))
-    with pytest.raises(RecordError, match="controller needs reference"):
-        identify(axis.record.without("reference"), axis.loop, IDIM("iv"))
-    with pytest.raises(MethodError, match=r'IDIM\.estimator is "best"; expected "ols", "weighted" or "iv"'):
-        IDIM("best")  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match="instruments of IV come from a simulation, but with these values the loop"):
-        identify(axis.record, under(axis, velocity_gain=1e4, limit=np.inf), IDIM("iv"))
 
 
 def at_rest(dwell: float) -> tuple[Record, dict[str, float]]:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.diagnostics.intervals import intervals
-from jointid.estimation.methods.idim import IDIM
 from jointid.paper.twin import twin
-from jointid.records.record import Record
 from tests.estimates import identify
 
 AXIS = twin(noise="white", seed=4)
@@ -33,14 +30,3 @@ def test_profiles_agree_with_the_table_where_the_criterion_is_a_parabola(estimat
         assert profile.interval[0] == pytest.approx(value - 2 * std, abs=0.2 * std)
         assert profile.interval[1] == pytest.approx(value + 2 * std, abs=0.2 * std)
     assert (low, high) == pytest.approx(stiffness.interval, rel=1e-3)
-
-
-def test_what_cannot_be_followed_is_said(estimate, emps: Record) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(MethodError, match='"colour" is no quantity of this estimate; name a free parameter'):
-        intervals(estimate, RECORD, ["colour"])
-    with pytest.raises(MethodError, match="adds N and N s/m; only what has one unit can be added"):
-        intervals(estimate, RECORD, ["motor_viscous + load_coulomb"])
-    with pytest.raises(MethodError, match="This record is not the one the estimate came from"):
-        intervals(estimate, twin(noise="white", seed=5).record, ["stiffness"])
-    with pytest.raises(MethodError, match="Profiles are of DIDIM"):
-        intervals(identify(AXIS.record, AXIS.loop, IDIM()), AXIS.record, ["stiffness"])

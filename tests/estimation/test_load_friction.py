@@ -46,13 +46,6 @@ def without_torque(record: Record, rng: np.random.Generator) -> Record:
     return replace(record, torque=None, motor_position=replace(position, values=position.values + noise))
 
 
-def test_a_share_of_a_torque_that_never_brakes_is_refused() -> None:
-    found = identify(slow_record(0, TRUTH["inertia"]), LOOP)
-    assert not set(TRUTH) & set(found.values)
-    assert found.checks.known is not None
-    assert "identify records with other known loads in one fit" in str(found.checks.known.limitations[0])
-
-
 @pytest.mark.slow
 def test_two_loads_tell_it() -> None:
     one, other = slow_record(0, TRUTH["inertia"]), slow_record(1, TRUTH["inertia"] + ADDED)

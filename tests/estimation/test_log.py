@@ -49,7 +49,6 @@ from jointid.solvers.solve import solve
 from jointid.uncertainty.resampling import Sums
 from jointid.uncertainty.verdict import Status, Subject
 from tests.estimates import identify
-from tests.text import unwrapped
 
 PERIOD = 1e-3
 LOOP = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=2000.0))
@@ -87,13 +86,6 @@ def test_windows_say_what_the_whole_says() -> None:
         assert abs(parts[name].value - truth) <= 3.5 * std, name
         assert 0.4 <= parts[name].stderr / std <= 2.5, name
     assert parts.fit.filtered_error == pytest.approx(whole.fit.filtered_error, rel=0.02)
-
-
-def test_without_noise_the_truth_comes_back() -> None:
-    estimate = identify(rigid(40.0, noise=0.0), LOOP, windows=Windowing(length=5.0))
-    for name, truth in TRUTH.items():
-        assert estimate[name].value == pytest.approx(truth, rel=1e-6)
-    assert estimate.fit.converged
 
 
 @pytest.mark.slow
@@ -134,12 +126,6 @@ def test_a_log_is_a_problem_that_any_solver_solves() -> None:
     assert streamed.evaluations == 3 * 6 + 1  # windows: of a sparse pass one, and of three whole ones all
 
 
-def test_with_few_windows_it_is_said_why_repetition_cannot_be_judged() -> None:
-    text = unwrapped(str(identify(rigid(30.0), LOOP, windows=Windowing(length=6.0))))
-    assert "cannot be judged: that takes a place which the axis passes in 8 windows or more, and in these 5" in text
-    assert "no place is visited at two times" not in text
-
-
 def test_where_nothing_is_left_nothing_repeats() -> None:
     """A place is visited often enough, so that it would be wrong to say that there is none."""
     nothing, signal = np.zeros(10), np.ones(10)
@@ -162,16 +148,6 @@ def test_a_residual_in_few_rows_has_as_many_whatever_its_rank() -> None:
         np.testing.assert_allclose(few.T @ few, sums.A, atol=1e-9)
         np.testing.assert_allclose(few.T @ residual, sums.b, atol=1e-9)
         assert residual @ residual == pytest.approx(sums.square)
-
-
-def test_a_log_at_rest_is_no_problem_for_any_solver() -> None:
-    record = rigid(20.0)
-    assert record.reference is not None
-    resting = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
-    window = window_problem(record, LOOP, Filtering(), LOOP.joint.parameters, ())
-    problem = windows_of(resting, window)
-    with pytest.raises(MethodError, match="In no window of this record does the axis move"):
-        problem.residual(window.vector(TRUTH))
 
 
 def stored(path: Path, record: Record) -> Log:
@@ -314,18 +290,6 @@ def test_what_cannot_be_done_is_said(changes: dict[str, object], said: str) -> N
     with pytest.raises(MethodError, match=said):
         method = changes.pop("method", None)
         identify(rigid(20.0), LOOP, method, windows=Windowing(**changes))  # type: ignore[arg-type]
-
-
-def test_a_record_that_nothing_can_be_started_from_is_refused() -> None:
-    record = rigid(20.0)
-    assert record.reference is not None
-    resting = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
-    with pytest.raises(RecordError, match="the joint was not asked to move"):
-        identify(resting, LOOP, windows=Windowing(length=4.0))
-    with pytest.raises(MethodError, match="In no window of this record does the axis move"):
-        identify(InMemory(resting), LOOP, windows=Windowing(length=4.0))
-    with pytest.raises(RecordError, match="needs torque"):
-        identify(Record(reference=record.reference), LOOP, windows=Windowing(length=4.0))
 
 
 def test_what_surrounds_the_joint_can_be_free() -> None:
@@ -502,17 +466,6 @@ def test_an_interrupt_of_windows_by_themselves_checks_nothing(monkeypatch: pytes
     assert found.fit.interrupted
     (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
     assert loop.said.startswith("not checked: the identification was interrupted")
-
-
-def test_a_simulation_with_checks_says_what_memory_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, said = rigid(10.0), list[str]()
-    monkeypatch.setattr("jointid.diagnostics.identify.LARGEST", 1)
-    ji.identify(record, LOOP, checks=False, progress=said.append)
-    assert not any("GB" in one for one in said)
-    ji.identify(record, LOOP, progress=said.append)
-    assert any("this takes up to 0.1 GB of memory; a part by start and stop takes less" in one for one in said)
-    with pytest.raises(MethodError, match="Several records of a joint are a list of records"):
-        ji.identify("log.csv", LOOP)  # type: ignore[arg-type]
 
 
 TEN_MINUTES = """

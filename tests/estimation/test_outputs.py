@@ -292,14 +292,6 @@ def test_a_bad_log_of_a_joint_and_of_a_robot_is_named(text: str, place: str, fol
         records(positions)
 
 
-def test_a_joint_file_without_a_torque_channel_computes_it(folder: Path) -> None:
-    (folder / "joint.toml").write_text(FILE.format(record="", channels="", method=""))
-    file = ji.load(folder / "joint.toml")
-    record = file.record()
-    assert record.computed and record.torque is not None
-    assert scale_status(file.identify(record, checks=False)) == ["unknown"]
-
-
 def test_idim_takes_a_computed_torque_when_it_is_asked_for(folder: Path) -> None:
     (folder / "joint.toml").write_text(
         FILE.format(record='torque = "from_controller"', channels="", method='name = "idim"')
@@ -309,16 +301,6 @@ def test_idim_takes_a_computed_torque_when_it_is_asked_for(folder: Path) -> None
     assert found.params["inertia"].value == pytest.approx(0.5, rel=0.01)
     assert scale_status(found) == ["unknown"]
     assert found.sentence.endswith("instrument.")
-
-
-def test_a_computed_torque_beside_a_logged_one_is_refused() -> None:
-    text = FILE.format(record='torque = "from_controller"', channels='torque = { column = "tau" }', method="").replace(
-        'motor_position = { column = "q" }', ""
-    )
-    with pytest.raises(ji.JointFileError) as refused:
-        loads(text)
-    assert 'record.torque is "from_controller" beside a torque channel; keep one of them.' in str(refused.value)
-    assert "record.channels.motor_position is missing" in str(refused.value)
 
 
 PDS = tuple(ji.controller.PD(position_gain=p, derivative_gain=d) for p, d in ((6000.0, 400.0), (5000.0, 350.0)))
@@ -373,20 +355,6 @@ def test_a_position_of_many_turns_is_relied_on_only_if_it_is_in_rad() -> None:
     assert any(
         re.search(r"travels 9\.\d turns: if it is in degrees, Coulomb friction", said) for said in found.checks.warnings
     )
-
-
-def test_what_to_check_is_said_where_declared_numbers_fit_badly(
-    robot_log: tuple[ji.robots.RobotLoop, list[ji.Record]],
-) -> None:
-    loop, records = robot_log
-    found = ji.identify([in_degrees(record) for record in records], loop, checks=False)
-    assert "are as declared, which was not checked, and if its position is in rad, not degrees" in found.sentence
-    raw = tuple(replace(law, derivative_gain=10.0 * law.derivative_gain) for law in loop.controllers)
-    with pytest.raises(ji.MethodError, match="gains, in SI units and not in a drive's whole numbers,"):
-        ji.identify(records, replace(loop, controllers=raw), checks=False)
-    law = ji.controller.PD(position_gain=400.0, derivative_gain=4914.0)
-    said = identify(logged().without("torque"), law, checks=False).sentence
-    assert "check that gains and positions are in SI units, not in a drive's whole numbers" in said
 
 
 def test_a_robot_without_torques_is_identified_from_its_positions(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import twin
@@ -153,19 +152,6 @@ def test_a_wrong_minimum_is_noticed() -> None:
     assert found.improved
     assert "was not the minimum" in str(found)
     assert found.interval == pytest.approx(profile(linear(free, A, y), x, single(free[2], "")).interval, rel=0.6)
-
-
-def test_a_combination_of_what_is_not_free_is_refused() -> None:
-    A, y = line()
-    free = parameters("a", "b", "c")
-    with pytest.raises(MethodError, match="total needs d free; free are a, b, c"):
-        profile(linear(free, A, y), solved(A, y), Combination("total", "A + D", "", {"a": 1.0, "d": 1.0}))
-
-
-@pytest.mark.parametrize("wrong", [{"level": 1.0}, {"points": 0}, {"tolerance": 0.0}])
-def test_settings_that_make_no_sense_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(MethodError, match="A profile needs"):
-        Profiling(**wrong)  # type: ignore[arg-type]
 
 
 def spring(stiffness: float, noise: float, seed: int = 0) -> Toy:

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.diagnostics.validation import validate
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
@@ -34,12 +32,6 @@ LOOP = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 
 def errors(estimate_values: dict[str, float], truth: dict[str, float]) -> float:
     return max(abs(estimate_values[name] / value - 1) for name, value in truth.items() if value)
-
-
-def test_the_resting_motion_rests_a_fifth_of_the_time() -> None:
-    made = simulated_record(LOOP, RESTING, TRUTH, sample_time=T)
-    assert made.motor_position is not None
-    assert np.mean(np.diff(made.motor_position.values) == 0.0) > 0.2
 
 
 @pytest.mark.parametrize("start", ["inversion", "regular"])
@@ -244,16 +236,6 @@ def test_least_squares_ends_at_a_bound_and_says_so() -> None:
     assert high["inertia"].at_bound == 100.0
 
 
-def test_a_torque_of_the_wrong_sign_is_refused_with_the_remedy() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    assert made.torque is not None
-    turned = replace(made, torque=replace(made.torque, values=-made.torque.values))
-    with pytest.raises(MethodError, match=r"inertia = -9.*wrong sign \(set record.channels.torque.sign = -1\)"):
-        identify(turned, LOOP, IDIM())
-    with pytest.raises(MethodError, match="sign"):
-        identify(turned, LOOP)
-
-
 def test_a_wrong_loop_is_not_called_a_good_fit() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T).without("motor_position")
     wrong = ClosedLoop(
@@ -273,32 +255,6 @@ def test_an_inertia_that_is_known_may_be_fixed_under_every_start() -> None:
         assert errors(estimate.values, TRUTH) <= 1e-6
 
 
-def test_borders_that_leave_nothing_are_refused() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    with pytest.raises(RecordError, match="leave nothing of a record of 8000"):
-        identify(made, LOOP, filtering=Filtering(borders=(5000, 5000)))
-
-
-def test_a_change_that_is_no_parameter_is_refused() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    with pytest.raises(MethodError, match=r"A change of inertia is a Parameter; received 30\.0"):
-        identify(made, LOOP, parameters={"inertia": 30.0})  # type: ignore[dict-item]
-
-
-def test_a_validation_under_another_controller_says_so() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    identified = identify(made, LOOP).identified
-    other = ClosedLoop(
-        RigidJoint("prismatic"),
-        Cascade(position_gain=120.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15),
-    )
-    assert validate(identified, made).warnings == ()
-    again = simulated_record(other, MOVING, TRUTH, sample_time=T)
-    found = validate(replace(identified, loop=other), again)
-    assert "controller is not the one" in found.warnings[0]
-    assert found.relative_error < 1e-5
-
-
 def test_torque_alone_in_ampere() -> None:
     joint = RigidJoint("revolute", torque_unit="A")
     truth = {"inertia": 0.01, "viscous": 0.02, "coulomb": 0.2, "offset": 0.05}
@@ -308,37 +264,6 @@ def test_torque_alone_in_ampere() -> None:
     assert errors(estimate.values, truth) <= 1e-6
     assert estimate["inertia"].unit == "A s2/rad"
     assert FlexibleJoint("revolute", torque_unit="A").unit(FlexibleJoint("revolute").parameters[3]) == "A/rad"
-
-
-def test_what_cannot_be_identified_is_refused_in_a_sentence() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    asymmetric = RigidJoint("prismatic", friction=AsymmetricFriction())
-    free_offset = {"offset": Parameter("offset", "offset", Quantity.FORCE)}
-    with pytest.raises(MethodError, match=r"offset.*cannot be distinguished"):
-        identify(made, asymmetric, parameters=free_offset)
-    with pytest.raises(RecordError, match=r"IDIM needs motor_position; this record has torque, reference\."):
-        identify(made.without("motor_position"), RigidJoint("prismatic"))
-    with pytest.raises(RecordError, match=r"DIDIM needs reference; this record has torque, motor_position"):
-        identify(made.without("reference"), LOOP)
-    with pytest.raises(MethodError, match="needs the controller"):
-        identify(made, RigidJoint("prismatic"), DIDIM())
-    with pytest.raises(
-        MethodError, match=r"DIDIM\.form is for a rigid joint, and this is a flexible joint; leave it out"
-    ):
-        identify(made, ClosedLoop(FlexibleJoint("prismatic"), CONTROLLER), DIDIM("paper"))
-    everything = {p.name: p.fix(1.0) for p in LOOP.joint.parameters}
-    with pytest.raises(MethodError, match="nothing to identify"):
-        identify(made, LOOP, parameters=everything)
-    with pytest.raises(MethodError, match=r"No parameter is called mass; this model has inertia"):
-        identify(made, LOOP, parameters={"mass": LOOP.joint.parameters[0]})
-
-
-def test_the_filter_is_refused_where_it_would_alias() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    with pytest.raises(MethodError, match=r"one sample in 12.*at least one in 6"):
-        identify(made, LOOP, filtering=Filtering(cutoff=60.0, decimation=12))
-    with pytest.raises(MethodError, match="600 Hz is not below the Nyquist frequency of 500 Hz"):
-        identify(made, LOOP, filtering=Filtering(cutoff=600.0))
 
 
 @pytest.mark.parametrize("form", ["residual", "paper"])

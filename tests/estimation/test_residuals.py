@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import compare_deviations, robust, white
 from jointid.uncertainty.position_dependent_error import Repeatable
@@ -111,9 +110,3 @@ def test_what_repeats_is_reported_beside_it() -> None:
     repeats = Repeatable(1.65, 0.47, 0.99, 0.001, "N")
     found = residual_report(e, e + 20.0, STEP, 60.0, repeatable=repeats)
     assert [verdict.said for verdict in residual_verdicts(found)] == [str(found.whiteness), str(repeats)]
-
-
-def test_what_does_not_belong_together_is_refused() -> None:
-    e = np.ones(100)
-    with pytest.raises(MethodError, match="received 99, 100: filter and decimate them alike"):
-        residual_report(e, e[1:], STEP, 60.0)

@@ -13,7 +13,6 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.estimation.identify_several import by_itself, starts, whiten_fit
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.several_records import SeveralRecords
@@ -226,18 +225,6 @@ def test_what_one_record_refuses_another_may_tell() -> None:
         starts([refusing, refusing])
 
 
-def test_the_answer_prints(noisy: Estimate) -> None:
-    text = unwrapped(noisy.summary(details=True))
-    assert "of 2 records" in text
-    assert "run 51, 10.000 kg added to the load; read: torque, reference, injected" in text
-    assert "1 alone" in text
-    assert "agree within their intervals" in text
-    assert "spectrum of its residual" in text
-    assert noisy["ZZ2"].name == "load_inertia"
-    with pytest.raises(KeyError):
-        noisy["mass"]
-
-
 def test_simulations_are_those_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     from jointid.simulation.kernels import drive as kernels
 
@@ -298,23 +285,3 @@ def test_weighing_what_repeats_away_would_believe_a_wrong_model(emps: Record) ->
 
 
 # What is refused
-
-
-def test_what_cannot_be_is_refused_in_a_sentence() -> None:
-    axis = twins("none")
-    records = [axis.record, axis.record]
-    for arguments, sentence in (
-        ({"records": records[:1]}, "Two or more records are identified together; received 1"),
-        ({"loops": [axis.loop]}, "loops has one entry for each of the 2 records"),
-        ({"added_inertia": [10.0]}, "added_inertia has one entry for each of the 2 records"),
-        ({"own": ["offset", "offset"]}, "own has one entry for each of the 2 records"),
-        ({"added_inertia": [0.0, -1.0]}, "An added inertia is 0 or more"),
-        ({"own": [("drive_gain",), ()]}, "The gain of the drive is one for all records"),
-        ({"weighting": "none"}, "The weighting is one of spectrum, level"),
-        ({"method": IDIM()}, "IDIM"),
-        ({}, "are the same record"),
-    ):
-        given = {"records": records, "loops": axis.loop, "method": QUICK} | arguments
-        with pytest.raises(MethodError, match=sentence):
-            records_, loops, method = (given.pop(name) for name in ("records", "loops", "method"))
-            identify(records_, loops, method, several=SeveralRecords(**given))  # type: ignore[arg-type, call-overload]

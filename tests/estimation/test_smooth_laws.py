@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.diagnostics.compare import compare
-from jointid.estimation.methods.idim import IDIM
-from jointid.models.friction import FRICTIONS
-from jointid.models.joints import FlexibleJoint
 from tests.estimates import identify
 from tests.estimation.test_stribeck import noisy
 from tests.plants import prismatic
@@ -34,10 +30,3 @@ def test_the_record_shows_that_its_friction_winds_up() -> None:
     found = compare(noisy(case, loop, values), case.loop, "frictions")
     assert found.shown.name == "presliding"
     assert found.sentence.endswith('; declare the joint with friction = "presliding" to identify it.')
-
-
-def test_what_takes_friction_for_a_line_refuses_it() -> None:
-    case = prismatic(1)
-    joint = FlexibleJoint("prismatic", friction=FRICTIONS["presliding"]())
-    with pytest.raises(MethodError, match=r'IDIM takes friction for one line .* received the law "presliding"'):
-        identify(case.clean, joint, IDIM())

@@ -11,18 +11,13 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History, Solved
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.summary import settings_facts
 from jointid.estimation.starts.nonlinear_laws import divide_friction
-from jointid.models.joints import FlexibleJoint
-from jointid.models.springs import Backlash, Spring, ThreePieceSpring, TwoPieceSpring
+from jointid.models.springs import Backlash, Spring, ThreePieceSpring
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide
 from studies.mechanics import Spoiled, spoiled
 from tests.estimates import identify
-from tests.joint_files import FLEXIBLE, SMALLEST, faults
-from tests.plants import gapped_axis, prismatic, with_spring
+from tests.plants import gapped_axis, with_spring
 
 
 @pytest.fixture(scope="module")
@@ -86,14 +81,6 @@ def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, 
         assert row.stderr < 0.05 * row.value, name
 
 
-def test_the_first_line_and_the_answer_say_what_spring_it_is(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
-    found, _ = gapped
-    assert " N/m behind a gap of " in found.sentence
-    assert found["gap"].unit == "m"
-    assert found.to_dict()["spring"] == "backlash"
-    assert ("Model", "flexible, symmetric friction, backlash spring") in settings_facts(found).pairs
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "spring", "seed"), [("backlash", Backlash(), 0), ("spring in pieces", ThreePieceSpring(), 0)]
@@ -125,28 +112,3 @@ def of_pieces(made: Spoiled, spring: Spring) -> dict[str, float]:
     then = torque + second * (truth["next_bend"] - truth["bend"])
     third = second + truth["still_more"]
     return {"stiffness": K, "stiffness_2": second, "stiffness_3": third, "torque_1": torque, "torque_2": then}
-
-
-def test_the_joint_file_refuses_what_no_joint_has() -> None:
-    rigid = SMALLEST.replace('"prismatic"\n', '"prismatic"\nspring = "backlash"\n', 1)
-    assert any("a rigid joint has no spring" in fault for fault in faults(rigid))
-    fifth = FLEXIBLE.replace('"flexible"\n', '"flexible"\nspring = "quintic"\n')
-    assert any("use linear, two-piece, three-piece, backlash, cubic" in fault for fault in faults(fifth))
-    gap = FLEXIBLE + "[parameters.gap]\nstart = 0.1\n"
-    assert any('set joint.spring = "backlash"' in fault for fault in faults(gap))
-
-
-def test_what_takes_the_spring_for_linear_refuses_another(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
-    found, _ = gapped
-    joint = FlexibleJoint("prismatic", spring=TwoPieceSpring())
-    with pytest.raises(MethodError, match="The drive side takes the spring for linear"):
-        DriveSide(joint)
-    record = prismatic(0).clean
-    with pytest.raises(MethodError, match="IDIM takes the spring for linear"):
-        identify(record, joint, IDIM())
-    with pytest.raises(MethodError, match="Nelder-Mead takes the spring for linear"):
-        identify(record, with_spring(prismatic(0).loop, Backlash()), ji.DIDIM.paper("flexible"))
-    with pytest.raises(MethodError, match="Tuning takes the spring for linear"):
-        ji.tune(found)
-    with pytest.raises(MethodError, match="A state space takes the spring for linear"):
-        ji.export(found, "state-space")

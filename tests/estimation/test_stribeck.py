@@ -12,8 +12,8 @@ from jointid.common.errors import MethodError
 from jointid.diagnostics.compare import compare
 from jointid.diagnostics.model_free import compare_law
 from jointid.diagnostics.validation import validate
-from jointid.models.friction import FRICTIONS, AsymmetricStribeckFriction, StribeckFriction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.friction import FRICTIONS, StribeckFriction
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import InjectionPoint, Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
@@ -126,25 +126,6 @@ def test_the_first_line_of_every_law_agrees_with_the_comparison_and_the_motor_po
     for key, value in shown.values.items():
         assert estimate.params[key].value == pytest.approx(value, rel=1e-3)
     assert 1e3 * estimate["delay"].value == pytest.approx(0.29, abs=0.02)
-
-
-def test_what_takes_friction_for_a_line_refuses_it() -> None:
-    record = ji.twin(noise="white").record
-    joint = RigidJoint("prismatic", friction=StribeckFriction())
-    with pytest.raises(MethodError, match=r'IDIM takes friction for one line .* received the law "stribeck"'):
-        identify(record, joint)
-    with pytest.raises(MethodError, match="A fixed point of a regressor takes friction for one line"):
-        identify(record, ClosedLoop(joint, ji.twin().loop.controller), ji.DIDIM(form="residual"))
-    with pytest.raises(MethodError, match="is not simulated beside gravity that follows the position"):
-        FlexibleJoint("revolute", AsymmetricStribeckFriction(), gravity=ji.Gravity("link"))
-
-
-def test_what_is_free_must_begin_without_the_change() -> None:
-    case = rigid(prismatic(1))
-    loop, values = slow(case, RISES)
-    held = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if not p.name.startswith("stribeck")}
-    with pytest.raises(MethodError, match="add to a plain one is free, stribeck_force and stribeck_speed"):
-        identify(noisy(case, loop, values), loop, parameters=held)
 
 
 def test_a_speed_without_a_change_is_not_told() -> None:

@@ -13,7 +13,7 @@ from jointid.common.errors import MethodError
 from jointid.estimation.problems.base import INITIAL_STATE, SumProblem, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.several_records import several, whitening
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -140,20 +140,6 @@ def test_the_gain_of_a_drive_needs_something_known(axis: Twin) -> None:
         for q in problems
     ]
     assert several(known).free
-
-
-def test_what_cannot_be_is_refused(axis: Twin) -> None:
-    problems, _ = two(axis)
-    with pytest.raises(MethodError, match="Record 2 has no parameter mass; it has motor_inertia"):
-        several(problems, [(), ("mass",)])
-    with pytest.raises(MethodError, match="load_inertia of record 2 is its own and has 10 added"):
-        several(problems, [(), ("load_inertia",)], ADDED)
-    reference = axis.record.reference
-    assert reference is not None
-    rigid = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
-    other = torque_problem(axis.record, rigid, Filtering(), rigid.joint.parameters)
-    with pytest.raises(MethodError, match="one model of joint"):
-        several([problems[0], other])
 
 
 def test_whitening_makes_white_what_is_coloured() -> None:

@@ -93,12 +93,6 @@ def test_what_cannot_be_freed_is_refused(name: str, sentence: str) -> None:
         identify(rigid_record(loop), loop, DIDIM(free=(name,)))
 
 
-def test_a_name_alone_is_no_list_of_names() -> None:
-    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=5000.0))
-    with pytest.raises(MethodError, match='What is freed is a list of names; received "position_gain"'):
-        identify(rigid_record(loop), loop, DIDIM(free="position_gain"))  # type: ignore[arg-type]
-
-
 def test_the_log_s_own_gain_and_delay_are_found() -> None:
     where = setting("L19", brief=True)
     wrong = Fault(log_gain=1.03, log_shift=1)

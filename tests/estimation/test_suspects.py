@@ -139,12 +139,6 @@ def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction()
     assert apart < 1e-3 * np.linalg.norm(columns[Tap.COMMAND])
 
 
-def test_a_record_without_noise_has_no_statistics() -> None:
-    where = setting("L19", brief=True)
-    made = problem(where, None, None)
-    assert search_faults(made, made.vector(where.truth))[0].as_declared
-
-
 def test_what_is_free_is_not_suspected() -> None:
     where = setting("L19", brief=True)
     made = problem(where, FAULTS["delay"], "white", 1).freeing("delay")
@@ -289,35 +283,6 @@ def test_every_fault_has_the_code_of_its_verdict(name: str, code: Reason) -> Non
     assert _check(name, 0.2, 0.02, shape=0.1).reasons[0].code is code
 
 
-_CAUSES = "torque, reference, ratio or a gain is wrong by a "
-
-
-@pytest.mark.parametrize(
-    ("check", "sentence"),
-    [
-        (_check("velocity_gain", -755.0, 92.0, 100.0), f"{_CAUSES}large factor (the velocity gain alone would have to"),
-        (_check("log_gain", -1.0, 0.1, 1.0), f"{_CAUSES}large factor (the logged torque alone would have to change"),
-        (
-            _check("position_gain", 240.0, 9.0, 100.0),
-            f"{_CAUSES}factor (the position gain alone would be about 3.4 times",
-        ),
-        (_check("position_gain", -80.0, 15.0, 100.0), "the position gain is at least 50 % smaller than declared"),
-        (
-            _check("position_gain", 8.0, 5.0, 100.0),
-            "the position gain is larger than declared, by how much this record",
-        ),
-        (_check("delay", 0.339e-3, 0.17e-3), "the torque reacts later than declared"),
-        (_check("log_delay", -0.339e-3, 0.17e-3), "the logged torque is earlier than its time stamps say"),
-        (_check("offset", 1.0, 0.5), "a constant force is not declared"),
-    ],
-)
-def test_no_absurd_size_is_said(check: AxisFaults, sentence: str) -> None:
-    """Nothing is smaller by more than all of it, and an interval that holds 0 is no size beside p < 1e-6."""
-    said = check.sentences[0].partition(" (p <")[0]
-    assert said.startswith(sentence)
-    assert check.reasons[0].brief.startswith(sentence)
-
-
 @pytest.mark.slow
 def test_a_number_whose_part_of_the_law_vanishes_ends_no_check(monkeypatch: pytest.MonkeyPatch) -> None:
     where = setting("L19", brief=True)
@@ -333,21 +298,6 @@ def test_a_number_whose_part_of_the_law_vanishes_ends_no_check(monkeypatch: pyte
     check = search_faults(made, x, LoopTests(most=1))[0]
     assert check.findings[0].test.name == "position_gain"
     assert check.findings[0].value is None
-
-
-@pytest.mark.parametrize("failure", [MethodError, np.linalg.LinAlgError])
-def test_a_check_that_is_not_possible_ends_no_identification(
-    failure: type[Exception], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise failure("There is no derivative.")
-
-    monkeypatch.setattr("jointid.diagnostics.diagnose.search_faults", refuse)
-    axis = twin(noise="white")
-    record = axis.record.without("motor_position", "load_position")
-    estimate = ji.identify(record, axis.loop, DIDIM(frequency=30.0))
-    assert estimate.checks.verdicts[-1].said == "not checked: There is no derivative."
-    assert estimate.answer.trust.code == "not_checked"
 
 
 def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -374,33 +324,6 @@ def test_changes_are_measured_by_the_deviations_of_the_table() -> None:
     wider = dict.fromkeys(own, 10.0)
     measured = search_faults(made, x, LoopTests(most=1), wider)[0].findings[0].changes
     assert all(change.sigmas == pytest.approx(change.by / 10.0) for change in measured.values())
-
-
-def test_what_cannot_be_told_apart_is_said() -> None:
-    check = _check("velocity_gain", -10.0, 1.0, 240.0, alike=(named("gain"),))
-
-    def of(name: str, *alike: str) -> FaultTest:
-        return replace(check.tests[0], fault=named(name), alike=tuple(map(named, alike)))
-
-    rivalled = replace(check, findings=(replace(check.findings[0], rivals=(of("log_gain"),)),))
-    assert (
-        "or so is the gain, which this loop cannot distinguish from the velocity gain; the logged torque would explain "
-        "nearly as much" in " ".join(rivalled.sentences)
-    )
-    printed = str(_diagnosis(rivalled))
-    assert "velocity_gain or gain" in printed.splitlines()[-1]
-    several = replace(check, findings=(replace(check.findings[0], rivals=(of("log_gain", "injected_gain"),)),))
-    assert "; the logged torque or the injected signal would explain" in " ".join(several.sentences)
-    assert check.reasons[0].brief == "the velocity gain is 4.2 % smaller than declared, or so is the gain"
-
-
-@pytest.mark.parametrize(("size", "said"), [(-10.0, "larger"), (10.0, "smaller")])
-def test_a_gain_of_the_opposite_effect_is_off_the_other_way(size: float, said: str) -> None:
-    kp, gain = named("position_gain"), named("gain")
-    both = _check("velocity_gain", size, 1.0, 240.0, alike=(gain, kp), opposite=(kp,)).reasons[0].brief
-    assert both.endswith(f"than declared, or so is the gain, or the position gain is {said} by the same factor")
-    delay = _check("delay", size * 1e-5, 1e-6, alike=(named("log_delay"),), opposite=(named("log_delay"),))
-    assert delay.reasons[0].brief.endswith(" is off by as much the other way")
 
 
 def test_what_is_significant_stands_first_however_strong_the_others_are() -> None:

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from jointid.common.errors import JointidError
-from jointid.config import load, loads
-from jointid.diagnostics.identify import identify
-from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.log_windows import Windowing
+from jointid.config import load
 from jointid.estimation.record_warnings import ask_about_gains
 from jointid.models.controllers import Cascade
-from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.paper.twin import twin
 from jointid.records.record import Channel
 from jointid.simulation.excitation import trapezoids
-from jointid.simulation.synthesis import simulated_record
 from tests.mistakes import AxisName, axis, varied
 
 T = 1e-3
@@ -60,13 +51,6 @@ def test_what_explains_the_lag_otherwise_is_not_asked_about() -> None:
     assert ask_about_gains(swapped, None) is None
 
 
-def test_a_share_of_the_travel_is_written_as_a_number() -> None:
-    """12 % was 1e+01 %."""
-    question = ask_about_gains(Cascade(position_gain=0.4, velocity_gain=4.0), moves())
-    assert question is not None
-    assert re.search(r"in its place it would be 1\d %: are the two swapped", question)
-
-
 def test_a_multisine_that_a_soft_loop_cannot_follow_is_not_asked_about() -> None:
     t = T * np.arange(8000)
     phases = np.random.default_rng(1).uniform(0, 2 * np.pi, 40)
@@ -82,34 +66,6 @@ def test_healthy_drives_are_not_asked_about(name: AxisName) -> None:
         assert ask_about_gains(made.controller, Channel(made.reference, "rad", made.rate)) is None
 
 
-def test_the_paper_s_axis_is_not_asked_about() -> None:
-    for name in ("L19", "L30"):
-        made = twin(name)  # type: ignore[arg-type]
-        assert ask_about_gains(made.loop.controller, made.record.reference) is None
-
-
 def test_the_public_record_is_not_asked_about(emps_path: Path) -> None:
     file = load(EXAMPLES / "emps" / "joint.toml")
     assert ask_about_gains(file.controller, file.record(emps_path).reference) is None
-
-
-@pytest.mark.slow
-def test_the_question_comes_before_the_identification_and_is_kept_as_a_warning() -> None:
-    """It is the first thing that is told; where an answer comes all the same, the question stands in it."""
-    right = Cascade(position_gain=22.0, velocity_gain=0.8)
-    values = {"inertia": 0.01, "viscous": 0.02, "coulomb": 0.05, "offset": 0.0}
-    record = simulated_record(ClosedLoop(RigidJoint("revolute"), right), moves().values, values, sample_time=T)
-    for windows in (None, Windowing(4.0)):
-        asked = list[str]()
-        loop = ClosedLoop(RigidJoint("revolute"), Cascade(position_gain=0.8, velocity_gain=22.0))
-        found = identify(record, loop, IDIM(), windows=windows, progress=asked.append)
-        assert "are the two swapped?" in asked[0] and asked[0] in found.checks.warnings
-    record = record.without("motor_position")
-    swapped, said = loads(FILE + "position_gain = 0.8\nvelocity_gain = 22.0\n"), list[str]()
-    with suppress(JointidError):
-        estimate = swapped.identify(record, said.append)
-        assert any("swapped" in one for one in estimate.checks.warnings)
-    assert "are the two swapped?" in said[0]
-    told = list[str]()
-    estimate = loads(FILE + "position_gain = 22.0\nvelocity_gain = 0.8\n").identify(record, told.append)
-    assert not any("swapped" in one for one in (*told, *estimate.checks.warnings))

@@ -11,9 +11,7 @@ from scipy.signal import lfilter
 from jointid.uncertainty.covariance import (
     Covariance,
     band_deviations,
-    bandwidth,
     by_spectrum,
-    compare_deviations,
     covariance_of,
     larger,
     residual_left_out,
@@ -89,10 +87,6 @@ def test_a_block_left_out_is_what_a_fit_without_it_leaves() -> None:
         np.testing.assert_allclose(found[out], told[out] - J[out] @ kept, atol=1e-12)
 
 
-def test_the_bandwidth_is_the_stated_rule() -> None:
-    assert [bandwidth(rows) for rows in (50, 100, 4000)] == [4, 4, 10]
-
-
 def test_the_white_covariance_is_the_textbook_s_even_where_columns_are_nearly_parallel() -> None:
     random = np.random.default_rng(4)
     W = random.normal(size=(3000, 2))
@@ -110,19 +104,6 @@ def test_the_deviation_of_a_sum_takes_the_correlation_in() -> None:
     found = covariance_of(np.array([[4.0, -5.7], [-5.7, 9.0]]), 3)
     assert found.std_of(np.array([1.0, 1.0])) == pytest.approx(np.sqrt(4.0 + 9.0 - 11.4))
     assert found.std_of(np.array([0.0, 2.0])) == pytest.approx(6.0)
-
-
-def test_where_the_white_and_the_robust_deviations_differ_is_said() -> None:
-    random = np.random.default_rng(5)
-    W = np.column_stack([np.ones(2000), random.standard_normal(2000)])
-    error = low_passed(random, 2000)
-    message = compare_deviations(("mean", "quick"), white(W, error), sandwich(W, W, error))
-    assert message is not None
-    assert "mean 2." in message.words
-    assert "quick" not in message.words
-    assert "row by row" in message.words
-    noise = random.standard_normal(2000)
-    assert compare_deviations(("mean", "quick"), white(W, noise), sandwich(W, W, noise)) is None
 
 
 def test_the_larger_of_two_is_above_both_and_no_larger_than_needed() -> None:

@@ -131,11 +131,6 @@ def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
 
 
 @pytest.mark.slow
-def test_nor_does_it_with_pulses(emps_pulses: Record) -> None:
-    require_refused(identify(emps_pulses.without("motor_position"), LOOP))
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "which"), [(0, "emps"), (1, "emps_pulses")])
 def test_whatever_the_start(seed: int, which: str, request: pytest.FixtureRequest) -> None:
     record = request.getfixturevalue(which)

@@ -256,12 +256,3 @@ def test_didim_of_a_robot_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPa
     assert found.data.windows is not None and 0.05 < found.data.windows.settling < 1.0
     (solver,) = (one for one in found.checks.verdicts if one.subject is Subject.SOLVER)
     assert solver.status is Status.PASSED
-
-
-@pytest.mark.slow
-def test_springs_of_a_robot_go_in_windows() -> None:
-    plant = two((9.0, 12.0))
-    loop = plant.loop()
-    log = recorded(loop, plant.records(20.0, 1, multisine=0.01), 0.05, 1)[0]
-    whole = ji.identify(log, loop, checks=False)
-    assert_same(ji.identify(log, loop, windows=Windowing(10.0), checks=False), whole, apart=0.6, ratio=2.5)

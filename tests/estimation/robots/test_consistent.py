@@ -166,14 +166,6 @@ def test_the_least_inertia_sees_a_matrix_that_is_not_positive() -> None:
     assert least_inertia(ARM) > 0 > least_inertia(replace(ARM, links=(*ARM.links[:5], hollow)))
 
 
-def test_a_prior_without_masses_is_refused() -> None:
-    robot = arm(3)
-    estimate = identified(robot, records_of(robot, 2))
-    bare = replace(robot, links=(replace(robot.links[0], inertial=np.zeros(10)), *robot.links[1:]))
-    with pytest.raises(MethodError, match="no mass of link1; expected one on every link"):
-        consistent_robot(estimate, bare)
-
-
 @pytest.mark.slow
 def test_a_payload_within_a_percent() -> None:
     body = MassProperties(3.0, np.array([0.02, -0.03, 0.08]), np.diag([0.02, 0.015, 0.01]))

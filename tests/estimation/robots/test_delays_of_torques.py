@@ -100,16 +100,3 @@ def test_a_delay_that_the_record_does_not_tell_is_refused() -> None:
     records = logged(two(), 8.0)
     with pytest.raises(MethodError, match=r"do not tell joint1.delay.* standard deviations are more than 9 ms. Move"):
         ji.identify(records, with_delays(two().loop(), LATE), DIDIM(free=("delay",)), checks=False)
-
-
-@pytest.mark.parametrize("free", ["joint3.delay", "position_gain"])
-def test_what_else_is_free_is_refused(free: str) -> None:
-    loop, records = twin_logged()
-    with pytest.raises(MethodError, match=rf'DIDIM.free of a robot is "{free}"; expected "delay", "joint1.delay" or'):
-        ji.identify(records, loop, DIDIM(free=(free,)))
-
-
-def test_windows_refuse_free_delays() -> None:
-    loop, records = twin_logged()
-    with pytest.raises(MethodError, match=r"DIDIM.free of a robot is not identified in windows"):
-        ji.identify(records, loop, DIDIM(free=("delay",)), windows=ji.Windowing(length=4.0))

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.estimation.robots.flexible import FlexibleRobotFit, identify_flexible_robot
 from jointid.models.robots.robot import JointSpring
 from jointid.simulation.robot_numbers import RobotNumbers
@@ -157,14 +156,6 @@ def test_a_spring_within_the_noise_is_refused_with_its_bound() -> None:
     assert found.fit.value("joint2.stiffness")[1] > 0.25 * found.fit.value("joint2.stiffness")[0]
     assert not stiff.shown
     assert stiff.at_least < RobotNumbers.of(twin.robot).springs[1, 0]
-
-
-def test_faults_are_said() -> None:
-    rigid, flexible = two(), two((12.0, 18.0))
-    with pytest.raises(MethodError, match="No joint of this robot has a spring"):
-        identify_flexible_robot(rigid.loop(), rigid.records(2.0))
-    with pytest.raises(MethodError, match="for each flexible joint; joint2 has none"):
-        identify_flexible_robot(flexible.loop(), flexible.records(2.0), frequencies={"joint1": 12.0})
 
 
 @pytest.mark.slow

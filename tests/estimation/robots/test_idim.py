@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import MethodError
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.validation import Prediction, validate
 from jointid.estimation.methods.idim import IDIM
@@ -232,16 +232,6 @@ def test_coupled_motors() -> None:
     assert coupled < 2e-4 and separate > 10 * coupled
 
 
-def test_the_printed_estimate() -> None:
-    estimate = identified(ARM, records_of(ARM, 2, noise=0.2))
-    text = estimate.summary()
-    assert text.startswith("arm: 58 parameters of 6 joints") and "N m s/rad" in text and "kg m2" in text
-    assert max(map(len, text.splitlines())) <= 100
-    assert "Izz1 is Izz1 + " in estimate.summary(details=True).replace("\n", " ")
-    assert 30 < len(known(estimate)) < len(estimate.params)
-    assert f"{len(known(estimate))} of 58 parameters known to a tenth" in estimate.sentence
-
-
 def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
     robot = arm(3)
     records = records_of(robot, 1)
@@ -256,20 +246,3 @@ def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
         ji.identify(records[0], ji.RigidJoint("prismatic"), IDIM(fixed={"Fv": 1.0}))
     with pytest.raises(MethodError, match=r"IDIM\.effects are of a joint, and this is a robot"):
         ji.identify(records, robot, IDIM(effects=(PositionHarmonics(0.1),)))
-
-
-def test_what_is_refused() -> None:
-    records = records_of(ARM, 1)
-    with pytest.raises(RecordError, match="6 joints needs as many records; received 5"):
-        by_idim(ARM, records[:5])
-    with pytest.raises(RecordError, match=r"joint1: .*motor_position"):
-        by_idim(ARM, (replace(records[0], motor_position=None), *records[1:]))
-    with pytest.raises(MethodError, match='estimator is "tls"'):
-        IDIM("tls")  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match="expected a controller of each joint"):
-        by_idim(ARM, records, IDIM("iv"))
-    with pytest.raises(MethodError, match=r'A name in fixed is "joint1\.rotor_inertia"; expected'):
-        by_idim(ARM, records, IDIM(fixed={"joint1.rotor_inertia": 2.0}))
-    still = replace(records[5], motor_position=replace(records[5].motor_position, values=np.zeros(5001)))
-    with pytest.raises(MethodError, match=r"Nothing in this record excites|cannot be told apart"):
-        by_idim(ARM, (*records[:5], still))

@@ -11,7 +11,6 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.result.answer import Trust
-from jointid.models.robots.robot import JointSpring
 from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots.test_several_logs import LOGS, LOOP, TWIN
 
@@ -60,18 +59,6 @@ def test_idim_keeps_values_and_bounds() -> None:
     require_held(low, "joint1.viscous")
 
 
-def test_what_is_not_kept_is_refused() -> None:
-    unknown = {"joint1.rotor_inertia": Parameter("inertia", "ZZ", Quantity.INERTIA, free=False, start=1.0)}
-    with pytest.raises(MethodError, match=r"joint1\.rotor_inertia has a value or bounds to keep.*joint1\.viscous"):
-        ji.identify(LOGS[0], LOOP, parameters=unknown)
-
-
-def test_a_start_that_is_not_used_is_refused() -> None:
-    for model in (LOOP, TWIN.robot):
-        with pytest.raises(MethodError, match=r"joint1\.viscous is free and has a start.*leave the start out"):
-            ji.identify(LOGS[0], model, parameters=viscous(free=True, value=TRUTH))
-
-
 def test_friction_that_differs_by_direction_is_kept_by_its_own_names() -> None:
     first, second = TWIN.robot.joints
     robot = replace(TWIN.robot, joints=(replace(first, coulomb_backwards=first.coulomb), second))
@@ -88,14 +75,6 @@ def test_friction_that_differs_by_direction_is_kept_by_its_own_names() -> None:
     for model in (robot, replace(LOOP, robot=robot)):
         with pytest.raises(MethodError, match=r"differs by direction is identified as coulomb, its mean"):
             ji.identify(LOGS[0], model, parameters=backwards)
-
-
-def test_friction_of_the_link_is_refused_by_idim() -> None:
-    first, second = TWIN.robot.joints
-    soft = replace(first, rotor_inertia=1.0, spring=JointSpring(1e5, viscous=0.1))
-    stated = {"joint1.link_viscous": Parameter("viscous", "Fv", Quantity.VISCOUS).fix(0.1)}
-    with pytest.raises(MethodError, match=r"joint1\.link_viscous is of the link's side"):
-        ji.identify(LOGS[0], replace(TWIN.robot, joints=(soft, second)), parameters=stated)
 
 
 def test_a_bound_that_holds_is_said() -> None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.didim import identify_rigid_robot
@@ -150,15 +149,6 @@ def test_the_parameters_of_laws_have_the_declarations_of_a_joint() -> None:
         if p.name not in linear:
             one = found[name_in_robot("one", p.name)]
             assert (one.quantity, one.lower, one.upper) == (p.quantity, p.lower, p.upper)
-
-
-def test_idim_says_which_friction_it_does_not_take() -> None:
-    robot = robot_of(RigidJoint("revolute", FRICTIONS["presliding"]()))
-    record = noisy(RobotLoop(robot, (LAW,)), (moved(1.0),))
-    with pytest.raises(
-        MethodError, match=r'IDIM of a robot takes friction that is linear .* "presliding" of one: decl'
-    ):
-        identify(record, robot, IDIM())
 
 
 def test_idim_takes_an_axis_with_any_spring_for_rigid() -> None:

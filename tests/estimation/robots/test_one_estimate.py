@@ -12,7 +12,6 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
-from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.result.answer import Trust
 from jointid.output.json.reading import load_estimate
 from jointid.records.record import Record
@@ -52,13 +51,6 @@ def test_a_robot_under_its_declared_controllers_is_relied_on() -> None:
     assert list(found.fit.axis_errors) == ["joint1", "joint2"]
 
 
-def test_checks_that_are_left_out_are_said() -> None:
-    found = estimate(checks=False)
-    assert verdicts(found)[Subject.LOOP] is Status.UNKNOWN
-    assert "the checks were left out" in found.summary()
-    assert found.answer.trust.code is Trust.NOT_CHECKED
-
-
 def test_a_controller_that_is_not_as_declared_speaks_against_a_robot() -> None:
     loop, records = logged()
     first, second = loop.controllers
@@ -79,13 +71,6 @@ def test_a_controller_that_could_not_be_tested_is_named() -> None:
     said = ji.diagnose(found, (first, second.without("motor_position")))
     assert said.as_declared is None
     assert "The declared controller of joint1 makes" in said.answer and "of joint2 was not checked" in said.answer
-
-
-def test_the_share_of_each_joint_that_is_not_explained_stands_in_the_table() -> None:
-    found = estimate()
-    lines = found.summary().splitlines()
-    for name, left in found.fit.axis_errors.items():
-        assert any(line.split()[:2] == [name, f"{100 * left:.3g}"] for line in lines)
 
 
 def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> None:
@@ -133,49 +118,6 @@ def test_what_is_for_a_joint_alone_refuses_a_robot_in_a_sentence(use: Callable[[
 def test_records_and_lists_that_do_not_fit_are_refused_in_a_sentence(use: Callable[[ji.Estimate, Any], object]) -> None:
     with pytest.raises(MethodError, match=r"one log|list|as many controllers|received ClosedLoop"):
         use(estimate(), (logged()[1], logged()[1]))
-
-
-def test_what_is_for_a_robot_refuses_a_joint_in_a_sentence() -> None:
-    axis = ji.twin(noise="none")
-    joint = ji.identify(axis.record, axis.loop.joint, checks=False)
-    with pytest.raises(MethodError, match="needs the estimate of a robot"):
-        ji.robots.consistent_robot(joint)
-    for given in ({"controllers": [axis.loop.controller]}, {"feed_forward": "gravity"}):
-        with pytest.raises(MethodError, match="controllers and feed_forward are for a robot; leave them out"):
-            ji.diagnose(joint, axis.record, **given)  # type: ignore[call-overload]
-    with pytest.raises(
-        MethodError, match=r"A record, and what .*; received Estimate: draw an estimate by estimate\.pl"
-    ):
-        ji.figures.draw(joint)  # type: ignore[arg-type]
-
-
-def test_a_robot_in_the_place_of_a_joint_is_a_sentence() -> None:
-    loop, records = logged()
-    axis = ji.twin(noise="none")
-    with pytest.raises(MethodError, match="are compared in the closed loop"):
-        ji.compare(axis.record, loop, "frictions")  # type: ignore[call-overload]
-    with pytest.raises(MethodError, match=r"One record is examined; received tuple"):
-        ji.examine(records, axis.loop)  # type: ignore[arg-type]
-    with pytest.raises(
-        MethodError, match=r"A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; received ClosedLoop"
-    ):
-        ji.identify_payload(axis.loop, records, records)  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match=r"from one record of one joint; received tuple: of a robot .* or --axis"):
-        ji.learn_controller(records)  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match="tests and shown are for a joint; leave them out for a robot"):
-        ji.diagnose(estimate(), records, tests=LoopTests())  # type: ignore[call-overload]
-    with pytest.raises(MethodError, match=r"A robot of 2 joints is examined with as many records"):
-        ji.examine(records[0], loop)
-    with pytest.raises(MethodError, match=r"^A ClosedLoop or a RobotLoop is simulated; received Estimate: give"):
-        ji.simulate(estimate(), records)  # type: ignore[call-overload]
-    with pytest.raises(MethodError, match=r"has the reference of each joint; received 1 for 2 joints"):
-        ji.design(loop, motion=records[:1])
-
-
-def test_a_robot_needs_a_record_of_each_joint() -> None:
-    loop, (first, _) = logged()
-    with pytest.raises(MethodError, match="from the record of each of its joints; received one"):
-        ji.identify(first, loop)
 
 
 def test_its_file_is_of_the_same_schema_and_is_no_joint(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import MethodError
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.payload import (
@@ -64,11 +64,6 @@ def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
     one, other = (identified(ARM, each, settings) for each in records)
     with pytest.raises(MethodError, match="A parameter is fixed, which a payload would change"):
         payload_difference(one, other)
-
-
-def test_a_payload_is_not_weighed_by_instruments() -> None:
-    with pytest.raises(MethodError, match=r'"iv" has no instruments there; use "weighted" or "ols"'):
-        identify_payload(ARM, *pair(12), IDIM(estimator="iv"))
 
 
 @pytest.mark.slow
@@ -201,14 +196,3 @@ def test_both_records_are_used_whole() -> None:
     ]
     sizes = [both_records(ARM, logs, Filtering(cutoff=5.0)).Y.size for logs in ((empty, loaded), (empty, short))]
     assert sizes[1] > 0.7 * sizes[0]
-
-
-def test_records_in_wrong_units_are_refused_as_in_identify() -> None:
-    empty, loaded = pair(30)
-    wrong = []
-    for one in loaded:
-        assert one.motor_position is not None
-        scaled = replace(one.motor_position, values=57.3 * one.motor_position.values)
-        wrong.append(replace(one, reference=one.motor_position, motor_position=scaled))
-    with pytest.raises(RecordError, match=r"joint1: motor_position is 57\.3 times reference"):
-        identify_payload(ARM, empty, wrong)

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import MethodError
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
-from jointid.records.record import Channel, Record
+from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot
 from jointid.simulation.synthesis import simulate
@@ -162,18 +162,3 @@ def test_friction_is_never_let_below_nothing() -> None:
         assert 0.0 <= value < 3 * deviation
     run = simulate(loop, records)
     assert np.array_equal(run.motion.direction, np.sign(run.motion.velocity))
-
-
-def test_what_a_record_does_not_tell_is_refused() -> None:
-    twin = two()
-    loop = twin.loop()
-    still = list(twin.records(4.0))
-    assert still[1].reference is not None
-    still[1] = Record(reference=Channel(np.full(len(still[1].reference), -0.3), "rad", 1e-3))
-    joints = (twin.robot.joints[0], replace(twin.robot.joints[1], coulomb=50.0))
-    held = RobotLoop(replace(twin.robot, joints=joints), loop.controllers)
-    records, _ = recorded(held, still, 0.01)
-    with pytest.raises(MethodError, match=r"do not tell .*joint2"):
-        identify_rigid_robot(held, records)
-    with pytest.raises(RecordError, match="DIDIM of a robot needs torque"):
-        identify_rigid_robot(loop, twin.records(4.0))

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import Prediction
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
@@ -48,16 +46,6 @@ def test_idim_takes_from_each_log_what_it_tells(estimator: Any) -> None:
         [both.base.of(TWIN.robot), [n for j in TWIN.robot.joints for n in (j.viscous, j.coulomb, j.offset)]]
     )
     assert np.all(np.abs(both.values - truth) < 5 * both.covariance.std)
-
-
-def test_logs_need_records() -> None:
-    verdicts = [one.status for one in ji.identify(LOGS, TWIN.robot).checks.verdicts if one.subject == Subject.LOOP]
-    assert verdicts == [Status.UNKNOWN]
-    with pytest.raises(RecordError, match="received none"):
-        ji.identify((), LOOP)
-    broken: list[tuple[Record, ...]] = [LOGS[0], (LOGS[1][0], replace(LOGS[1][1], torque=None))]
-    with pytest.raises(RecordError, match="torque"):
-        ji.identify(broken, LOOP)
 
 
 @pytest.mark.parametrize("model", [LOOP, TWIN.robot])

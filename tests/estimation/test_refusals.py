@@ -1,0 +1,103 @@
+"""What is refused before anything is identified, each once, by the type of its exception."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.models.disturbances import Drift, EncoderOffset
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
+from jointid.paper.twin import twin
+from jointid.simulation.prescribed import DriveSide
+from tests.estimation.robots.twin import arm, records_of
+from tests.estimation.test_recovery import LOOP, MOVING, TRUTH, T, simulated_record
+
+RECORD = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+RIGID, FLEXIBLE = ji.RigidJoint("prismatic"), ji.FlexibleJoint("prismatic")
+ASYMMETRIC = ji.RigidJoint("prismatic", friction=AsymmetricFriction())
+AXIS, ARM = twin(noise="none"), arm(2)
+INERTIA = RIGID.parameters[0]
+
+
+def run_away() -> None:
+    """Instruments of a loop that its gain makes unstable."""
+    fast = replace(AXIS.loop.controller, velocity_gain=1e4, limit=np.inf)  # type: ignore[type-var]
+    ji.identify(AXIS.record, ji.ClosedLoop(AXIS.loop.joint, fast), ji.IDIM("iv"))
+
+
+def resting() -> None:
+    """A reference that asks for no motion."""
+    assert RECORD.reference is not None
+    still = replace(RECORD.reference, values=np.zeros(len(RECORD.reference)))
+    ji.identify(replace(RECORD.without("motor_position"), reference=still), LOOP)
+
+
+@pytest.mark.parametrize(
+    ("refused", "by"),
+    [
+        # channels
+        (lambda: ji.identify(RECORD.without("motor_position"), RIGID), ji.RecordError),
+        (lambda: ji.identify(RECORD.without("reference"), LOOP, ji.DIDIM()), ji.RecordError),
+        (lambda: ji.identify(AXIS.record.without("load_position"), AXIS.loop, ji.IDIM()), ji.RecordError),
+        (lambda: ji.identify(AXIS.record.without("reference"), AXIS.loop, ji.IDIM("iv")), ji.RecordError),
+        (lambda: ji.identify(RECORD.without("motor_position"), DriveSide(RIGID)), ji.RecordError),
+        (resting, ji.RecordError),
+        # parameters
+        (lambda: ji.identify(RECORD, ASYMMETRIC, parameters={"offset": RIGID.parameters[3]}), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, parameters={p.name: p.fix(1.0) for p in RIGID.parameters}), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, parameters={"mass": INERTIA}), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, parameters={"inertia": 30.0}), ji.MethodError),  # type: ignore[dict-item]
+        # filters
+        (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(cutoff=60.0, decimation=12)), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(cutoff=600.0)), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(borders=(5000, 5000))), ji.RecordError),
+        # settings of methods
+        (lambda: ji.identify(RECORD, RIGID, ji.DIDIM()), ji.MethodError),
+        (lambda: ji.identify(RECORD, ji.ClosedLoop(FLEXIBLE, LOOP.controller), ji.DIDIM("paper")), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, ji.DIDIM(frequency=30.0)), ji.MethodError),
+        (lambda: ji.DIDIM(minimiser="simplex"), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.DIDIM(frequency=-3.0), ji.MethodError),
+        (lambda: ji.DriveSideFit(instruments="maybe"), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.IDIM("best"), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.identify(RECORD, RIGID, ji.IDIM("weighted")), ji.MethodError),
+        (lambda: ji.identify(RECORD, RIGID, ji.IDIM("iv")), ji.MethodError),
+        (run_away, ji.MethodError),
+        # effects and forces
+        (lambda: ji.IDIM(effects=(Drift("all"),)), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: PositionHarmonics(-0.1), ji.MethodError),
+        (lambda: PositionHarmonics(0.1, harmonics=0), ji.MethodError),
+        (
+            lambda: ji.identify(RECORD, RIGID, ji.IDIM(effects=(PositionHarmonics(0.1), PositionHarmonics(0.2)))),
+            ji.MethodError,
+        ),
+        (lambda: ji.identify(RECORD, RIGID, ji.IDIM(effects=(Drift("force", "load"),))), ji.MethodError),
+        (lambda: ji.identify(RECORD, RIGID, ji.IDIM(effects=(EncoderOffset(),))), ji.MethodError),
+        (lambda: ji.RigidJoint("prismatic", gravity=Gravity("link")), ji.MethodError),
+        (
+            lambda: ji.RigidJoint("prismatic", friction=AsymmetricFriction(), gravity=Gravity("constant")),
+            ji.MethodError,
+        ),
+        (lambda: Gravity("arm"), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: Gravity("link", angle=0.0), ji.MethodError),
+        (lambda: Counterbalance(rate=float("nan")), ji.MethodError),
+        # several records
+        (lambda: ji.identify([RECORD, RECORD], RIGID), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, several=ji.SeveralRecords()), ji.MethodError),
+        (lambda: ji.identify("log.csv", LOOP), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.identify(ji.Record(), LOOP, windows=ji.Windowing(4.0)), ji.RecordError),
+        # robots
+        (lambda: ji.identify(records_of(ARM, 1)[0], ARM), ji.MethodError),
+        (lambda: ji.identify(records_of(ARM, 1)[:1], ARM), ji.RecordError),
+        (lambda: ji.identify(records_of(ARM, 1), ARM, ji.IDIM("iv")), ji.MethodError),
+        (lambda: ji.identify_payload(ARM, records_of(ARM, 1), records_of(ARM, 2), ji.IDIM("iv")), ji.MethodError),
+        (lambda: ji.identify_payload(LOOP, [RECORD], [RECORD]), ji.MethodError),  # type: ignore[arg-type]
+    ],
+)
+def test_it_is_refused(refused: Callable[[], object], by: type[Exception]) -> None:
+    with pytest.raises(by):
+        refused()
