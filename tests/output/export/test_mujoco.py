@@ -85,9 +85,8 @@ def test_a_spring_in_pieces_is_tendons_beside_each_other(spring: Spring) -> None
 
 def test_a_spring_that_becomes_softer_is_none_of_mujoco_s() -> None:
     joint = ji.FlexibleJoint("prismatic", spring=ThreePieceSpring())
-    with pytest.raises(ji.MethodError, match=r"falls from 800000 to 100000 N/m; export to Modelica"):
+    with pytest.raises(ji.MethodError, match="falls from 800000 to 100000 N/m"):
         ji.export(model(joint, PIECES | {"stiffness_2": 1e5}), "mjcf")
-    assert "stiffness_2" not in ji.export(model(joint, PIECES | {"stiffness_2": 1e5}), "modelica").lost
 
 
 def test_without_coulomb_friction_only_the_steps_are_between_us() -> None:

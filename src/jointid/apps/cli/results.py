@@ -244,8 +244,8 @@ def export(
 
     What its language cannot represent is listed.
     The ending of the file says for which: .toml a joint file with the values filled in, .json a linear state space for
-    SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .mo Modelica, .py an actuator of
-    Isaac Lab, .usda one of USD. --format mjlab and --format bam have no ending of their own.
+    SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator
+    of Isaac Lab. --format mjlab has no ending of its own.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified

@@ -16,15 +16,13 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.servo_base import Controller, numbers_of, require_one_each, with_numbers
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
-from jointid.output.export.actuators import bam, isaac_lab, mjlab, usd
+from jointid.output.export.actuators import isaac_lab, mjlab
 from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel, joint_model
-from jointid.output.export.modelica import modelica
 from jointid.output.export.pd_law import controllers_of, pd_law
 from jointid.output.export.robot_model import read_robot_model, robot_mjcf, robot_urdf
 from jointid.output.export.robots import mjcf, urdf
 from jointid.output.export.state_space_model import StateSpace, linear_part, matlab, state_space_json
-from jointid.output.export.torque_function import c_function, python_function
 from jointid.output.json import read_joint_answer, to_dict
 
 
@@ -40,7 +38,6 @@ class Language:
         side: of a transmission, whose numbers it has unless another is asked for; None: those that were identified.
         write_robot: the same as `write` of a `Robot` and the laws of its joints, as far as they are known; None where
             the language holds one joint.
-        bodies: whether its robots are of bodies near the nominal ones that fit the estimate, not of its sums.
     """
 
     name: str
@@ -48,7 +45,6 @@ class Language:
     write: Callable[..., tuple[str, tuple[str, ...]]]
     side: Side | None = None
     write_robot: Callable[..., tuple[str, tuple[str, ...]]] | None = None
-    bodies: bool = True
 
 
 LANGUAGES = (
@@ -57,13 +53,8 @@ LANGUAGES = (
     Language("matlab", (".m",), matlab),
     Language("mjcf", (".xml", ".mjcf"), mjcf, "load", robot_mjcf),
     Language("urdf", (".urdf",), urdf, "load", robot_urdf),
-    Language("modelica", (".mo",), modelica),
-    Language("usd", (".usda",), usd, "load", usd),
     Language("isaac-lab", (".py",), isaac_lab, "load", isaac_lab),
     Language("mjlab", (), mjlab, "load", mjlab),
-    Language("bam", (), bam, "load", bam),
-    Language("c", (".c",), c_function, None, c_function, bodies=False),
-    Language("python", (), python_function, None, python_function, bodies=False),
 )
 """Every language there is."""
 
@@ -119,13 +110,9 @@ def export(
       `timestep` in s; `control`, "torque", or "pd" for the law of the controller.
     - "urdf": one joint with damping and friction, without the spring, for ROS. Of a robot its bodies. Settings:
       `model`, the URDF that the robot was read from, of which all else is kept; `locked`, see `robots.load_robot`.
-    - "modelica": all equations, true sticking, no library needed.
-    - "isaac-lab", "mjlab", "usd": actuators with gains, inertia, friction, delay and limit, for a simulator that has
+    - "isaac-lab", "mjlab": actuators with gains, inertia, friction, delay and limit, for a simulator that has
       the links as bodies of its own. Settings: `timestep` of its physics in s; of a joint `stall_torque` and
       `no_load_speed` of its motor, in N m and rad/s (N and m/s).
-    - "bam": the friction parameters of Better Actuator Models.
-    - "c" and "python": a function of position, velocity and acceleration that returns `Estimate.torque`, and needs no
-      other code.
 
     Args:
         estimate: from `identify` or `read_joint_model`. Of a robot, bodies near the nominal ones that fit it are
@@ -170,10 +157,7 @@ def export(
         if side is not None:
             raise MethodError("All numbers of a robot are behind its gears; leave the side out.")
         require_one_each(given, len(robot if isinstance(robot, Robot) else robot.require_robot().model))
-        if chosen.bodies or isinstance(robot, Robot):
-            bodies, note = read_robot_model(robot)
-        else:
-            bodies, note = robot.require_robot().robot(), ""
+        bodies, note = read_robot_model(robot)
         laws = [pd_law(one) for one in given]
         return Export(chosen.name, *write(replace(bodies, name=name or bodies.name), laws, **settings), note)
     model = _model(estimate, name)

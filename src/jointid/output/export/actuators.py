@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from jointid import __version__
-from jointid.common.document import dumps
 from jointid.common.errors import MethodError
 from jointid.common.text import number as shown
 from jointid.common.units import Kind
@@ -23,7 +22,6 @@ from jointid.output.export.joint_model import (
     JointModel,
     effects_left_out,
     friction_left_out,
-    identifier,
     number,
     one_line,
     remarks,
@@ -34,7 +32,6 @@ from jointid.output.export.robot_model import losses_of_drives, simplify_joints
 from jointid.output.export.robots import require_mechanical, require_timestep, rigid_sums
 
 _TIMESTEP = 5e-3  # s, of the physics
-_DEGREE = math.pi / 180.0
 _NO_LAW = PDLaw(
     0.0, 0.0, 1.0, math.inf, 0.0, 0.0,
     ("the gains: no law of position and velocity is declared, and the actuator takes torques",),
@@ -117,83 +114,6 @@ def _mjlab(one: Actuator, timestep: float) -> Entry:
         motor = {"saturation_effort": one.peak[0], "velocity_limit": one.peak[1]}
         return "DcMotorActuatorCfg", {"effort_limit": one.peak[0]} | keys | motor, lost
     return "IdealPdActuatorCfg" if law.share else "BuiltinPositionActuatorCfg", keys, lost
-
-
-def _usd(model: JointModel | Robot, actuators: Sequence[Actuator], timestep: float) -> Written:
-    """Return joints as USD text, for Newton and Isaac Sim, and its losses.
-
-    Each joint has a `NewtonJointAPI` and a `PhysicsDriveAPI`, whose angular numbers are per degree. Where commands are
-    late, or the torque falls with the speed, a `NewtonActuator` takes the place of the drive; its numbers are per
-    radian.
-    """
-    lines, lost, taken = list[str](), list[str](), set[str]()
-    for one in actuators:
-        law, (steps, late) = one.law, _commands(one.law, timestep)
-        per, axis, kind = 1.0, "linear", "PhysicsPrismaticJoint"
-        if one.kind == "revolute":
-            per, axis, kind = _DEGREE, "angular", "PhysicsRevoluteJoint"
-        name = identifier(one.name)
-        while name in taken:
-            name += "_"
-        taken.add(name)
-        own = steps > 0 or one.peak is not None
-        schemas = ["NewtonJointAPI"] if own else ["NewtonJointAPI", f"PhysicsDriveAPI:{axis}"]
-        said = {"newton:armature": one.armature, "newton:friction": one.coulomb, "newton:damping": per * one.viscous}
-        if not own:
-            drive = f"drive:{axis}:physics:"
-            said |= {f"{drive}stiffness": per * law.stiffness, f"{drive}damping": per * law.damping}
-            said |= {f"{drive}maxForce": law.limit} if law.limit < math.inf else {}
-        lines += _prim(kind, name, schemas, said, [] if own else [f'uniform token drive:{axis}:physics:type = "force"'])
-        if own:
-            schemas, said = ["NewtonPDControlAPI"], {"newton:kp": law.stiffness, "newton:kd": law.damping}
-            more = [f"rel newton:targets = </Actuators/{name}>"]
-            if steps:
-                schemas.append("NewtonActuatorDelayAPI")
-                more.append(f"int newton:delaySteps = {steps}")
-            if one.peak is not None:
-                schemas.append("NewtonDCMotorClampingAPI")
-                said |= {"newton:saturationEffort": one.peak[0], "newton:velocityLimit": one.peak[1]}
-                said |= {"newton:maxMotorEffort": law.limit} if law.limit < math.inf else {}
-            elif law.limit < math.inf:
-                schemas.append("NewtonMaxEffortClampingAPI")
-                said["newton:maxEffort"] = law.limit
-            lines += _prim("NewtonActuator", f"{name}_actuator", schemas, said, more)
-        lost += [*one.lost, *late, *_rise_lost(one)]
-    lost = [*dict.fromkeys(lost)]
-    head = [f"# {line}" for line in _remarks(model, lost)]
-    stage = ["(", '    defaultPrim = "Actuators"', "    kilogramsPerUnit = 1", "    metersPerUnit = 1", ")", ""]
-    return "\n".join(["#usda 1.0", *head, *stage, 'def Scope "Actuators"', "{", *lines, "}", ""]), tuple(lost)
-
-
-def bam(model: JointModel | Robot, laws: Sequence[PDLaw | None] = ()) -> Written:
-    """Return joints as parameters of BAM (Better Actuator Models), and its losses; of a robot an object for each joint.
-
-    Its model m1, Coulomb and viscous friction, or m2 with Stribeck's rise. The actuator's own numbers, `kt` and `R`,
-    are no parameters of a joint, and stay those that BAM begins with.
-
-    Args:
-        model: the joint, or a robot.
-        laws: of the robot's joints; none where they are not known.
-
-    Raises:
-        MethodError: BAM cannot have these numbers.
-    """
-    found, lost = dict[str, dict[str, Any]](), list[str]()
-    for one in _actuators(model, laws, "BAM", _TIMESTEP, None, None):
-        entry: dict[str, Any] = {
-            "model": "m1", "actuator": identifier(one.name), "armature": one.armature, "q_offset": 0.0,
-            "command_delay": one.law.command_delay, "friction_base": one.coulomb, "friction_viscous": one.viscous,
-        }  # fmt: skip
-        if one.rise:
-            rise = {"friction_stribeck": one.rise[0], "dtheta_stribeck": one.rise[1], "alpha": 2.0}
-            entry |= {"model": "m2"} | rise
-        found[one.name] = entry
-        lost += [*one.lost, "the name of the actuator and its kt and R: name one of BAM's own"]
-        if one.law.stiffness:
-            lost.append("the gains, which are BAM's own actuator's")
-    lost = [*dict.fromkeys(lost)]
-    entries = found if isinstance(model, Robot) else next(iter(found.values()))
-    return dumps(entries | {"_jointid": _remarks(model, lost)}), tuple(lost)
 
 
 # What the languages share
@@ -327,14 +247,5 @@ def _language(called: str, write: Writer) -> Callable[..., Written]:
     return language
 
 
-def _prim(kind: str, name: str, schemas: list[str], said: dict[str, float], more: list[str]) -> list[str]:
-    """Return the lines of a prim of USD."""
-    applied = ", ".join(f'"{one}"' for one in schemas)
-    numbers = [f"float {key} = {number(value)}" for key, value in said.items()]
-    head = [f'def {kind} "{name}" (', f"    prepend apiSchemas = [{applied}]", ")", "{"]
-    return [f"    {line}" for line in (*head, *(f"    {line}" for line in (*numbers, *more)), "}")]
-
-
 isaac_lab = _language("Isaac Lab", _python("isaaclab.actuators", _isaac_lab, keyed=True))
 mjlab = _language("mjlab", _python("mjlab.actuator", _mjlab, keyed=False))
-usd = _language("USD", _usd)

@@ -109,7 +109,6 @@ class JointModel:
         side: which side that is; None without a transmission.
         parameters: of the joint, in its order.
         gravity: of the joint, as this side sees it.
-        wave: of the first harmonic of its ripple, rad per unit of this side's position; None without a ripple.
         sample_time: of the record in seconds, None where there were several.
         delay: seconds from the logged torque to the torque that acts.
         origin: where the numbers come from.
@@ -123,7 +122,6 @@ class JointModel:
     side: Side | None
     parameters: tuple[EstimatedParameter, ...]
     gravity: Gravity | None
-    wave: float | None
     sample_time: float | None
     delay: float
     origin: Origin
@@ -266,14 +264,12 @@ class JointModel:
         there = OtherSide(replace(transmission, side=self.side), self.torque_unit)
         # An angle is stated per unit of position, which becomes another one.
         turned = None if self.gravity is None else replace(self.gravity, angle=self.gravity.angle * there.ratio)
-        wave = None if self.wave is None else self.wave * abs(there.ratio)  # signs are in the amplitudes
         return replace(
             self,
             kind=transmission.kind_of(side),
             side=side,
             parameters=on_other_side(self.parameters, there),
             gravity=turned,
-            wave=wave,
             law=None if self.law is None else self.law.scale(there.ratio),
         )
 
@@ -330,7 +326,6 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         None if joint.transmission is None else joint.transmission.side,
         tuple(_parameter(found[p.name], p.name, p.symbol, joint.unit(p)) for p in joint.parameters),
         joint.gravity,
-        None if joint.ripple is None else 2 * math.pi / joint.ripple.period,
         rates.pop() if len(rates) == 1 else None,
         optional_number(answer["delay"]) or 0.0,
         Origin(

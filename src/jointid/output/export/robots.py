@@ -182,7 +182,7 @@ def add_spring(
         if more < 0:
             raise MethodError(
                 f"MJCF has no spring that becomes softer, and the stiffness falls from {shown(before)} to "
-                f"{shown(piece.stiffness)} {unit}; export to Modelica."
+                f"{shown(piece.stiffness)} {unit}; simulate it by jointid simulate."
             )
         before = piece.stiffness
         length = _numbers(-slack, slack) if slack else "0"
