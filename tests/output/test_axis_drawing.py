@@ -53,7 +53,7 @@ def test_the_sentence_has_resonance_and_antiresonance() -> None:
     assert found["free_free"] == pytest.approx((stiffness / load + stiffness / motor) ** 0.5 / 6.283185307)
     said = resonance_sentence(estimate)
     assert re.fullmatch(r"Resonance 29\.\d Hz, antiresonance 2\d\.\d Hz, from .*", said)
-    assert typeset(said) in reports.flexible().markdown().split("## Parameters")[0]
+    assert typeset(said) in reports.marked(reports.flexible()).split("## Parameters")[0]
     assert resonance_sentence(reports.rigid().estimate) == ""
 
 

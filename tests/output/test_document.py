@@ -1,4 +1,4 @@
-"""One document, four renderings; what comes in as text stays text in each of them."""
+"""One document, three renderings; what comes in as text stays text in each of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jointid.common.document import (
     Picture,
     Table,
     Verdicts,
-    notebook_html,
+    block_html,
 )
 
 EVIL = '<script>alert("1")</script>\x1b[31m[red](javascript:x)'
@@ -98,18 +98,10 @@ def test_the_text_to_the_letter() -> None:
     assert EVERY.text() == TEXT
 
 
-def test_markdown_has_every_block() -> None:
-    text = EVERY.markdown()
-    for line in ("# a title", "- read: torque", "| ZZ | 94.9 |", "## checks", "- **No** — whiteness one; two", "```"):
-        assert line in text.splitlines(), line
-    shown = HOSTILE.markdown().split("```")
-    assert "](javascript" not in shown[0] + shown[2]
-    assert "<script" not in shown[0] + shown[2]
-
-
 def test_html_makes_no_tag_of_a_text() -> None:
-    assert "script" not in Tags(notebook_html(HOSTILE)).found
-    assert Tags(notebook_html(HOSTILE)).found.count("table") == Tags(notebook_html(EVERY)).found.count("table") == 1
+    hostile, every = ("".join(map(block_html, document.blocks)) for document in (HOSTILE, EVERY))
+    assert "script" not in Tags(hostile).found
+    assert Tags(hostile).found.count("table") == Tags(every).found.count("table") == 1
 
 
 def test_a_terminal_gets_colour_and_obeys_no_name() -> None:
@@ -139,14 +131,3 @@ def test_rows_that_say_nothing_in_what_goes_on_below_are_left_out_there() -> Non
     rows = (("a", "1" * 30, ""), ("b", "2" * 30, "only with a"))
     said = Document("", (Table(("symbol", "value", "remark"), rows, words=(0, 2)),)).text(40)
     assert said.rstrip().split("\n\n")[-1].splitlines()[2:] == ["b       only with a"]
-
-
-def test_markdown_draws_no_picture() -> None:
-    def draw() -> bytes:
-        raise AssertionError("drawn")
-
-    assert (
-        Document("a title", (Picture("p.svg", draw, "a picture"),))
-        .markdown()
-        .startswith("# a title\n\n![a picture](p.svg)")
-    )

@@ -1,4 +1,4 @@
-"""Results as documents, rendered as text, Markdown, HTML or JSON.
+"""Results as documents, rendered as text, HTML or JSON.
 
 Numbers that do not exist are null in JSON, never NaN.
 """
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from jointid.common.errors import extra
 from jointid.common.files import write_whole
-from jointid.common.text import align, encodable, short, wrap
+from jointid.common.text import align, encodable, wrap
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -35,10 +35,6 @@ WIDTH = 80
 
 _LEAST = 13  # characters of a fact's name, or blocks of facts would not line up with each other
 _ASKED = 19  # characters of a question
-_CELL = 3800  # characters of HTML that a notebook's cell shows of a result, about
-_TITLE = 200  # characters of its title
-_SENTENCE = 400  # and of the sentence below it; escaped, a character is six at most
-_ROWS, _ITEMS = 16, 4  # of a table and of a list there
 
 # Typography of a page:
 _THIN = "\u202f"  # a thin space at which no line ends
@@ -127,7 +123,7 @@ class Picture:
     """A picture, PNG or SVG.
 
     Attributes:
-        draw: returns its content; Markdown, which only names the file, does not call it.
+        draw: returns its content.
         text: the caption, which says what to see.
         plot: the same as JSON for bokeh, for a page; none when empty.
         wide: whether it may be as wide as the page.
@@ -179,10 +175,6 @@ class Document:
             gap = "\n" if isinstance(block, Heading) else "\n\n"
         return text
 
-    def markdown(self) -> str:
-        """Render as Markdown, with pictures as separate files and all text escaped."""
-        return "\n\n".join(map(_render_markdown, (Heading(self.title, 1), *self.blocks))) + "\n"
-
     @property
     def pictures(self) -> dict[str, bytes]:
         """The pictures, by the names of their files."""
@@ -212,37 +204,11 @@ class Documented(ABC):
         return ""
 
     def _repr_html_(self) -> str:
-        """Render the sentence and a shortened document for a notebook."""
-        return notebook_html(self.to_document(), self.sentence)
-
-
-def notebook_html(document: Document, sentence: str = "") -> str:
-    """Render a document as an HTML fragment for a notebook cell.
-
-    Tables and lists show their first rows; the output ends after about 4,000 characters.
-    """
-    parts = [f"<p><strong>{escape(short(document.title, _TITLE))}</strong></p>"]
-    if sentence and sentence != document.title:
-        parts.append(f"<p>{escape(short(sentence, _SENTENCE))}</p>")
-    room, whole = _CELL - sum(map(len, parts)), True
-    for block in document.blocks:
-        if isinstance(block, Picture):
-            continue
-        fewer = block
-        if isinstance(block, Table):
-            fewer = replace(block, rows=block.rows[:_ROWS]) if len(block.rows) > _ROWS else block
-        elif isinstance(block, Listing):
-            fewer = Listing(block.items[:_ITEMS]) if len(block.items) > _ITEMS else block
-        made = block_html(fewer)
-        if len(made) > room:
-            whole = False
-            continue
-        room -= len(made)
-        whole = whole and fewer is block
-        parts.append(made)
-    if not whole:
-        parts.append("<p>There is more: print it.</p>")
-    return "\n".join(['<div class="jointid">', *parts, "</div>"])
+        """Render the document without its pictures for a notebook."""
+        document = self.to_document()
+        said = {document.title: None, self.sentence: None}  # once where they are the same
+        blocks = (*map(Paragraph, filter(None, said)), *document.blocks)
+        return "\n".join(block_html(block) for block in blocks if not isinstance(block, Picture))
 
 
 def data_frame(rows: Mapping[str, Mapping[str, object]], index: str) -> DataFrame:
@@ -299,42 +265,6 @@ def _table_text(block: Table, width: int) -> str:
             rows = [row for row in rows if any(row[1:])]
         shown.append(align(header, rows, [i not in block.words for i in part]))
     return "\n\n".join(shown)
-
-
-def _render_markdown(block: Block) -> str:
-    if isinstance(block, Heading):
-        return f"{'#' * block.level} {_plain(block.text)}"
-    if isinstance(block, Paragraph):
-        return _plain(block.text)
-    if isinstance(block, Table):
-        rule = tuple("---" if i in block.words else "---:" for i in range(len(block.header)))
-        lines = [f"| {' | '.join(row)} |" for row in (_cells(block.header), rule, *map(_cells, block.rows))]
-        return _add_caption(f"*{_plain(block.caption)}*" if block.caption else "", "\n".join(lines))
-    if isinstance(block, Code):
-        fence = "`" * max(3, 1 + max((len(run) for run in re.findall("`+", block.text)), default=0))
-        return _add_caption(_plain(block.caption), f"{fence}\n{block.text.rstrip()}\n{fence}")
-    if isinstance(block, Picture):
-        return f"![{_plain(block.text)}]({block.name})\n\n*{_plain(block.text)}*"
-    if isinstance(block, Listing):
-        lines = [_plain(item) for item in block.items]
-    elif isinstance(block, Verdicts):
-        lines = [f"**{_ANSWERS[good]}** — {_plain(asked)} {_plain('; '.join(why))}" for asked, good, why in block.rows]
-    else:
-        lines = [f"{_plain(name)}: {_plain(value)}" for name, value in block.pairs]
-    return "\n".join(f"- {line}" for line in lines)
-
-
-def _add_caption(caption: str, text: str) -> str:
-    return f"{caption}\n\n{text}" if caption else text
-
-
-def _cells(texts: Sequence[str]) -> tuple[str, ...]:
-    return tuple(_plain(text).replace("|", "\\|") for text in texts)
-
-
-def _plain(text: str) -> str:
-    one_line = " ".join(text.splitlines())
-    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", one_line).replace("](", "]\\(")
 
 
 def block_html(block: Block, anchor: str = "") -> str:

@@ -409,7 +409,7 @@ class Design(Charted, Documented):
         ]
         numbered = "\n".join(f"{i}. {step}" for i, step in enumerate(steps, 1))
         peak = f"Peak torque {'; '.join(self.peaks)}. {self.description}."
-        return f"# A test of this {kind}\n\n{peak}\n\n{numbered}\n\n{self.to_document().markdown()}\n"
+        return f"# A test of this {kind}\n\n{peak}\n\n{numbered}\n\n```\n{self.to_document().text()}\n```\n"
 
 
 _PLAIN = PlayedAxis(1.0, 1.0, "", "", None, None, "")

@@ -130,8 +130,8 @@ def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
 
 @pytest.mark.slow
 def test_a_report_of_one_joint_is_repeated_for_that_joint(robot: Path, tmp_path: Path) -> None:
-    run("report", robot, "--axis", "base", "--markdown", tmp_path, "--no-profiles", "--no-tuning")
-    assert "--record log.csv --axis base" in (tmp_path / "report.md").read_text(encoding="utf-8")
+    run("report", robot, "--axis", "base", "--html", tmp_path / "report.html", "--no-profiles", "--no-tuning")
+    assert "--record log.csv --axis base" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_joint_that_is_not_there(robot: Path) -> None:

@@ -486,7 +486,7 @@ def test_a_file_or_goal_that_is_not_there_is_refused_before_the_joint_is_identif
     assert run(*words) == 2
 
 
-@pytest.mark.parametrize("words", [("report", "--markdown", "x"), ("design",)])
+@pytest.mark.parametrize("words", [("report",), ("design",)])
 def test_what_needs_a_record_whole_refuses_one_in_windows_before_the_joint_is_identified(
     words: tuple[str, ...], demo: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -171,7 +171,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "export": ("joint.toml --estimate estimate.json", {"--out": "x.urdf"}),
     "identify": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
     "payload": ("joint.toml --without a.csv --with b.csv", {"--json": "x.json"}),
-    "report": ("joint.toml", {"--html": "x.html", "--json": "x.json", "--markdown": "x", "--figures": "."}),
+    "report": ("joint.toml", {"--html": "x.html", "--json": "x.json"}),
     "reproduce": ("", {"--out": "x"}),
     "serve": ("", {"--folder": "x"}),
     "simulate": ("joint.toml", {"--json": "x.json", "--out": "x.csv"}),

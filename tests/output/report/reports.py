@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import jointid as ji
+from jointid.common.document import Document, Heading, Table
 from jointid.output.report import Report
 from tests.mistakes import cut
 
@@ -25,6 +26,19 @@ def rigid_record(
     reference = ji.excitation.trapezoids([0.5, 1.0, 2.0], 8.0, 2.0, 1e-3, duration=seconds)
     noise = 0.01 * np.random.default_rng(seed).standard_normal(reference.size)
     return ji.simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise, name=name), loop
+
+
+def marked(report: Report) -> str:
+    """Return a report as text: headings behind #, cells of tables between |, all else on a line each."""
+    lines = [f"# {report.title}"]
+    for block in report.to_document().blocks:
+        if isinstance(block, Heading):
+            lines.append(f"{'#' * block.level} {block.text}")
+        elif isinstance(block, Table):
+            lines += [f"| {' | '.join(row)} |" for row in (block.header, *block.rows)]
+        else:
+            lines.append(Document("", (block,)).text(10**6).strip())
+    return "\n".join(lines)
 
 
 @cache

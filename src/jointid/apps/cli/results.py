@@ -39,9 +39,7 @@ def report(
     /,
     *,
     options: Options = DEFAULTS,
-    html: Path | None = None,
-    markdown: Path | None = None,
-    figures: Path | None = None,
+    html: Path = Path("report.html"),
     no_profiles: Flag = False,
     no_tuning: Flag = False,
     plan: str | None = None,
@@ -55,9 +53,7 @@ def report(
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
-        html: the page, one file that opens without a network; report.html where nothing else is asked for.
-        markdown: folder for the same as Markdown, report.md, and its figures as SVG.
-        figures: folder for the figures as PNG and SVG, for a paper.
+        html: the page, one file that opens without a network.
         no_profiles: do not follow the criterion along the parameters where it is no parabola.
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
         plan: also plan the next test, for a goal as of design, within the limits of the file; it takes a minute.
@@ -73,15 +69,12 @@ def report(
     from jointid.output.report.pages import require_page
     from jointid.output.test_layout import lay_out
 
-    page = html if html or markdown or figures else Path("report.html")
-    outputs = Outputs({"--html": page, "--json": options.json}, folders={"--markdown": markdown, "--figures": figures})
-    if page is not None:
-        require_page(page)
-        require_extra(plots=True)
+    outputs = Outputs({"--html": html, "--json": options.json})
+    require_page(html)
+    require_extra(plots=True)
     outputs.spare("--held-out", held_out)
     outputs.spare("--estimate", estimate)
     file = options.load(joint, outputs, **({} if estimate is None else read_choices(estimate)))
-    html_name = "report.html" if page is None else page.name
     asked = {"axis": options.axis, "plan": plan, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
     if isinstance(file, JointFile):
@@ -94,7 +87,7 @@ def report(
         )
     unseen = None if held_out is None else file.record(held_out)
     system: Literal["joint", "robot"] = "joint" if isinstance(file, JointFile) else "robot"
-    again = repetition(joint, Path(file.record_path(options.record)), asked, options.changes, html_name, system)
+    again = repetition(joint, Path(file.record_path(options.record)), asked, options.changes, html.name, system)
     settings = file.design_settings if plan is not None else {}
     if estimate is None:
         record, found = options.identify(file, judged=True, whole=True)
@@ -115,9 +108,7 @@ def report(
         stated = _with_test(
             stated, lambda: lay_out(file, design(found, record, goal=plan, progress=options.progress, **settings))
         )
-    written = [] if page is None else [stated.save(page)]
-    written += [] if markdown is None else [stated.save_markdown(markdown)[0]]
-    written += [] if figures is None else [*stated.save_figures(figures)]
+    written = [stated.save(html)]
     written += _deliver_report(stated, checks, options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
 

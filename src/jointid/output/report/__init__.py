@@ -1,4 +1,4 @@
-"""The report of an identification: one page, the same as Markdown, its figures, and what it takes to do it again."""
+"""The report of an identification: one page, and what it takes to do it again."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from jointid import Drive, Record
 from jointid.common.charts import Chart
 from jointid.common.document import Block, Document, dumps, typeset_block
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.files import write_folder, write_whole
-from jointid.common.matplotlib_backend import png, svg
+from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.diagnose import FeedForwardName, diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
@@ -101,7 +100,7 @@ class Report:
             >>> record = axis.record.without("motor_position", "load_position")
             >>> estimate = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0))
             >>> report = ji.Report.of(estimate, record, profiles=["stiffness"])
-            >>> "## Checks" in report.markdown()
+            >>> "Checks" in report.to_document().text()
             True
         """
         again = repetition or Repetition()
@@ -164,11 +163,11 @@ class Report:
             "absent": given.absent,
         }
 
-    def _blocks(self, interactive: bool) -> Iterable[Block]:
+    def _blocks(self) -> Iterable[Block]:
         given, charts, again, design = self.data, self.charts, self.repetition, self.design
         if isinstance(given, RobotReportData):
-            return robot_blocks(given, charts, again, design, interactive=interactive)
-        return report_blocks(given, charts, again, self.tuned, design, interactive=interactive)
+            return robot_blocks(given, charts, again, design)
+        return report_blocks(given, charts, again, self.tuned, design)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.title!r})"
@@ -177,9 +176,9 @@ class Report:
         """Return the JSON that the page carries along."""
         return dumps(plain(self._contents() | self.repetition.document))
 
-    def _compose(self, *, interactive: bool) -> Document:
-        blocks = tuple(map(typeset_block, self._blocks(interactive)))
-        return Document(self.title, blocks, self.answer() if interactive else "")
+    def to_document(self) -> Document:
+        """Return the page as a document, with the JSON that it carries along."""
+        return Document(self.title, tuple(map(typeset_block, self._blocks())), self.answer())
 
     def html(self) -> str:
         """Return one self-contained HTML page.
@@ -187,11 +186,7 @@ class Report:
         Raises:
             ExtraError: bokeh or jinja2 is not installed.
         """
-        return page(self._compose(interactive=True))
-
-    def markdown(self) -> str:
-        """Return the same as Markdown; its figures are SVG files beside it, which `save` writes."""
-        return self._compose(interactive=False).markdown()
+        return page(self.to_document())
 
     def save(self, path: str | Path) -> Path:
         """Write the page.
@@ -207,26 +202,6 @@ class Report:
         require_page(path)
         write_whole(path, self.html())
         return path
-
-    def save_markdown(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write report.md and its figures into a folder, which is made; return what was written.
-
-        Raises:
-            RecordError: the folder or a file cannot be written.
-        """
-        document = self._compose(interactive=False)
-        return write_folder(folder, {"report.md": document.markdown().encode()} | document.pictures)
-
-    def save_figures(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write every figure as PNG and as SVG into a folder, which is made; return what was written.
-
-        Raises:
-            RecordError: the folder or a file cannot be written.
-        """
-        files: dict[str, bytes] = {}
-        for name, chart in self.charts.items():
-            files |= {f"{name}.png": png(chart), f"{name}.svg": svg(chart)}
-        return write_folder(folder, files)
 
 
 def tune_to_limit(estimate: Estimate, drive: Drive, shown: Iterable[DriveNumber] = ()) -> Tuned | str | None:

@@ -57,14 +57,13 @@ def page(document: Document) -> str:
 
 
 def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
-    """Write `name`.html, `name`.md and the pictures into a folder, which is made; return what was written.
+    """Write `name`.html and the pictures into a folder, which is made; return what was written.
 
     Raises:
         RecordError: the folder or a file cannot be written.
         ExtraError: jinja2 is not installed.
     """
-    texts = {f"{name}.html": page(document).encode(), f"{name}.md": document.markdown().encode()}
-    return write_folder(folder, texts | document.pictures)
+    return write_folder(folder, {f"{name}.html": page(document).encode()} | document.pictures)
 
 
 def require_extra(*, plots: bool) -> None:

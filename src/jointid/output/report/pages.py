@@ -137,30 +137,26 @@ def _find_date(record: Path) -> str:
 
 
 def pictures_of(
-    charts: Mapping[str, Chart], *, interactive: bool, absent: Callable[[str], str] = "Not available: {}".format
+    charts: Mapping[str, Chart], *, absent: Callable[[str], str] = "Not available: {}".format
 ) -> Callable[[str], list[Block]]:
-    """Return a function from the name of a picture to its blocks; interactive ones have a plot too.
+    """Return a function from the name of a picture to its blocks.
 
-    Each is drawn twice then, at the same time: by one library for the screen, by the other for paper.
+    Each is drawn twice, at the same time: by one library for the screen, by the other for paper.
 
     Args:
         charts: by name.
-        interactive: whether they are for a page.
         absent: says why a picture of that name is not there.
     """
-    plots: dict[str, str] = {}
-    draw = {name: partial(svg, chart) for name, chart in charts.items()}
-    if interactive:
-        drawing = Aside(lambda: {name: svg(chart) for name, chart in charts.items()})
-        plots = {name: plot(chart) for name, chart in charts.items()}
-        draw = {name: partial(bytes, image) for name, image in drawing.result().items()}
+    drawing = Aside(lambda: {name: svg(chart) for name, chart in charts.items()})
+    plots = {name: plot(chart) for name, chart in charts.items()}
+    draw = {name: partial(bytes, image) for name, image in drawing.result().items()}
 
     def picture(name: str) -> list[Block]:
         if name not in charts:
             return [Paragraph(absent(name))]
         chart = charts[name]
         narrow = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
-        return [Picture(f"{name}.svg", draw[name], chart.caption, plots.get(name, ""), not narrow)]
+        return [Picture(f"{name}.svg", draw[name], chart.caption, plots[name], not narrow)]
 
     return picture
 

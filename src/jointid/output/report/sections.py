@@ -49,11 +49,9 @@ def report_blocks(
     repetition: Repetition,
     tuned: Tuned | None,
     design: Design | None,
-    *,
-    interactive: bool,
 ) -> tuple[Block, ...]:
-    """Return the whole report; where it is interactive its figures are plots, too, for a page."""
-    picture = pictures_of(charts, interactive=interactive, absent=partial(_explain_absence, given))
+    """Return the whole report."""
+    picture = pictures_of(charts, absent=partial(_explain_absence, given))
     tuning: list[Block] = []
     if tuned is not None:
         blocks = tuned.to_document().blocks
@@ -273,11 +271,9 @@ def robot_blocks(
     charts: dict[str, Chart],
     repetition: Repetition,
     design: Design | None,
-    *,
-    interactive: bool,
 ) -> Iterator[Block]:
-    """Yield a robot's report, with a section of each joint; where it is interactive its figures are plots, too."""
-    found, picture = given.diagnosis, pictures_of(charts, interactive=interactive)
+    """Yield a robot's report, with a section of each joint."""
+    found, picture = given.diagnosis, pictures_of(charts)
     yield Heading("Result")
     yield from _result(given)
     yield Heading("Joints")
