@@ -141,7 +141,7 @@ def test_the_shapes_of_an_estimate_find_all_that_they_name(name: str) -> None:
 def test_a_part_of_a_result_is_no_document() -> None:
     known = Identifiability((), (), (), 1.0, ())
     for part in (PositionHarmonics(1.0), known, Message(Kind.SUM, "a sum")):
-        with pytest.raises(ji.MethodError, match="Only a result is written as JSON"):
+        with pytest.raises(ji.MethodError):
             ji.to_dict(part)
 
 

@@ -52,6 +52,7 @@ def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 
                 "free": True,
                 "identifiable": True,
                 "lower_bound": None,
+                "lack_of_fit": 0.0,
             }
             for p in joint.parameters
         },

@@ -63,13 +63,3 @@ def flexible() -> Report:
     return ji.Report.of(ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0)), record, profiles=["stiffness"])
 
 
-@cache
-def refused(record: Path) -> Report:
-    """Of the EMPS axis taken for a flexible joint, whose stiffness is refused."""
-    file = ji.load(Path(__file__).resolve().parents[3] / "examples" / "emps" / "joint.toml")
-    tables = file.tables()
-    tables["joint"]["model"] = "flexible"
-    tables["method"] = {"name": "didim"}
-    file = type(file).of(tables, file.path)
-    logged = file.record(record)
-    return Report.of(file.identify(logged), logged, name=file.name or "")

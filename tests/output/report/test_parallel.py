@@ -25,7 +25,7 @@ def test_an_error_is_raised_where_the_result_is_asked_for() -> None:
         raise RecordError("no such record")
 
     aside = Aside(fail)
-    with pytest.raises(RecordError, match="no such record"):
+    with pytest.raises(RecordError):
         aside.result()
 
 

@@ -35,9 +35,6 @@ SECTIONS = (
 )  # fmt: skip
 
 
-DOCS = Path(__file__).resolve().parents[3] / "docs"
-
-
 class Elements(HTMLParser):
     """The elements of a page, as a browser takes it apart."""
 
@@ -80,20 +77,6 @@ def test_a_refused_stiffness_of_a_short_record_is_told_too(stiff_axis: tuple[ji.
 
 
 @pytest.mark.slow
-def test_a_refused_stiffness_is_told_in_words_and_bounds(emps_path: Path) -> None:
-    told = reports.refused(emps_path)
-    text = reports.marked(told)
-    assert "Stiffness not determined by this record" in text
-    assert "at least" in text.split("## Parameters")[0]
-    assert "## Lower bound of the stiffness" in text
-    assert "bounds" in told.charts
-    assert set(SECTIONS) <= set(re.findall(r"^## (.*)$", text, re.MULTILINE))
-    assert "Not available: A frequency response needs every parameter" in text
-    html = told.html()
-    assert len(html.encode()) < 3_000_000
-
-
-@pytest.mark.slow
 def test_it_begins_with_the_answer() -> None:
     """Title with axis, date and tool, then the answer's line, as a box that says good or bad news."""
     told = replace(reports.flexible(), name="Axis 1", repetition=Repetition(date="2026-11-21"))
@@ -127,13 +110,6 @@ def test_the_section_on_the_loop_says_the_same_as_its_check() -> None:
     assert "The torque is about 2.0 times too large." in section
     assert "than declared" not in section.split("|")[0]
     assert "named above" not in section
-
-
-def test_the_appendix_names_suspects_in_words() -> None:
-    section = reports.marked(reports.rigid()).split("## Controller and log")[1].split("\n## ")[0]
-    assert "velocity gain" in section
-    assert not re.search(r"[a-z]_[a-z]", section)
-    assert "size of the logged torque" in section
 
 
 @pytest.mark.slow
@@ -173,18 +149,6 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     os.utime(record, (86400.0 * 366, 86400.0 * 366))
     assert repetition(joint, record, {}).date == "1971-01-02"
     assert repetition(joint, emps_path, {}).date == "2018-11-06"  # of its header, however it was copied
-
-
-def test_convergence_says_of_a_jump_what_is_true() -> None:
-    told = reports.rigid()
-    trace = told.estimate.fit.trace
-    down = [replace(line, residual_norm=10.0 - i) for i, line in enumerate(trace)]
-    up = [*down[:-1], replace(down[-1], residual_norm=20.0)]
-    for lines, jumps in ((down, False), (up, True)):
-        data = replace(told.data, estimate=amended(told.estimate, fit={"trace": tuple(lines)}))
-        caption = replace(told, data=data).charts["convergence"].caption
-        assert ("Where it jumps up" in caption) is jumps
-        assert "another start begins" not in caption
 
 
 @pytest.mark.slow
@@ -231,14 +195,6 @@ def test_the_summary_is_two_printed_pages_and_fits_a_phone(tmp_path: Path) -> No
             "while (n) { const next = n.nextElementSibling; n.remove(); n = next }"
         )
         assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", page.pdf(format="A4"))) <= 2
-
-
-def test_what_a_method_does_not_have_is_said() -> None:
-    text = reports.marked(reports.idim())
-    assert "Not available: Profiles are of DIDIM" in text
-    assert "Not available: A linear regression is solved in one step" in text
-    assert "## Controller and log" not in text
-    assert "## Controller and log" in reports.marked(reports.rigid())
 
 
 def test_the_three_frequencies_are_marked() -> None:
@@ -359,14 +315,6 @@ def test_a_page_needs_its_extra_before_anything_runs(tmp_path: Path, monkeypatch
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-def test_a_page_is_named_html(tmp_path: Path) -> None:
-    with pytest.raises(ji.RecordError):
-        reports.rigid().save(tmp_path / "page.pdf")
-    with pytest.raises(ji.RecordError):
-        reports.rigid().save(tmp_path / "none" / "page.html")
-
-
 def test_thinning_keeps_every_peak() -> None:
     rng = np.random.default_rng(0)
     x, y = np.arange(100_000.0), rng.standard_normal(100_000)
@@ -401,14 +349,6 @@ def test_a_long_record_says_what_is_left_out() -> None:
     longer = Report(replace(told.data, estimate=estimate, motion=None))
     assert f"of {many} samples are drawn" in longer.charts["torque"].caption
     assert "residual" not in longer.charts
-
-
-def test_every_key_of_the_answer_is_documented() -> None:
-    page = (DOCS / "answers.md").read_text(encoding="utf-8")
-    section = page.split("## `jointid.report/1`")[1].split("\n## ")[0]
-    answer = json.loads(reports.rigid().answer())
-    for key in (*answer, *answer["profiles"][0]):
-        assert key == "schema" or f"`{key}`" in section, key
 
 
 def test_side_and_direction_are_said_of_what_they_change() -> None:

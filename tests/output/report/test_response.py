@@ -62,5 +62,5 @@ def test_the_spectrum_of_white_noise_is_flat_and_of_the_right_size() -> None:
     inner = found.error[2:-2]
     assert np.mean(inner**2) == pytest.approx(1.0 / 500.0, rel=0.03)  # variance 1 over 500 Hz
     assert np.array_equal(found.error, found.measured)
-    with pytest.raises(ji.RecordError, match="longer record"):
+    with pytest.raises(ji.RecordError):
         estimate_spectra(noise[:20], noise[:20], 1e-3)

@@ -57,7 +57,7 @@ def test_the_data_sheet_says_in_which_sum_an_armature_is() -> None:
     law = ji.controller.PD(position_gain=50.0, derivative_gain=2.0, limit=9.0, delay=5e-4)
     estimate = identified(robot, records)
     first, _, last = (table.rows for table in data_sheets(estimate, [law] * 3))
-    with pytest.raises(ji.MethodError, match="as many controllers"):
+    with pytest.raises(ji.MethodError):
         list(data_sheets(estimate, [law] * 4))
     assert first[0] == ("armature", "-", "kg m2", "only in the sum Izz1")
     (armature,) = (row for row in last if row[0] == "armature")

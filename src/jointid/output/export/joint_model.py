@@ -26,7 +26,7 @@ from jointid.estimation.result.parts import EstimatedParameter, on_other_side
 from jointid.models.friction import Directions
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
-from jointid.models.springs import LinearSpring, Piece, Spring
+from jointid.models.springs import Piece, Spring
 from jointid.output.export.pd_law import PDLaw
 from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, Json
@@ -302,7 +302,6 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
 
 
 def _read(answer: Json, joint: Joint, name: str) -> JointModel:
-    usual = LinearSpring.name if isinstance(joint, FlexibleJoint) else None  # answers of 0.1 know no other
     declared = (
         joint.model,
         joint.kind,
@@ -313,7 +312,7 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         joint.spring_name,
     )
     stated = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
-    stated = (*stated, answer.get("ripple"), answer.get("spring", usual))
+    stated = (*stated, answer["ripple"], answer["spring"])
     if answer["schema"] != ESTIMATE_SCHEMA or stated != declared:
         raise ValueError
     found = answer["parameters"]
@@ -345,7 +344,7 @@ def _parameter(found: Mapping[str, Any], name: str, symbol: str, unit: str) -> E
         raise ValueError
     value, std, bound = (optional_number(found[key]) for key in ("value", "std", "lower_bound"))
     free, identifiable = bool(found["free"]), bool(found["identifiable"])
-    lacking = optional_number(found.get("lack_of_fit")) or 0.0  # files of older versions state none
+    lacking = optional_number(found["lack_of_fit"]) or 0.0
     return EstimatedParameter(name, symbol, unit, value, std, free, identifiable, bound, lack_of_fit=lacking)
 
 

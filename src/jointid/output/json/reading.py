@@ -157,7 +157,7 @@ def read_choices(path: str | Path) -> dict[str, str]:
 def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     """Return the answer in a file, whatever it is of: in JSON, or carried along by the page of a report.
 
-    Of a report it is its estimate. An estimate of several records or of a log before 0.3 has the keys of today.
+    Of a report it is its estimate.
 
     Raises:
         RecordError: the file cannot be read, or holds no JSON object; the sentence ends with the remedy.
@@ -183,28 +183,7 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
         answer = answer.get("estimate")
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
-    return _update(answer)
-
-
-def _update(answer: Json) -> Json:
-    """Return an estimate of several records or of a log, which had schemas of their own before 0.3, as one of today."""
-    schema = answer.get("schema")
-    if schema not in ("jointid.together/1", "jointid.long/1"):
-        return answer
-    several = schema == "jointid.together/1"
-    try:
-        records = answer["records"] if several else [answer["record"]]
-        record = {"torque_unit": answer.get("torque_unit")} | records[0] | {"torque_sha256": None}
-        record["name"] = ", ".join(str(one["name"]) for one in records)
-        filtering = records[0]["filtering"] if several else answer["filtering"]
-        worst = max(one["filtered_error_percent"] for one in records) if several else None
-    except (KeyError, TypeError, IndexError):
-        return answer
-    return {"controller_sha256": None, "verdicts": [], "filtered_error_percent": worst} | answer | {
-        "schema": ESTIMATE_SCHEMA, "method": "didim",
-        "variant": "DIDIM by least squares" if several else "DIDIM in windows", "record": record,
-        "filtering": filtering, "delay": 0.0, "relative_error_percent": None,
-    }  # fmt: skip
+    return answer
 
 
 def _fingerprints(answer: Json) -> tuple[str, ...]:
@@ -299,7 +278,7 @@ def _build_report(answer: Json, label: str) -> ReportedEstimate:
         settings,
         _share(answer["relative_error_percent"]),
         tuple(
-            _quantity(_RENAMED.get(name, name), "symbol", p, free=bool(p["free"]))
+            _quantity(name, "symbol", p, free=bool(p["free"]))
             for name, p in _every_parameter(answer).items()
             if not name.startswith("initial_")
         ),
@@ -352,17 +331,8 @@ def _name_of_sum(name: str, p: Mapping[str, Any]) -> str:
     return f"{name} with {', '.join(sorted(others))}" if others else name
 
 
-_RENAMED = {
-    "kp": "position_gain",
-    "kv": "velocity_gain",
-    "ki": "integral_gain",
-    "kd": "derivative_gain",
-}
-"""Names of the controller's numbers before 0.2."""
-
-
 def _of_both_sides(weights: Mapping[str, float]) -> bool:
-    """Return whether weights are the sum or difference of one quantity on both sides; files before 0.2 say no kind."""
+    """Return whether weights are the sum or difference of one quantity on both sides."""
     (first, one), *rest = weights.items()
     side, _, quantity = first.partition("_")
     return side == "motor" and one == 1.0 and len(rest) == 1 and rest[0] in {(f"load_{quantity}", w) for w in (1, -1)}
