@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterable, Mapping
 from decimal import ROUND_DOWN, Decimal
 
@@ -20,7 +19,7 @@ from jointid.paper.recomputed import (
     recompute_cells,
     sum_sides,
 )
-from jointid.paper.reproduce import ERRATA, Erratum
+from jointid.paper.reproduce import Erratum
 
 REGRESSOR_OF_2 = (
     ("a1", "v1", "sign(v1)", "-q2", "-v2", "0", "0", "0"),
@@ -303,17 +302,3 @@ RECOMPUTED: tuple[Erratum, ...] = (
         "Takes the covariance from the output sensitivities; the paper's formula serves in paper mode only, labelled.",
     ),
 )
-
-
-def format_errata() -> str:
-    """Format the findings as the sections of `docs/paper-errata.md`."""
-
-    def section(place: int, erratum: Erratum) -> str:
-        said = {"printed": erratum.printed, "recomputed": erratum.recomputed, "jointid": erratum.what_we_do}
-        lines = [
-            textwrap.fill(f"- **{who}:** {text}", 120, subsequent_indent="  ", break_on_hyphens=False)
-            for who, text in said.items()
-        ]
-        return "\n".join([f"## {place}. {erratum.item}", "", f"*{erratum.where}*", "", *lines, ""])
-
-    return "\n".join(section(place, erratum) for place, erratum in enumerate(ERRATA, 1))

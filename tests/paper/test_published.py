@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from decimal import ROUND_DOWN, Decimal
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -35,11 +34,9 @@ from tests.paper.errata_numbers import (
     compute_stiffness,
     find_largest_decimation,
     find_wrong_entries,
-    format_errata,
     stops,
 )
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "paper-errata.md"
 NAMES = [p.name for p in FlexibleJoint("prismatic").parameters][:-1]
 
 
@@ -299,8 +296,3 @@ def test_every_number_of_the_errata_follows_from_the_printed_ones() -> None:
 
 def test_there_is_one_erratum_for_every_finding() -> None:
     assert len(ERRATA) == len({erratum.item for erratum in ERRATA}) == 15
-
-
-def test_the_page_is_the_list() -> None:
-    """Write it anew with `tests.paper.errata_numbers.format_errata()` after the mark when this fails."""
-    assert PAGE.read_text(encoding="utf-8").partition("<!-- errata -->\n\n")[2] == format_errata()

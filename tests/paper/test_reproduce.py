@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.common.document import Document, Heading, Paragraph, Picture, Table
-from jointid.common.errors import RecordError
+from jointid.common.document import Table
 from jointid.common.matplotlib_backend import png
 from jointid.diagnostics.validation import Validation
 from jointid.output.figures import torque_chart
@@ -104,5 +103,3 @@ def test_the_report_has_every_table_printed_recomputed_and_run(run: Reproduction
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(run: Reproduction) -> None:
     assert html(report_reproduction(reproduce(seed=1), torque_png)) == html(report_reproduction(run, torque_png))
-
-

@@ -14,7 +14,7 @@ import numpy as np
 
 from jointid.campaigns.cases import Outcome, Row
 from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
-from jointid.campaigns.pictures import draw_matrix, plot_changes
+from jointid.campaigns.pictures import plot_changes
 from jointid.campaigns.sweep import sweep_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
@@ -90,7 +90,7 @@ class CampaignReport(Documented):
         return self._document(None if details else _SHOWN)
 
     def to_page(self) -> Document:
-        """The whole report with its pictures, quiet rows folded."""
+        """The whole report with its picture, quiet rows folded."""
         return self._document(None, pictures=True)
 
     def _document(self, most: int | None, *, pictures: bool = False) -> Document:
@@ -111,11 +111,7 @@ class CampaignReport(Documented):
         return Document(f"Campaign {self.name}", tuple(blocks))
 
     def _pictures(self) -> Iterator[Block]:
-        """Yield the matrix of joints and days, and the values that changed or were lost."""
-        if not self.rows:
-            return
-        yield Heading("Joints and days")
-        yield draw_matrix(self.rows, self.drifted, self.losses)
+        """Yield the values that changed or were lost."""
         if (shown := plot_changes(self.drifted, self.series, self.losses)) is not None:
             yield Heading("Values over the days")
             yield shown

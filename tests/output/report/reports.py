@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -61,5 +60,3 @@ def flexible() -> Report:
     axis = ji.twin()
     record = cut(axis.record.without("motor_position", "load_position"), 12.0)
     return ji.Report.of(ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0)), record, profiles=["stiffness"])
-
-

@@ -41,7 +41,7 @@ def campaign(
         again: also try again what was refused, failed or set aside.
         false_alarm: chance that any joint is named where none drifted, for all joints together.
         details: all rows of every table, rather than a screen of them.
-        html: also write the report as one HTML page, with pictures of joints, days and changes.
+        html: also write the report as one HTML page, with a picture of changes over the days.
         csv: also write the results as a table, a row for each case.
         quiet: say nothing of the progress.
     """
