@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import random
-import shlex
-import shutil
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -20,8 +16,8 @@ from jointid.campaigns.cases import Outcome
 from jointid.campaigns.engines import DaskCluster, LocalProcesses
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.store import open_store
-from jointid.common.errors import JointidError, MethodError, RecordError
-from tests.campaigns.dask_cluster import ROOT, Cluster
+from jointid.common.errors import JointidError, MethodError
+from tests.campaigns.dask_cluster import Cluster
 from tests.campaigns.work import POISON, cases, ends, results, run_all
 from tests.losses.runs import COUNT, SEED
 
@@ -87,58 +83,6 @@ def test_a_worker_of_another_version_refuses_its_cases(cluster: Cluster, log: Pa
     with open_store(tmp_path / "out") as store:
         ran = run_cases(lambda: cases(2, log), DaskCluster(cluster.address), store)
     assert ran.made[Outcome.REFUSED] == 2
-
-
-@pytest.mark.skipif(not shutil.which("openssl"), reason="a certificate")
-def test_a_cluster_of_ones_own_certificate_takes_cases(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The settings of the documentation; whoever has no certificate is not let in."""
-    made = "openssl req -x509 -newkey rsa:2048 -nodes -keyout mine.key -out mine.pem -days 2 -subj /CN=jointid"
-    subprocess.run(shlex.split(made), cwd=tmp_path, check=True, capture_output=True)
-    settings = {"ca-file": "mine.pem"}
-    for who in ("scheduler", "worker", "client"):
-        settings |= {f"{who}.cert": "mine.pem", f"{who}.key": "mine.key"}
-    settings = {f"distributed.comm.tls.{key}": str(tmp_path / name) for key, name in settings.items()}
-    for key, path in settings.items():
-        name = key.upper().replace(".", "__").replace("-", "_")
-        monkeypatch.setenv(f"DASK_{name}", path)
-    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "True")
-    dask = pytest.importorskip("dask")
-    with contextlib.ExitStack() as stack:
-        cluster = Cluster(tmp_path, stack, "tls://127.0.0.1:0")
-        cluster.add_worker()
-        with dask.config.set({**settings, "distributed.comm.require-encryption": True}):
-            ran = run_all(tmp_path / "out", log, 3, DaskCluster(cluster.address))
-        assert ran.made[Outcome.IDENTIFIED] == 3
-        monkeypatch.setattr("jointid.campaigns.engines._PATIENCE", 1.0)
-        with pytest.raises(MethodError):
-            run_all(tmp_path / "out", log, 4, DaskCluster(cluster.address.replace("tls", "tcp")))
-
-
-@pytest.mark.hostile
-def test_a_second_client_is_refused_and_goes_on_where_the_first_is_killed(
-    cluster: Cluster, log: Path, tmp_path: Path
-) -> None:
-    """Cases of the killed client may still be under way on the cluster; `JOINTID_ATTACKS=60` kills ten."""
-    dice, path = random.Random(f"clients{SEED}"), tmp_path / "out"
-    for _ in range(2):
-        cluster.add_worker()
-    for count in range(200, 200 * max(COUNT // 6, 1) + 1, 200):
-        program = ["-m", "tests.campaigns.work", str(path), str(log), str(count), cluster.address]
-        begin = len(ends(log))
-        with subprocess.Popen([sys.executable, *program], cwd=ROOT) as first:
-            while len(ends(log)) == begin:
-                time.sleep(0.01)
-            with pytest.raises(RecordError):
-                run_all(path, log, count, DaskCluster(cluster.address))
-            time.sleep(dice.uniform(0.0, 0.3))
-            assert first.poll() is None
-            first.kill()
-        kept, before = {row.content_hash for row in results(path, log, count)}, len(ends(log))
-        run_all(path, log, count, DaskCluster(cluster.address))
-        assert len(results(path, log, count)) == count, "a result was lost"
-        assert not kept & set(ends(log)[before:]), "a finished case was made again"
 
 
 @pytest.mark.hostile

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from jointid.campaigns import fleet
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Outcome, Row
 from jointid.campaigns.fleet import read_fleet_table
@@ -119,15 +118,6 @@ def test_faults_are_told_all_at_once_with_their_rows(place: Path, table: str, ro
     assert all(where in said for said, where in zip(caught.value.faults, rows, strict=True))
 
 
-def test_of_very_many_faults_twenty_are_said_and_a_row_is_named_five_times(place: Path) -> None:
-    with pytest.raises(JointFileError) as caught:
-        listed(place, "name,method.frequency\n" + "".join(f"a,x{n}\n" for n in range(30)))
-    assert len(caught.value.faults) == 21
-    assert caught.value.faults[-1] == "fleet.csv has 12 faults more; mend these first."
-    with pytest.raises(JointFileError, match=r"rows 2, 3, 4, 5, 6 and 25 more: method\.frequency"):
-        listed(place, "name,method.frequency\n" + "a,x\n" * 30)
-
-
 def test_one_number_out_of_its_bounds_among_many_is_named(place: Path) -> None:
     table = "name,record,filtering.cutoff\n" + "".join(f"a{n},../run.npy,{40 + n}\n" for n in range(50))
     assert len(listed(place, table)) == 50
@@ -151,19 +141,3 @@ def test_a_key_is_swept_or_in_the_table(place: Path) -> None:
     assert len(hashes(found)) == 4
     with pytest.raises(JointFileError, match=r"filtering\.cutoff"):
         listed(place, "name,filtering.cutoff\na,40\n", ALL + '[sweep]\n"filtering.cutoff" = [30]\n')
-
-
-def test_thousands_of_joints_need_one_joint_file_which_is_read_once(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    reads = []
-    read = fleet.read_text
-
-    def count(path: Path) -> str:
-        reads.append(path.name)
-        return read(path)
-
-    monkeypatch.setattr(fleet, "read_text", count)
-    table = "name,record,filtering.cutoff\n" + "".join(f"axis {n},../run.npy,{30 + n % 3}\n" for n in range(3000))
-    assert len(hashes(listed(place, table))) == 3000
-    assert reads.count("joint.toml") == 1

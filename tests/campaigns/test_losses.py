@@ -17,7 +17,6 @@ import pytest
 
 from jointid.campaigns.cases import Outcome, Row
 from jointid.campaigns.engines import LocalProcesses
-from jointid.campaigns.run import run_cases
 from jointid.campaigns.store import Store, open_store
 from jointid.common.errors import RecordError
 from tests.campaigns.conftest import FLEET
@@ -147,30 +146,6 @@ def wait_for_silence(log: Path) -> None:
         if len(ends(log)) == before:
             return
     pytest.fail("the workers of a killed client go on")
-
-
-@pytest.mark.hostile
-def test_workers_that_are_killed_at_random_moments_cost_no_result(path: Path, log: Path) -> None:
-    """`JOINTID_ATTACKS=100` kills that many; none of the cases is to blame, and none is set aside."""
-    count, dice, over = 200 * COUNT, random.Random(SEED), threading.Event()
-    kills = 0
-
-    def kill_some() -> None:
-        nonlocal kills
-        while kills < COUNT and not over.is_set():
-            time.sleep(dice.uniform(0.05, 0.5))
-            with contextlib.suppress(ProcessLookupError, IndexError):  # it has ended, or none has begun
-                os.kill(last_workers(log)[-1], signal.SIGKILL)
-                kills += 1
-
-    killer = threading.Thread(target=kill_some)
-    killer.start()
-    with open_store(path) as store:
-        ran = run_cases(lambda: cases(count, log), LocalProcesses(2), store, carry=carry)
-    over.set()
-    killer.join()
-    assert kills > COUNT // 2
-    assert ran.made[Outcome.IDENTIFIED] == ran.cases == count, "a case was blamed for what it did not do"
 
 
 @pytest.mark.hostile

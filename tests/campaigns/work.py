@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from jointid.campaigns.cases import Case, Found, Outcome, Row
-from jointid.campaigns.engines import DaskCluster, Engine, LocalProcesses
+from jointid.campaigns.engines import Engine, LocalProcesses
 from jointid.campaigns.run import Ran, run_cases
 from jointid.campaigns.store import open_store
 
@@ -60,9 +60,9 @@ def _lines(log: Path) -> list[str]:
     return log.read_text(encoding="utf-8").splitlines() if log.exists() else []
 
 
-def main(path: str, log: str, count: str, dask: str = "") -> None:
-    """Run a campaign, on a Dask cluster if one is named."""
-    run_all(Path(path), Path(log), int(count), DaskCluster(dask) if dask else LocalProcesses(2))
+def main(path: str, log: str, count: str) -> None:
+    """Run a campaign."""
+    run_all(Path(path), Path(log), int(count), LocalProcesses(2))
 
 
 if __name__ == "__main__":

@@ -56,33 +56,6 @@ HOSTILE = Document(
     ),
 )
 
-TEXT = """\
-a title
-read          torque
-
-the table
-symbol  value
--------------
-ZZ       94.9
-offset     -3
-
-checks
-fit                 yes   4 % remains
-whiteness           no    one,
-                          two
-loop                ?     -
-repeats             noted it is small
-
-a paragraph
-
-first
-second
-
-a program
-x = 1
-
-a picture"""
-
 
 class Tags(HTMLParser):
     def __init__(self, text: str) -> None:
@@ -92,10 +65,6 @@ class Tags(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.found.append(tag)
-
-
-def test_the_text_to_the_letter() -> None:
-    assert EVERY.text() == TEXT
 
 
 def test_html_makes_no_tag_of_a_text() -> None:
@@ -121,13 +90,3 @@ def test_facts_and_listings_that_hold_nothing_are_left_out() -> None:
     document = Document("Title", (Facts(()), Paragraph("Text."), Listing(())))
     assert document.blocks == (Paragraph("Text."),)
     assert document.text() == "Title\n\nText."
-
-
-def test_a_question_without_reasons_is_text_too() -> None:
-    assert Document("title", (Verdicts((("fit", True, ()),)),)).text().endswith("fit                 yes")
-
-
-def test_rows_that_say_nothing_in_what_goes_on_below_are_left_out_there() -> None:
-    rows = (("a", "1" * 30, ""), ("b", "2" * 30, "only with a"))
-    said = Document("", (Table(("symbol", "value", "remark"), rows, words=(0, 2)),)).text(40)
-    assert said.rstrip().split("\n\n")[-1].splitlines()[2:] == ["b       only with a"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from functools import cache
 from html.parser import HTMLParser
 from typing import Any
@@ -12,10 +11,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.controller_id.learned_controller import LearnedController
-from jointid.controller_id.structures import Structure
-from jointid.output.json import read_report
-from tests.learned_once import find_law
 from tests.output.report import reports
 
 
@@ -25,25 +20,6 @@ def results() -> dict[str, Any]:
     record, loop = reports.rigid_record(name=reports.EVIL)
     estimate = ji.identify(record, loop)
     return {"record": record, "estimate": estimate, "validation": ji.validate(estimate, record)}
-
-
-@cache
-def learned() -> LearnedController:
-    """As if the search, which takes long, had found the law of the record."""
-    record, _ = reports.rigid_record(name=reports.EVIL)
-    with pytest.MonkeyPatch.context() as patch:
-        find_law(patch, Structure(), {"position_gain": 40.0, "velocity_gain": 2.0})
-        return ji.learn_controller(record)
-
-
-@cache
-def tuned() -> Any:
-    return ji.tune(results()["estimate"])
-
-
-def change(tmp_path: Any) -> Any:
-    path = results()["estimate"].save(tmp_path / "a.json")
-    return ji.compare(read_report(path), read_report(path))
 
 
 class Tags(HTMLParser):
@@ -80,31 +56,6 @@ def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
     check(html, made.sentence)
     words = made.sentence.split("<")[0][:30]
     assert html.count(f"<p>{words}") == 1  # a title that is the answer is not said again
-
-
-@pytest.mark.parametrize("make", [pytest.param(learned, marks=pytest.mark.slow), tuned])
-def test_a_notebook_shows_what_takes_longer_to_make(make: Callable[[], Any]) -> None:
-    made = make()
-    html = made._repr_html_()
-    check(html, made.sentence)
-    assert made.to_document().title == made.sentence
-    assert "<table" in html
-    assert len(made.to_dataframe()) > 0
-
-
-def test_a_comparison_begins_with_whether_anything_changed(tmp_path: Any) -> None:
-    made = change(tmp_path)
-    check(made._repr_html_(), made.sentence)
-    assert made.sentence == made.to_document().title
-    assert made.sentence == "No difference can be tested, as both estimates share the errors of one record."
-    assert made.to_dataframe().loc["inertia", "difference"] == 0.0
-
-
-def test_the_report_shows_the_answer_and_the_parameters() -> None:
-    html = reports.rigid()._repr_html_()
-    check(html, str(reports.rigid().estimate.answer))
-    assert "Inertia" in html.split("</p>")[0]
-    assert len(repr(reports.rigid())) < 200
 
 
 def test_a_record_is_a_data_frame_over_time() -> None:

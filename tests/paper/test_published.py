@@ -292,7 +292,3 @@ def test_every_number_of_the_errata_follows_from_the_printed_ones() -> None:
     """The findings are data; what they state is computed here."""
     for stated, found in zip(ERRATA, RECOMPUTED, strict=True):
         assert stated == found
-
-
-def test_there_is_one_erratum_for_every_finding() -> None:
-    assert len(ERRATA) == len({erratum.item for erratum in ERRATA}) == 15

@@ -14,7 +14,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.output.report import Report
 from jointid.output.report.data_sheet import data_sheets
-from jointid.records.record import Channel, Record
+from jointid.records.record import Record
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.twin import arm, identified, records_of
 from tests.output.report import reports
@@ -67,19 +67,6 @@ def test_the_data_sheet_says_in_which_sum_an_armature_is() -> None:
         ("kp", "50.000", "N m/rad", "declared"), ("kd", "2.0000", "N m s/rad", "declared"),
         ("limit", "9.0000", "N m", "declared"), ("delay", "0.5", "ms", "declared"),
     )  # fmt: skip
-
-
-@pytest.mark.slow
-def test_the_next_test_of_a_robot_has_its_place() -> None:
-    robot, records = arm(), records_of(arm(), 2, noise=0.2)
-    told = Report.of(identified(robot, records), records)
-    positions = np.cumsum(np.full((400, len(robot)), 1e-3), axis=0)
-    motion = [Record(reference=Channel(q, "rad", 1e-2)) for q in positions.T]
-    design = ji.design(robot, motion=motion)
-    text = reports.marked(replace(told, design=design))
-    assert "## The next test\n" not in reports.marked(told)
-    assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")
-    assert "what the test reaches, of what is allowed" in text
 
 
 def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
