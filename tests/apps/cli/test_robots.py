@@ -209,9 +209,9 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("tune",),
         ("diagnose", "--laws"),
         ("validate",),
-        ("report", "--no-profiles", "--markdown", "page"),
-        ("report", "--no-tuning", "--markdown", "page"),
-        ("report", "--held-out", "nope.csv", "--markdown", "page"),
+        ("report", "--no-profiles", "--html", "page.html"),
+        ("report", "--no-tuning", "--html", "page.html"),
+        ("report", "--held-out", "nope.csv", "--html", "page.html"),
     ],
 )
 def test_what_a_robot_has_not_is_refused_before_it_identifies(

@@ -171,8 +171,8 @@ def test_the_same_estimate_gives_the_same_bytes_which_say_where_they_come_from(f
 @pytest.mark.parametrize(
     "words",
     [
-        ("a.pdf",), ("a.m", "--set", "export.timestep=1e-4"), ("a.xml", "--side", "motor"), ("nowhere/a.xml",), ("out.json",),
-        ("a.xml", "--format", "word"),
+        ("a.pdf",), ("a.m", "--set", "export.timestep=1e-4"), ("a.xml", "--side", "motor"), ("nowhere/a.xml",),
+        ("out.json",), ("a.xml", "--format", "word"),
     ],
 )  # fmt: skip
 def test_mistakes_are_refused(folder: Path, words: tuple[object, ...]) -> None:
