@@ -18,14 +18,10 @@ import jointid as ji
 from jointid.common.charts import decimate
 from jointid.common.document import inert
 from jointid.common.matplotlib_backend import svg
-from jointid.common.messages import Message
-from jointid.estimation.result.answer import consequence
 from jointid.output.figures.bokeh_backend import plot
 from jointid.output.report import repetition
-from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
-from tests.estimates import amended
 from tests.output.report import reports
 
 SECTIONS = (
@@ -61,20 +57,6 @@ def test_every_section_is_there(made: object) -> None:
     assert re.findall(r"^## (.*)$", text, re.MULTILINE)[:4] == list(SECTIONS[:4])
     assert set(SECTIONS) <= set(re.findall(r"^## (.*)$", text, re.MULTILINE))
     assert not re.search(r"\b(nan|None)\b", text)
-
-
-def test_a_check_that_fails_says_whether_the_value_may_be_used() -> None:
-    estimate = reports.rigid().estimate
-    for subject in Subject:
-        verdict = Verdict(subject, Status.FAILED, (Message(Reason.NOT_TESTED, "why"),))
-        bad = subject in (Subject.SOLVER, Subject.FIT, Subject.STIFFNESS)
-        assert said.startswith("Do not use" if bad else "The inertia may be used"), subject
-    moves = Message(Reason.LOOP_NOT_AS_DECLARED, "the delay is wrong", {"changes": {"inertia": 1.0}})
-    loop = Verdict(Subject.LOOP, Status.FAILED, (moves,))
-    moved = amended(estimate, checks={"verdicts": (loop,)})
-    assert consequence(moved, loop).startswith("Do not use the inertia before this is corrected")
-    assert "changes it by +1 N m" not in consequence(moved, loop)
-    assert f"+1.0 {estimate['inertia'].unit}" in consequence(moved, loop)
 
 
 @pytest.mark.slow
