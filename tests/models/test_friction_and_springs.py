@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.config import dumps, loads
 from jointid.config.contents import JointFile
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import Cascade
 from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, find_friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.models.linear import linear_joints
-from jointid.models.springs import SPRINGS, Backlash, ThreePieceSpring, find_spring
+from jointid.models.springs import SPRINGS, Backlash, ThreePieceSpring
 from jointid.output import json as answers
 from jointid.records.columns import Column
 from jointid.simulation.excitation import trapezoids
@@ -89,12 +87,6 @@ def test_its_bands_follow_each_other_without_a_step(law: Friction) -> None:
 
 
 @EVERY_LAW
-def test_a_moving_joint_is_linear_once_for_each_viscous_coefficient(law: Friction) -> None:
-    found = linear_joints(RigidJoint("prismatic", friction=law), [values_of(law)])
-    assert len(found.A) == 1 + law.depends_on_direction("viscous")
-
-
-@EVERY_LAW
 def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Friction, tmp_path: Path) -> None:
     joint, truth = RigidJoint("prismatic", friction=law), values_of(law)
     loop = ClosedLoop(joint, CASCADE)
@@ -142,9 +134,3 @@ def test_a_joint_file_names_the_laws_it_was_written_with(joint: Joint) -> None:
     if isinstance(joint, FlexibleJoint) and not joint.spring.linear:
         assert f'spring = "{joint.spring.name}"' in text
     assert loads(text).joint == joint
-
-
-def test_a_spring_is_found_by_its_name() -> None:
-    assert [find_spring(name) for name in SPRINGS] == [law() for law in SPRINGS.values()]
-    with pytest.raises(MethodError, match="use linear, two-piece"):
-        find_spring("quintic")

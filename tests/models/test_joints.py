@@ -5,15 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity, adjust_parameters
-from jointid.models.controllers import Cascade
-from jointid.models.friction import AsymmetricFriction, SymmetricFriction, find_friction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Motion
 from jointid.paper.twin import TABLE_2, TABLE_4
-from jointid.simulation.excitation import trapezoids
-from jointid.simulation.synthesis import simulated_record
 
 
 @pytest.mark.parametrize("friction", [SymmetricFriction(), AsymmetricFriction()])
@@ -29,24 +24,6 @@ def test_regressor_times_parameters_is_the_inverse_dynamics(friction: SymmetricF
     motion = Motion(np.zeros(200), velocity, acceleration)
     found = joint.regressor(motion)[0] @ np.array(list(values.values()))
     assert np.allclose(found, expected, rtol=1e-12, atol=1e-12)
-
-
-def test_what_the_simulation_balances_is_the_model() -> None:
-    """The torque of a simulated flexible joint at the motor equals (2) of the paper on its own states."""
-    joint = FlexibleJoint("prismatic")
-    loop = ClosedLoop(
-        joint, Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15)
-    )
-    reference = trapezoids((0.1,), 0.8, 0.05, 1e-4)
-    made = simulated_record(loop, reference, TABLE_2, sample_time=1e-4)
-    assert made.motor_position is not None
-    assert made.load_position is not None
-    q1, q12 = made.motor_position.values, made.load_position.values
-    v12, a12 = np.gradient(q12, 1e-4), np.gradient(np.gradient(q12, 1e-4), 1e-4)
-    steady = slice(400, 1200)
-    spring = TABLE_2["stiffness"] * (q12 - q1) + TABLE_2["damping"] * np.gradient(q12 - q1, 1e-4)
-    zero = TABLE_2["load_inertia"] * a12 + TABLE_2["load_viscous"] * v12 + TABLE_2["load_coulomb"] * np.sign(v12)
-    assert np.max(np.abs(zero + spring)[steady]) < 0.02 * np.max(np.abs(spring))
 
 
 def test_units_follow_the_kind_and_the_torque() -> None:
@@ -81,20 +58,3 @@ def test_the_sums_of_the_tables() -> None:
     assert FlexibleJoint.rigid_sums(TABLE_4) == pytest.approx(
         {"inertia": 115.1, "viscous": 205.0, "coulomb": 20.0, "offset": -3.16}
     )
-
-
-def test_the_offset_is_fixed_beside_asymmetric_friction() -> None:
-    offset = RigidJoint("prismatic", friction=AsymmetricFriction()).parameters[-1]
-    assert (offset.name, offset.free, offset.start) == ("offset", False, 0.0)
-
-
-def test_a_friction_that_is_not_known_is_refused() -> None:
-    with pytest.raises(MethodError, match=r'Friction "dahl" is not known; use symmetric, asymmetric, .*, presliding'):
-        find_friction("dahl")
-
-
-def test_adjusting_a_parameter_that_is_not_there_lists_those_that_are() -> None:
-    with pytest.raises(MethodError, match="No parameter is called stiffness; this model has inertia, viscous"):
-        adjust_parameters(
-            RigidJoint("prismatic").parameters, {"stiffness": Parameter("stiffness", "K12", Quantity.STIFFNESS)}
-        )

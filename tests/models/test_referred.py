@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.models.controllers import (
     INJECTED,
     PD,
@@ -19,7 +18,6 @@ from jointid.models.controllers import (
     Controller,
     FirstOrder,
     StateSpaceController,
-    numbers_of,
     run,
 )
 from jointid.models.joints import ClosedLoop, FlexibleJoint
@@ -108,10 +106,3 @@ def test_a_loop_moves_alike_on_both_sides(controller: Controller, ratio: float, 
     scale = float(np.max(np.abs(plain.torque)))
     np.testing.assert_allclose(turned.torque / ratio, plain.torque, atol=1e-8 * scale, rtol=0)
     assert turned.at_limit == pytest.approx(plain.at_limit)
-
-
-def test_a_ratio_is_no_number_that_is_freed() -> None:
-    assert "ratio" not in numbers_of(replace(LAWS["PID"], ratio=3.0))  # type: ignore[type-var]
-    for wrong in (0.0, np.inf, np.nan):
-        with pytest.raises(MethodError, match=r"ratio is \S+; expected a number other than 0"):
-            PD(position_gain=1.0, derivative_gain=1.0, ratio=wrong)

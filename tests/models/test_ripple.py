@@ -95,12 +95,6 @@ def test_it_is_identified_from_torque_and_reference_written_and_read_back(
         answers.load_estimate(path, RigidJoint("prismatic", ripple=PositionHarmonics(0.03)))
 
 
-def test_a_fixed_point_does_not_take_one(rippled: tuple[ji.Record, ji.ClosedLoop]) -> None:
-    record, loop = rippled
-    with pytest.raises(MethodError, match=r"takes a joint without a ripple; .* set method.form"):
-        ji.identify(record, loop, ji.DIDIM.paper())
-
-
 def test_what_holds_a_joint_holds_it_on_its_ripple() -> None:
     axis = ji.twin()
     loop = ji.ClosedLoop(RigidJoint("prismatic", ripple=RIPPLE), axis.loop.controller)

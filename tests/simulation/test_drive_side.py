@@ -41,15 +41,6 @@ def test_four_parts_of_a_sample_are_enough(coulomb: float) -> None:
     assert errors[2] / errors[PARTS] == pytest.approx(4, rel=0.2)
 
 
-def test_making_up_for_the_hold_pays(monkeypatch: pytest.MonkeyPatch) -> None:
-    exact = torque_of(prescribed_motion(wave(), T, 64), dict(TABLE_2), 64)
-    motion = prescribed_motion(wave(), T)
-    better = np.linalg.norm(torque_of(motion, dict(TABLE_2), PARTS) - exact)
-    plain = property(lambda m: (m.mean_position, np.diff(m.position) / m.step))
-    monkeypatch.setattr(PrescribedMotion, "pushes", plain)
-    assert np.linalg.norm(torque_of(motion, dict(TABLE_2), PARTS) - exact) > 10 * better
-
-
 @pytest.mark.slow
 def test_a_frictionless_load_is_that_of_an_adaptive_integrator() -> None:
     from scipy.integrate import solve_ivp

@@ -151,15 +151,3 @@ def test_what_cannot_be_simulated_is_said() -> None:
         found = run_drive_side(motion, other)
         assert found.outcome is outcome
         assert not np.any(found.torque)
-
-
-def test_the_speed_of_rising_friction_is_no_friction() -> None:
-    """A rise of almost nothing changes no torque, whatever the speed below which it acts."""
-    twin = two((10.0, 14.0))
-    run = played(twin, 1.0)
-    joints = tuple(replace(joint, stribeck_force=1e-12, stribeck_speed=0.5) for joint in twin.robot.joints)
-    torques = [
-        run_drive_side(prescribed(robot, run, parts=4), RobotNumbers.of(robot)).torque
-        for robot in (twin.robot, replace(twin.robot, joints=joints))
-    ]
-    np.testing.assert_allclose(torques[1], torques[0], atol=1e-9 * np.abs(torques[0]).max())
