@@ -118,9 +118,10 @@ class Served:
             connection.close()
 
     def send(self, raw: bytes) -> bytes:
-        """Send bytes as they are and no more, and return all that comes back."""
+        """Send bytes as they are and no more, and return all that comes back; half a request is answered by nothing."""
         got = b""
-        with self.connect() as made, contextlib.suppress(ConnectionError):  # it was cut off, which is an answer
+        with self.connect() as made, contextlib.suppress(ConnectionError, TimeoutError):  # cut off, which is an answer
+            made.settimeout(5.0)
             made.sendall(raw)
             while part := made.recv(65536):
                 got += part

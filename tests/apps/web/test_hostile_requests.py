@@ -10,7 +10,6 @@ from urllib.parse import quote
 
 import pytest
 
-from jointid.apps.web import application as serving
 from jointid.apps.web.folder import Limits
 from tests.apps.web.asking import MULTIPART, TOKEN, Served, parts
 from tests.drawing import draw_some
@@ -254,7 +253,7 @@ def attacks() -> Iterator[bytes]:
 
 @pytest.fixture
 def limits() -> Limits:
-    return Limits(upload=2_000_000, joint_file=20_000, idle=1.0)
+    return Limits(upload=2_000_000, joint_file=20_000)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open
@@ -264,9 +263,7 @@ def test_no_request_brings_the_page_down_or_has_it_tell_what_it_should_not(
     log: bytes,
     caplog: pytest.LogCaptureFixture,
     capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(serving, "_HEADER_TIME", 1.0)
     (folder.parent / "secret.txt").write_text(SECRET)
     assert served.ask("POST", "/record", parts(log), MULTIPART)[0] == 303
     sent = list(attacks())

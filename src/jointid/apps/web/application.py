@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import h11
 import uvicorn
 from starlette.applications import Starlette
 from starlette.convertors import IntegerConvertor, register_url_convertor
@@ -24,6 +25,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from jointid.apps.web import pages, routes
 from jointid.apps.web.folder import LOOPBACK, Limits, refusal_of
@@ -179,10 +181,24 @@ _CONNECTIONS = 200  # more are refused
 _OWNER_ALONE = 0o077
 
 
+class _Protocol(H11Protocol):
+    """HTTP in which a request that turns out to be none ends its connection, whatever was answered of it."""
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP; for whoever already answers the beginning of it, the visitor has gone."""
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
+        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
+            super().send_400_response(msg)
+        else:
+            self.transport.close()
+
+
 def run(application: Starlette, listening: socket.socket) -> None:
     """Serve the page on a socket that listens, until it is interrupted; nobody else may read what it writes."""
     config = uvicorn.Config(
-        application, http="h11", ws="none", limit_concurrency=_CONNECTIONS, log_level="warning",
+        application, http=_Protocol, ws="none", limit_concurrency=_CONNECTIONS, log_level="warning",
         timeout_graceful_shutdown=_GRACE, server_header=False,
     )  # fmt: skip
     before = os.umask(_OWNER_ALONE)
