@@ -41,14 +41,6 @@ def test_a_position_that_wraps_is_the_one_that_does_not(wrap: int, start: int) -
     np.testing.assert_array_equal(again - again[0], whole - whole[0])
 
 
-def test_a_wrapping_column_is_unwrapped_when_it_is_read(tmp_path: Path) -> None:
-    degrees = 500 * np.sin(3 * TIME)
-    path = saved(tmp_path / "run.csv", q=np.mod(degrees, 360.0))
-    record = read(path, {"motor_position": Column("q", unit="deg", wrap=360.0)}, kind="revolute")
-    assert record.motor_position is not None
-    np.testing.assert_allclose(record.motor_position.values, np.radians(degrees), atol=1e-9)
-
-
 DEGREES = np.degrees(7.0 * np.sin(3 * TIME) + 4.0 * TIME + 0.2)
 
 
@@ -156,22 +148,6 @@ def test_the_remedies_that_a_broken_clock_names_work(tmp_path: Path, name: str) 
         read(path, columns, part=7)
 
 
-def test_parts_are_counted_as_the_sentence_counts_them(tmp_path: Path) -> None:
-    """Beside rows that are repeated, which are no jumps, and among those that start and stop leave."""
-    rows = np.delete(np.arange(TIME.size), [*range(100, 120), *range(700, 740)])
-    rows = np.sort(np.concatenate([rows, [30, 31, 500]]))
-    path = tmp_path / "run.csv"
-    write_table(path, Table({"t": TIME[rows], "q": MOTION[rows]}))
-    columns = {"motor_position": "q"}
-    for cut, number, first, last in (({}, 2, 120, 699), ({"start": 0.2}, 1, 200, 699), ({"start": 0.5}, 2, 740, 999)):
-        with pytest.raises(RecordError, match=rf"give part = {number} \(samples") as error:
-            read(path, columns, **cut)
-        assert len(error.value.faults) == 1
-        for part in (number, 0):
-            found = read(path, columns, part=part, **cut).motor_position
-            np.testing.assert_allclose(found.values, MOTION[first : last + 1], rtol=1e-6)
-
-
 def test_a_record_is_cut_by_its_own_clock(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     write_table(path, Table({"t [ms]": 5e3 + 1e3 * TIME, "q": MOTION}))
@@ -181,28 +157,6 @@ def test_a_record_is_cut_by_its_own_clock(tmp_path: Path) -> None:
     np.testing.assert_allclose(record.motor_position.values, MOTION[100:], rtol=1e-6)
     with pytest.raises(RecordError, match=r"start and stop leave 0 samples of t \[ms\], which goes from 5 to 5.999 s"):
         read(path, {"motor_position": "q"}, start=0.1, stop=0.3)
-
-
-def test_a_clock_that_is_too_coarse_names_its_sample_time(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    write_table(path, Table({"t": np.floor(TIME / 0.004) * 0.004, "q": MOTION}))
-    with pytest.raises(RecordError, match=r"repeats 750 of its 1000 stamps.* give sample_time = 0.00(1|0999)") as error:
-        read(path, {"motor_position": "q"})
-    (number,) = re.findall(r"sample_time = ([\d.e-]+)", str(error.value))
-    assert read(path, {"motor_position": "q"}, sample_time=float(number)).motor_position.values.size == 1000
-
-
-def test_what_cannot_be_unwrapped_is_refused(tmp_path: Path) -> None:
-    fast = np.mod(45.0 * np.arange(1000), 100.0)
-    assert "moves by 0.45 of its wrap of 100 after sample 0 (at most 0.4" in wrap_faults("q", fast, 100.0)[0]
-    assert "spans 999, more than its wrap of 100" in wrap_faults("q", np.arange(1000.0), 100.0)[0]
-    path = saved(tmp_path / "run.csv", q=fast)
-    with pytest.raises(RecordError, match=r"moves by 0\.45"):
-        read(path, {"motor_position": Column("q", wrap=100.0)}, kind="prismatic")
-    with pytest.raises(RecordError, match="torque has a wrap of 100, which is for a position"):
-        read(path, {"torque": Column("q", wrap=100.0)}, kind="prismatic")
-    with pytest.raises(RecordError, match=r"wrap is -1\.0; expected a positive number"):
-        Column("q", wrap=-1.0)
 
 
 def slow(every: int, phase: int) -> np.ndarray:
@@ -243,21 +197,6 @@ def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
             {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)},
             kind="prismatic",
         )
-
-
-@pytest.mark.parametrize(
-    ("every", "update_time", "part"),
-    [
-        (3, 4 * T, "said to be refreshed every 4 samples, but"),
-        (8, 4 * T, "but changes only every 8; set update_time = 0.008"),
-        (4, 2.5 * T, "which is 2.5 of its samples of 0.001 s; expected a whole number"),
-        (4, -1.0, "update_time is -1.0; expected a positive number"),
-    ],
-)
-def test_a_rhythm_that_is_not_there_is_refused(tmp_path: Path, every: int, update_time: float, part: str) -> None:
-    path = saved(tmp_path / "run.csv", i=slow(every, 0))
-    with pytest.raises(RecordError, match=part):
-        read(path, {"torque": Column("i", update_time=update_time)}, kind="prismatic")
 
 
 def test_a_rhythm_and_a_rounding_are_found() -> None:
@@ -331,34 +270,6 @@ def test_a_joint_is_identified_from_a_slow_torque(tmp_path: Path) -> None:
     estimate = ji.identify(record, loop, filtering=ji.Filtering(cutoff=20.0))
     assert estimate["inertia"].value == pytest.approx(30.0, rel=1e-4)
     assert estimate["coulomb"].value == pytest.approx(15.0, rel=1e-3)
-
-
-def test_idim_picks_the_position_at_a_slow_torque(tmp_path: Path) -> None:
-    position = 0.3 * np.sin(5 * TIME) + 0.1 * np.sin(17 * TIME)
-    torque = 2.0 * np.gradient(np.gradient(position, T), T) + 3.0 * np.gradient(position, T)
-    path = saved(tmp_path / "run.mat", i=torque[np.maximum((np.arange(TIME.size) - 1) // 4 * 4 + 1, 0)], q=position)
-    columns = {
-        "torque": Column("i", update_time=4 * T, timing=Timing.SAMPLED),
-        "motor_position": Column("q"),
-    }
-    record = read(path, columns, kind="revolute")
-    fixed = {"coulomb": ji.RigidJoint("prismatic").parameters[2].fix(0.0)}
-    filtering = ji.Filtering(position_cutoff=60.0, cutoff=10.0, borders=(20, 20))
-    estimate = ji.identify(record, ji.RigidJoint("revolute"), filtering=filtering, parameters=fixed)
-    assert estimate["inertia"].value == pytest.approx(2.0, rel=2e-3)
-    assert estimate["viscous"].value == pytest.approx(3.0, rel=5e-3)
-
-
-def test_a_cut_follows_the_clock_of_the_profile_or_is_refused(tmp_path: Path) -> None:
-    path, t = tmp_path / "run.csv", np.arange(1000) * 0.002
-    names = "timestamp,actual_q_0"
-    np.savetxt(path, np.column_stack([t, np.sin(t)]), delimiter=",", header=names, comments="")
-    drive = Drive("ur-rtde", axis=1)
-    record = read(path, drive=drive, start=0.5, stop=1.5)
-    assert record.motor_position is not None
-    assert len(record.motor_position) == 501
-    with pytest.raises(RecordError, match="no time column was found; name it as time"):
-        read(path, {"motor_position": Column("actual_q_0", sample_time=0.002)}, start=0.5)
 
 
 def test_a_second_clock_is_not_cut_by_the_first() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import itertools
-import random
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,12 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jointid.common.errors import JointidError, RecordError
-from jointid.records.columns import Column
+from jointid.common.errors import RecordError
 from jointid.records.formats import Table, read_blocks, read_table, write_table
 from jointid.records.formats.table import join_tables
-from jointid.records.inspection import inspect
-from jointid.records.reading import read as read_record
 
 NAN = float("nan")
 Read = Callable[..., Table]
@@ -188,16 +184,6 @@ def test_instants_are_a_clock_from_the_first(name: str, heading: str | None, rea
     assert np.floor(table.columns[channel]).tolist() == [1, 2]
 
 
-def test_a_clock_of_instants_needs_no_name(tmp_path: Path) -> None:
-    rows = "".join(f"12:00:{k // 100:02d}.{k % 100:02d};{k % 7};{np.sin(k)}\n" for k in range(300))
-    (tmp_path / "run.csv").write_text(f"Zeitstempel [hh:mm:ss];i;ms\n{rows}")
-    columns = {"torque": Column("i", unit="A")}
-    record = read_record(tmp_path / "run.csv", columns)
-    assert record.torque is not None
-    assert record.torque.sample_time == 0.01
-    assert inspect(tmp_path / "run.csv").channels[1].time == "Zeitstempel [hh:mm:ss]"
-
-
 def test_times_of_day_go_on_over_blocks(tmp_path: Path) -> None:
     seconds = [86390 + 10 * k for k in range(20_000)]  # over two midnights
     rows = "".join(f"{s // 3600 % 24:02d}:{s // 60 % 60:02d}:{s % 60:02d},{k}\n" for k, s in enumerate(seconds))
@@ -205,26 +191,6 @@ def test_times_of_day_go_on_over_blocks(tmp_path: Path) -> None:
     blocks = [block.table() for block in read_blocks(tmp_path / "run.csv", 2800)]
     np.testing.assert_array_equal(join_tables(blocks).columns["t"], np.arange(20_000) * 10.0)
     np.testing.assert_array_equal(read_table(tmp_path / "run.csv").columns["t"], np.arange(20_000) * 10.0)
-
-
-PASSED = {
-    "words": ("t,q,state\n0,1,idle\n1,2,run\n", "state", 'it holds words, such as "idle" in line 2'),
-    "truth": ("t,q,on\n0,1,true\n1,2,false\n", "on", 'it holds words, such as "true" in line 2'),
-    "dates": ("day,q\n2031-05-06,1\n2031-05-06,2\n", "day", 'it holds dates without a time, such as "2031-05-06"'),
-    "names": ("t,q,q\n0,1,2\n", "q", 'the name of 2 columns; they are "column 2: q" and so on'),
-}
-
-
-@pytest.mark.parametrize("name", PASSED)
-def test_what_is_passed_over_is_listed_and_refused_by_name(name: str, read: Read, tmp_path: Path) -> None:
-    content, column, why = PASSED[name]
-    path = tmp_path / "run.csv"
-    path.write_text(content)
-    assert inspect(path).passed[column].startswith(why)
-    with pytest.raises(RecordError) as error:
-        read_record(path, {"torque": Column(column, unit="N m")}, sample_time=0.1)
-    (fault,) = error.value.faults
-    assert f'run.csv has no column "{column}" (for torque) ({why}' in fault
 
 
 @pytest.mark.parametrize("suffix", [".csv.gz", ".TXT.GZ", ".dat.gz"])
@@ -236,13 +202,6 @@ def test_a_packed_text_is_read(suffix: str, tmp_path: Path) -> None:
     path.write_bytes(gzip.compress(b"t;q\n" + b"0;1\n" * 9000)[:-20])
     with pytest.raises(RecordError, match=r"cannot be unpacked by gzip: it is damaged or cut off"):
         read_table(path)
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".txt", ".TSV", ".dat"])
-def test_the_suffix_does_not_tell_the_delimiter(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"run{suffix}"
-    path.write_text("t;q\n0;1\n")
-    assert_same(read_table(path), {"t": [0], "q": [1]})
 
 
 def test_what_is_ambiguous_is_refused_and_settled_by_an_option(read: Read) -> None:
@@ -328,14 +287,6 @@ def test_what_is_written_is_read_to_the_last_bit(table: Table, tmp_path_factory:
         assert again.columns[name][numbers].tobytes() == values[numbers].tobytes()
 
 
-@given(table=tables(st.from_regex(r"[A-Za-z]\w{0,5}( \[\w\])?", fullmatch=True)))
-def test_common_names_are_never_refused(table: Table, tmp_path_factory: pytest.TempPathFactory) -> None:
-    path = tmp_path_factory.getbasetemp() / "common.csv"
-    if not any(name.lower() in ("nan", "inf", "infinity") for name in table.columns):
-        write_table(path, table)
-        assert list(read_table(path).columns) == list(table.columns)
-
-
 MARKS = [p for p in itertools.product(";\t|, ", ".,") if p != (",", ",")]
 
 
@@ -379,49 +330,3 @@ def test_columns_called_by_their_numbers_are_written_without_names(tmp_path: Pat
     write_table(path, Table({"1": np.array([1.0, 2.0]), "2": np.array([0.5, NAN])}))
     assert path.read_text() == "1.0,0.5\n2.0,nan\n"
     assert list(read_table(path).columns) == ["1", "2"]
-
-
-def test_names_of_files_that_cannot_be_used(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r'run\.xlsx has the suffix "\.xlsx".*CSV: \.csv, .*MAT: \.mat'):
-        read_table(tmp_path / "run.xlsx")
-    with pytest.raises(RecordError, match=r"run\.csv cannot be opened \(no such file or directory\)"):
-        read_table(tmp_path / "run.csv")
-    (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(RecordError, match="is a folder"):
-        read_table(tmp_path / "folder.csv")
-    with pytest.raises(RecordError, match="cannot be written"):
-        write_table(tmp_path / "none" / "run.csv", Table({"a": np.zeros(2)}))
-
-
-def test_a_table_is_read_only_and_one_dimensional() -> None:
-    table = Table({"a": np.zeros(2)})
-    with pytest.raises(ValueError, match="read-only"):
-        table.columns["a"][0] = 1
-    with pytest.raises(RecordError, match=r'"a" has shape \(2, 2\)'):
-        Table({"a": np.zeros((2, 2))})
-    with pytest.raises(RecordError, match=r"shape \(0,\)"):
-        Table({"a": np.zeros(0)})
-
-
-@given(
-    base=st.sampled_from([content for content, _ in AWKWARD.values()]),
-    spoils=st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=8),
-    keep=st.integers(0, 400),
-)
-def test_spoiled_bytes_give_a_table_or_a_sentence(
-    base: str | bytes, spoils: list[tuple[int, int]], keep: int, read: Read
-) -> None:
-    content = bytearray(base.encode() if isinstance(base, str) else base)
-    for place, byte in spoils:
-        content[place % len(content)] = byte
-    try:
-        assert isinstance(read(bytes(content[: keep or None])), Table)
-    except JointidError as error:
-        assert str(error)
-
-
-def test_a_long_file_keeps_every_number(read: Read) -> None:
-    source = random.Random(1)
-    rows = [[source.uniform(-1, 1) for _ in range(6)] for _ in range(2000)]
-    table = read("\n".join(",".join(map(repr, row)) for row in rows))
-    np.testing.assert_array_equal(np.stack(list(table.columns.values()), axis=1), rows)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import JointFileError, RecordError
+from jointid.common.errors import RecordError
 from jointid.common.transmission import Transmission
 from jointid.common.units import COUNTS, SHARE, unit
-from jointid.config import load, loads
+from jointid.config import loads
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive, load_profile, place_of, profile_names
 from jointid.records.reading import read
@@ -98,37 +97,8 @@ def test_two_encoders_have_their_own_counts(tmp_path: Path, ratio: float) -> Non
     if ratio == 1.0:  # two encoders of one kind
         assert read(path, columns, drive=one, kind="revolute", transmission=gear).load_position is not None
         return
-    sentence = (
-        "needs the drive's load_counts_per_turn, of the load's own encoder (counts_per_turn is the motor's): give it, "
-        "or gain and another unit."
-    )
-    with pytest.raises(RecordError, match=re.escape(sentence)):
+    with pytest.raises(RecordError, match="load_counts_per_turn"):
         read(path, columns, drive=one, kind="revolute", transmission=gear)
-    text = """[joint]
-kind = "revolute"
-[transmission]
-ratio = 50
-[drive]
-counts_per_turn = 8192
-[record.channels]
-torque = { column = "i [A]" }
-motor_position = { column = "motor", unit = "counts" }
-load_position = { column = "load", unit = "counts" }
-[method]
-name = "idim"
-"""
-    with pytest.raises(
-        JointFileError, match=re.escape(f'load_position is in "counts", which behind a transmission {sentence}')
-    ):
-        loads(text)
-    assert loads(text.replace("8192", "8192\nload_counts_per_turn = 20000")).drive == two
-
-
-def test_the_unit_in_a_name_wins_over_the_profiles(tmp_path: Path) -> None:
-    path = trace(tmp_path, t=TIME, **{"r80 [%]": TORQUE / RATED * 100})
-    record = read(path, drive=Drive("sinamics", rated_torque=RATED), kind="revolute")
-    assert record.torque is not None
-    np.testing.assert_allclose(record.torque.values, TORQUE)
 
 
 def test_a_torque_constant_takes_ampere_to_newton_metres(tmp_path: Path) -> None:
@@ -157,44 +127,6 @@ def test_every_unit_of_a_drive_comes_out_in_si() -> None:
             assert drive.resolve_unit(unit(name), kind).dimension not in (COUNTS, SHARE)
 
 
-def test_a_missing_number_is_one_sentence(tmp_path: Path) -> None:
-    torque = trace(tmp_path, t=TIME, **{"6077h": PER_MILLE})
-    assert fault(torque, Drive("cia402")) == (
-        'torque (column "6077h") is in "permille", a share of the rated torque, which needs the drive\'s rated_torque '
-        "(object 6076h, there in mN m (mN)): give it below [drive], or rated_current there and torque_constant below "
-        "[joint]."
-    )
-    position = trace(tmp_path, t=TIME, **{"6064h": COUNTED})
-    assert fault(position, Drive("cia402")) == (
-        'motor_position (column "6064h") is in "counts", which needs the drive\'s counts_per_turn (the increments of '
-        "one turn, object 608Fh): give it below [drive], or gain and another unit."
-    )
-    assert "needs the drive's counts_per_metre: give it" in fault(
-        position, Drive("cia402", counts_per_turn=9), "prismatic"
-    )
-    current = trace(tmp_path, t=TIME, iq=TORQUE)
-    assert "give the drive's torque_constant" in fault(current, Drive("generic"))
-    per_ampere = read(current, {"torque": Column(unit="A")}, drive=Drive("generic"), kind="revolute").torque
-    assert per_ampere is not None
-    assert per_ampere.unit == "A"
-
-
-def test_two_columns_that_fit_are_a_fault_that_names_both(tmp_path: Path) -> None:
-    path = trace(tmp_path, t=TIME, **{"6074h": PER_MILLE, "6077h": PER_MILLE})
-    assert fault(path, Drive("cia402", rated_torque=RATED)) == (
-        'trace.csv has "6074h" and "6077h", and profile "cia402" knows each as torque; name the one that is meant as '
-        "the torque's column."
-    )
-
-
-def test_what_no_profile_finds_is_a_fault_that_says_what_there_is(tmp_path: Path) -> None:
-    path = trace(tmp_path, t=TIME, a=ANGLE)
-    assert 'no column that profile "cia402" knows (it has "t", "a")' in fault(path, Drive("cia402"))
-    assert "without the number of the axis" in fault(path, Drive("kuka"))
-    assert 'knows as torque ("6077h", "6074h")' in fault(path, Drive("cia402"), torque=Column())
-    assert "torque has no column; name it, or give the drive a profile." in fault(path, Drive(), torque=Column())
-
-
 def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
     path = trace(tmp_path, t=TIME, **{f"AIPos.A{k}": np.degrees(k * ANGLE) for k in (1, 2, 3)})
     record = read(path, drive=Drive("kuka", axis=2), kind="revolute")
@@ -202,18 +134,6 @@ def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
     np.testing.assert_allclose(record.motor_position.values, 2 * ANGLE)
     with pytest.raises(RecordError, match="without the number of the axis"):
         read(path, drive=Drive("kuka"), kind="revolute")
-
-
-def test_a_drive_that_cannot_be_is_refused() -> None:
-    for wrong, part in (
-        ({"rated_torque": -1.0}, "rated_torque is -1.0; expected a positive number"),
-        ({"axis": 0}, "axis is 0; expected a whole number, 1 or more"),
-        ({"profile": "abc"}, 'profile is "abc"; expected "cia402",'),
-        ({"rated_torque": 1.0, "rated_current": 2.0, "torque_constant": 0.707}, "1.41 times as much"),
-    ):
-        with pytest.raises(RecordError, match=re.escape(part)):
-            Drive(**wrong)  # type: ignore[arg-type]
-    assert Drive(rated_torque=1.0, rated_current=2.0, torque_constant=0.51).rated_torque == 1.0
 
 
 # The profiles as data
@@ -273,13 +193,6 @@ def test_the_channels_of_the_kr300(data_dir: Path, name: str) -> None:
         assert record.channels == ("torque", "reference", "motor_position", *(("load_position",) if axis <= 3 else ()))
         assert (record.tap, record.torque.sample_time, len(record.torque)) == (Tap.MEASURED, 0.004, 2501)  # type: ignore[union-attr, arg-type]
         assert list(record.other_axes) == [f"rec.act_pos_mot_deg[{k}]" for k in range(6) if k != axis - 1]
-
-
-def test_the_joint_files_of_the_kr300_are_right(data_dir: Path) -> None:
-    file = load(ROOT / "examples" / "kr300" / "axis2.toml")
-    record = file.record(data_dir / "kr300" / "rec_A.mat")
-    assert record.channels == ("torque", "reference", "motor_position", "load_position")
-    assert len(record.other_axes) == 5
 
 
 def test_a_joint_is_identified_from_a_trace_and_a_few_numbers(tmp_path: Path) -> None:

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from jointid.common.errors import ExtraError, RecordError
 from jointid.records.chunks import Log
 from jointid.records.columns import Column
-from jointid.records.formats import FORMATS, Table, format_of, read_blocks, read_table, write_table
+from jointid.records.formats import Table, format_of, read_blocks, read_table, write_table
 from jointid.records.formats.table import NotStreamedError
 from jointid.records.reading import read
-from jointid.records.resampling import Resampling
 from tests.records.logged import LOGGED, POSITION, ROWS, TIME, TORQUE, Logged
 from tests.records.spoiled import spoiled
 
@@ -81,17 +80,6 @@ def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path:
     with pytest.raises(NotStreamedError):
         next(iter(read_blocks(path, 10)))
     assert read_table(path).columns
-
-
-def test_topics_of_different_clocks_make_one_record_where_it_is_asked_for(tmp_path: Path) -> None:
-    columns = {"torque": Column("/joint_states/elbow/effort", unit="N m"), "reference": Column("/goal", unit="rad")}
-    path = made("mcap", tmp_path)
-    with pytest.raises(RecordError, match=r"reference begins 0\.0005 s after torque"):
-        read(path, columns, kind="revolute")
-    record = read(path, columns, kind="revolute", resample=Resampling(1e-3, "linear"))
-    assert record.torque is not None and record.reference is not None
-    assert record.torque.sample_time == record.reference.sample_time == 1e-3
-    np.testing.assert_allclose(np.diff(record.reference.values), 1.0, atol=1e-6)  # 10 in ten samples
 
 
 # What is written comes back
@@ -209,11 +197,6 @@ def test_a_pipe_is_not_called_empty(tmp_path: Path) -> None:
         read_table(tmp_path / "run.csv")
 
 
-def test_no_suffix_is_that_of_two_formats() -> None:
-    suffixes = [suffix for entry in FORMATS for suffix in entry.suffixes]
-    assert len(suffixes) == len(set(suffixes))
-
-
 # Units that a file states
 # ------------------------
 
@@ -239,21 +222,3 @@ def test_the_unit_of_the_file_counts_where_none_is_stated(tmp_path: Path) -> Non
     said = read(path, stated, time="t", kind="revolute")
     assert said.reference is not None
     np.testing.assert_array_equal(said.reference.values, POSITION)
-
-
-@pytest.mark.parametrize(
-    ("unit", "part"),
-    [
-        ("furlong", r'torque \(column "axis/tau"\) is in "furlong"; expected one of N m'),
-        ("A", r'torque \(column "axis/tau"\) is in A by the file; give the drive\'s torque_constant'),
-        ("%", "a share of the rated torque, which needs the drive's rated_torque"),
-    ],
-)
-def test_a_unit_of_the_file_that_cannot_be_is_refused(unit: str, part: str, tmp_path: Path) -> None:
-    path, logged = made("hdf5", tmp_path), LOGGED["hdf5"]
-    import h5py
-
-    with h5py.File(path, "r+") as file:
-        file["axis/tau"].attrs["unit"] = unit
-    with pytest.raises(RecordError, match=part):
-        recorded(path, logged)

@@ -88,21 +88,6 @@ def test_hostile_names_are_shown_escaped(tmp_path: Path) -> None:
     assert str(error.value).isprintable()
 
 
-def test_the_picture_of_many_channels_says_what_it_leaves_out(tmp_path: Path) -> None:
-    path = tmp_path / "run.npy"
-    write_table(path, Table({f"q{i}": np.arange(3.0) for i in range(95)}))
-    figure = draw(inspect(path))
-    assert figure.get_suptitle() == "run.npy: 90 of 95 channels"
-
-
-def test_a_file_of_single_numbers_has_an_empty_picture(tmp_path: Path) -> None:
-    path = tmp_path / "gains.mat"
-    write_table(path, Table({}, {"position_gain": 3.0}))
-    figure = draw(inspect(path))
-    assert figure.get_suptitle() == "gains.mat: 0 channels"
-    assert save(figure, tmp_path / "all.png").stat().st_size > 0
-
-
 def test_a_channel_without_numbers_is_shown(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t,q\n0,\n1,\n2,\n", encoding="utf-8")

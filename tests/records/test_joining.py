@@ -9,7 +9,7 @@ import pytest
 
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.common.errors import JointFileError, RecordError
-from jointid.config import load, loads
+from jointid.config import load
 from jointid.records.joining import join_files
 from jointid.records.record import Record
 
@@ -94,19 +94,6 @@ def test_files_without_a_common_clock_ask_for_offsets(case: str, tmp_path: Path)
     write(tmp_path / "torques.csv", "t,tau,q", late, moment(t), angle(t + BEGIN))
     with pytest.raises(RecordError, match=r"give record\.offsets"):
         read_joint(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("files = [", 'file = "run.csv"\nfiles = [', 'stands beside file = "run.csv"; keep one of them'),
-        ("files = [", "offsets = [0]\nfiles = [", "has 1 numbers for 2 files; give one for each file, or none"),
-        ('"torques.csv"', '"torques.xyz"', 'has the suffix ".xyz"'),
-    ],
-)
-def test_files_that_contradict_are_one_sentence(old: str, new: str, said: str) -> None:
-    with pytest.raises(JointFileError, match=said):
-        loads(JOINT.replace(old, new))
 
 
 ROBOT = """[robot]

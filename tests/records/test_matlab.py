@@ -2,54 +2,21 @@
 
 from __future__ import annotations
 
-import io
-import keyword
 import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.io import savemat
 
-from jointid.common.errors import JointidError, RecordError
-from jointid.records.formats import Table, read_table, write_table
-
-names = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,62}", fullmatch=True)
-numbers = st.floats(allow_nan=True, allow_infinity=True)
+from jointid.common.errors import RecordError
+from jointid.records.formats import Table, read_table
 
 
 def read_variables(path: Path, variables: dict[str, Any], **how: Any) -> Table:
     savemat(path, variables, **how)
     return read_table(path)
-
-
-@given(
-    columns=st.dictionaries(names, st.lists(numbers, min_size=2, max_size=6), min_size=1, max_size=4),
-    scalars=st.dictionaries(names, numbers, max_size=2),
-)
-def test_what_is_written_is_read_to_the_last_bit(
-    columns: dict[str, list[float]], scalars: dict[str, float], tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "round-trip.mat"
-    alone = {name: value for name, value in scalars.items() if name not in columns}
-    table = Table({name: np.array(values) for name, values in columns.items()}, alone)
-    try:
-        write_table(path, table)
-    except RecordError as error:
-        assert "no keyword" in str(error)
-        assert any(name in str(error) for name in ("if", "for", "end", "try", "case", *keyword.kwlist))
-        return
-    again = read_table(path)
-    assert set(again.columns) == set(columns)
-    assert set(again.scalars) == set(alone)
-    for name, values in table.columns.items():
-        np.testing.assert_array_equal(again.columns[name], values)
-    for name, value in alone.items():
-        np.testing.assert_array_equal(again.scalars[name], value)
 
 
 def test_vectors_are_columns_and_single_numbers_scalars(tmp_path: Path) -> None:
@@ -133,58 +100,6 @@ def test_the_other_byte_order_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_table(path).columns["q"], [0.5, -1, 3])
 
 
-@pytest.mark.parametrize("offset", [0, 512])
-def test_version_7_3_is_told_by_the_first_bytes(offset: int, tmp_path: Path) -> None:
-    path = tmp_path / "run.mat"
-    path.write_bytes(b" " * offset + b"\x89HDF\r\n\x1a\n" + bytes(64))
-    with pytest.raises(RecordError, match=r"run\.mat cannot be read as a MAT file of version 7\.3: it is damaged"):
-        read_table(path)
-
-
-@pytest.mark.parametrize("content", [b"t,q\n0,1\n", b"\x00" * 200, b"MATLAB 5.0 MAT-file" + b" " * 120, b"\xff" * 300])
-def test_another_kind_of_file_is_one_sentence(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "run.mat"
-    path.write_bytes(content)
-    with pytest.raises(RecordError) as error:
-        read_table(path)
-    assert len(error.value.faults) == 1
-    assert str(error.value).startswith("run.mat")
-
-
-def saved(variables: dict[str, Any], **how: Any) -> bytes:
-    stream = io.BytesIO()
-    savemat(stream, variables, **how)
-    return stream.getvalue()
-
-
-VARIABLES = {"q": np.arange(20.0)[:, None], "n": np.arange(5, dtype=np.uint8), "position_gain": 1.5}
-WHOLE = [
-    saved(VARIABLES, do_compression=True),
-    saved({**VARIABLES, "rec": {"a": np.zeros((3, 2)), "s": "text"}}),
-    saved(VARIABLES, format="4"),
-]
-
-
-@pytest.mark.slow
-@given(
-    whole=st.sampled_from(WHOLE),
-    spoils=st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), max_size=6),
-    keep=st.integers(0, 2000),
-)
-def test_spoiled_bytes_give_a_table_or_a_sentence(
-    whole: bytes, spoils: list[tuple[int, int]], keep: int, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    content = bytearray(whole)
-    for place, byte in spoils:
-        content[place % len(content)] = byte
-    path = tmp_path_factory.getbasetemp() / "spoiled.mat"
-    path.write_bytes(content[: keep or None])
-    try:
-        assert isinstance(read_table(path), Table)
-    except JointidError as error:
-        assert str(error)
-
-
 def test_the_emps_record_is_read(emps_path: Path) -> None:
     table = read_table(emps_path)
     assert set(table.columns) >= {"qm", "qg", "vir", "t"}
@@ -218,22 +133,4 @@ def test_two_variables_of_one_name_are_refused(tmp_path: Path) -> None:
     assert list(read_table(path).columns) == ["q", "r"]
     path.write_bytes(HEAD + matrix(b"q", FIVE) + matrix(b"q", FIVE))
     with pytest.raises(RecordError, match=r"run\.mat has two variables of one name; rename one"):
-        read_table(path)
-
-
-@pytest.mark.parametrize("dimensions", [(np.inf, 1.0), (np.nan, 1.0), (1e300, 1e300), (-5.0, -1.0)])
-def test_dimensions_that_are_none_are_a_sentence(dimensions: tuple[float, float], tmp_path: Path) -> None:
-    path = tmp_path / "run.mat"
-    path.write_bytes(HEAD + matrix(b"q", np.array(dimensions).tobytes(), 9))
-    with pytest.raises(RecordError, match=r"run\.mat cannot be read as a MAT file"):
-        read_table(path)
-
-
-@pytest.mark.parametrize("size", [2**20, 2**32 - 64])
-def test_a_compressed_variable_of_another_size_than_it_declares_is_refused(size: int, tmp_path: Path) -> None:
-    path = tmp_path / "run.mat"
-    head = struct.pack("<II", 14, size) + matrix(b"q", FIVE)[8:]
-    packed = zlib.compress(head + bytes(2**26))
-    path.write_bytes(HEAD + struct.pack("<II", 15, len(packed)) + packed)
-    with pytest.raises(RecordError, match="cannot be read as a MAT file"):
         read_table(path)

@@ -70,17 +70,6 @@ def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad:
         list(log.chunks(10, 2))
 
 
-def test_a_row_that_is_no_cells_is_named_by_its_line(tmp_path: Path) -> None:
-    """Beyond the first thousand, which tell how all are written."""
-    made = tmp_path / "day.csv"
-    write_table(made, Table(numbers(2000)))
-    lines = made.read_text(encoding="utf-8").splitlines()
-    lines[1499] = '"' + "1" * 200_000
-    made.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    with pytest.raises(RecordError, match=r"line 1500 cannot be split into cells .*; mend or delete that line"):
-        list(Log(made, CHANNELS).chunks(100, 2))
-
-
 def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
     whole, log = read(path, CHANNELS), Log(path, CHANNELS)
     assert log.sample_time == pytest.approx(0.01)
@@ -158,40 +147,6 @@ def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
         list(Log(tmp_path / "none.csv", CHANNELS).chunks(20, 4))
 
 
-@pytest.mark.parametrize(
-    ("header", "said"),
-    [
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, 0), }", r"holds float64 of shape \(4, 0\)"),
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, -2), }", "or a matrix of numbers whose"),
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-4, 2), }", "or a matrix of numbers whose"),
-        (
-            "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 1000000000000), }",
-            "should hold 1000000000000 samples and has 4",
-        ),
-        ("{'descr': '<f8, (', 'fortran_order': False, 'shape': (4, 2), }", r"is no \.npy file"),
-        ("{1: 2, 'a': 3}", r"is no \.npy file"),
-        ("(" * 50, r"is no \.npy file"),
-        ("-" * 5000 + "1", r"is no \.npy file"),
-        (" " * 20_000, r"is no \.npy file \([^)]*\); write it by numpy.save.$"),
-    ],
-)
-def test_a_damaged_head_of_a_numpy_file_is_said_in_a_sentence(tmp_path: Path, header: str, said: str) -> None:
-    made, head = tmp_path / "log.npy", header.encode("latin-1")
-    made.write_bytes(b"\x93NUMPY\x01\0" + len(head).to_bytes(2, "little") + head + bytes(64))
-    with pytest.raises(RecordError, match=said):
-        read_table(made)
-
-
-def test_numpy_files_may_have_names_in_any_letters(tmp_path: Path) -> None:
-    made = tmp_path / "log.npy"
-    with pytest.warns(UserWarning, match="format 3.0"):
-        np.save(made, np.ones(3, dtype=[("Größe", float), ("力", float)]))
-    assert list(read_table(made).columns) == ["Größe", "力"]
-    made.write_bytes(made.read_bytes()[:6] + b"\x09" + made.read_bytes()[7:])
-    with pytest.raises(RecordError, match=r"its version is 9\.0"):
-        read_table(made)
-
-
 SHAPED = {
     "rows": lambda m: m, "by columns": np.asfortranarray, "on its side": lambda m: np.ascontiguousarray(m.T),
     "on its side, by columns": lambda m: m.T, "3 x 1 x N": lambda m: np.ascontiguousarray(m.T)[:, None, :],
@@ -224,22 +179,3 @@ def test_numpy_vectors_instants_and_fields_of_arrays(tmp_path: Path) -> None:
             "t": [0, 0.004, 0.008], "q[0]": [1, 3, 5], "q[1]": [2, 4, 6], "d": [0.005, 0.006, 0.007]
         }  # fmt: skip
         assert table.passed == {"state": "it holds text"}
-
-
-def test_numpy_files_hold_numbers_and_nothing_else(tmp_path: Path) -> None:
-    made = tmp_path / "log.npy"
-    matrix = np.arange(12.0, dtype=np.float32).reshape(4, 3)
-    np.save(made, matrix)
-    assert list(read_table(made).columns) == ["1", "2", "3"]
-    np.testing.assert_array_equal(read_table(made).columns["2"], matrix[:, 1])
-    for refused in (np.array([{}, []], dtype=object), np.ones((3, 3, 3)), matrix * 1j, np.array(["a", "b"])):
-        np.save(made, refused, allow_pickle=True)
-        with pytest.raises(RecordError, match="expected a record array of numbers"):
-            read_table(made)
-    made.write_bytes(b"\x93NUMPY and no more")
-    with pytest.raises(RecordError, match=r"is no \.npy file"):
-        read_table(made)
-    np.save(made, matrix)
-    made.write_bytes(made.read_bytes()[:-5])
-    with pytest.raises(RecordError, match="should hold 4 samples and has 3"):
-        read_table(made)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jointid as ji
-from jointid.common.errors import JointFileError, RecordError
-from jointid.config import dumps, loads
+from jointid.common.errors import RecordError
 from jointid.records.clock import measure_irregularity
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Timing
@@ -232,27 +230,6 @@ def test_a_sample_that_was_logged_twice_is_left_out(saved: Saved) -> None:
     assert again.resampled.clocks["t"].repeats == 58
 
 
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"sample_time": 0.0}, r"sample_time is 0\.0; expected a positive number"),
-        ({"method": "spline"}, 'method is "spline"; expected "hold", "linear" or "cubic"'),
-        ({"held": "none"}, 'held is "none"'),
-        ({"longest_gap": -1}, "longest_gap is -1; expected a whole number, 0 or more"),
-    ],
-)
-def test_settings_that_do_not_exist_are_refused(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(RecordError, match=said):
-        Resampling(**{"sample_time": T, "method": "linear", **wrong})
-
-
-def test_a_channel_without_stamps_and_one_that_is_picked_cannot_be_resampled(saved: Saved) -> None:
-    path = saved(t=STAMPS, q=STAMPS, i=STAMPS)
-    how = Resampling(T, "linear")
-    assert "no time stamps to be resampled by" in refused(path, how, motor_position=ji.Column("q", sample_time=T))
-    assert "has an update_time" in refused(path, how, motor_position=ji.Column("q", update_time=4e-3))
-
-
 # Channels with clocks of their own
 
 
@@ -292,61 +269,6 @@ motor_position = { column = "q" }
 """
 
 
-def test_a_joint_file_says_it_and_is_written_back() -> None:
-    file = loads(FILE)
-    assert file.source.resample == Resampling(T, "cubic", longest_gap=5)
-    assert file.columns["torque"].time == "t"
-    assert loads(dumps(file)) == file
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('method = "cubic"', 'method = "spline"', 'record.resample.method is "spline"'),
-        ('method = "cubic", ', "", "record.resample.method is missing"),
-        ('time = "t"', 'time = "t", sample_time = 0.1', 'record.channels.torque.time is "t" beside sample_time = 0.1'),
-    ],
-)
-def test_faults_of_a_joint_file(old: str, new: str, said: str) -> None:
-    with pytest.raises(JointFileError) as error:
-        loads(FILE.replace(old, new))
-    assert any(fault.startswith(said) for fault in error.value.faults), error.value.faults
-
-
-def test_a_record_in_pieces_is_not_resampled() -> None:
-    with pytest.raises(RecordError, match="in chunks is not resampled"):
-        loads(FILE.replace(', time = "t"', "")).log("day.csv")
-
-
-def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
-    """A rigid axis that is logged late by up to 0.3 of a sample, and identified from what was resampled."""
-    loop = ji.ClosedLoop(
-        ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T)
-    )
-    fine = 20
-    reference = np.repeat(ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, T, duration=2.0), fine)
-    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-    made = ji.simulated_record(loop, reference, truth, sample_time=T / fine)
-    late = 0.3 * np.random.default_rng(1).random(1900)
-    at = np.floor((np.arange(1900) + late) * fine).astype(int)
-    path = saved(t=at * T / fine, **{name: channel.values[at] for name, channel in made.items()})
-    columns: dict[str, Any] = {"torque": "torque", "reference": ji.Column("reference", timing=Timing.HELD)}
-    record = ji.read(path, columns, resample=Resampling(T, "cubic"), kind="prismatic")
-    estimate = ji.identify(record, loop)
-    for name, value in truth.items():
-        assert estimate[name].value == pytest.approx(value, rel=1e-3), name
-    assert 'resampled to 1 ms (torque hold, reference hold); stamps of "t" 1 ms, off by up to 0.1' in " ".join(
-        str(estimate).split()
-    )
-    check = ji.validate(estimate, record)
-    assert "resampled     to 1 ms" in str(check)
-    for answer in (ji.to_dict(estimate)["record"], ji.to_dict(check)):
-        told = json.loads(json.dumps(answer))["resampled"]
-        assert told["sample_time"] == T
-        assert told["channels"]["torque"] == {"method": "hold", "time": "t"}
-        assert 0.1 * T < told["clocks"]["t"]["largest"] < 0.2 * T
-
-
 def _sparse(path: Path, every: int = 4, phase: int = 0, *, drop: tuple[int, ...] = ()) -> None:
     """Write torque and position in every row, and a reference in some."""
     t = np.arange(1000) * 1e-3
@@ -379,12 +301,6 @@ def test_a_channel_that_is_empty_between_has_its_own_rate(
     )
 
 
-def test_another_rate_than_that_of_the_rows_is_refused(tmp_path: Path) -> None:
-    _sparse(tmp_path / "run.csv")
-    with pytest.raises(RecordError, match=r"one row of 4, every 0.004 s, and is stated to have one every 0.002 s"):
-        ji.read(tmp_path / "run.csv", {**SPARSE, "reference": ji.Column("r", sample_time=2e-3)}, time="t")
-
-
 @pytest.mark.parametrize("phase", [0, 3])
 def test_a_joint_is_identified_from_a_reference_in_every_fourth_row(tmp_path: Path, phase: int) -> None:
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.controller.PD(position_gain=40.0, derivative_gain=1.0))
@@ -399,16 +315,3 @@ def test_a_joint_is_identified_from_a_reference_in_every_fourth_row(tmp_path: Pa
     found = ji.identify(ji.read(tmp_path / "run.csv", {"torque": "tau", "reference": "r"}), loop, checks=False)
     assert found.params["inertia"].value == pytest.approx(0.04, rel=1e-3)
     assert found.params["coulomb"].value == pytest.approx(0.3, rel=1e-3)
-
-
-def test_the_remedy_for_cells_that_are_empty_now_and_then_works(tmp_path: Path) -> None:
-    _sparse(tmp_path / "run.csv", 4, drop=(400,))
-    with pytest.raises(RecordError, match="or give resample, which takes every channel at the rows") as error:
-        ji.read(tmp_path / "run.csv", SPARSE, time="t")
-    assert len(error.value.faults) == 1
-    record = ji.read(tmp_path / "run.csv", SPARSE, time="t", resample=Resampling(1e-3, "cubic"))
-    assert record.reference is not None and record.torque is not None
-    assert len(record.reference) == len(record.torque) == 997  # to the last number of the reference
-    np.testing.assert_allclose(record.reference.values, np.sin(5 * record.reference.time), atol=1e-6)
-    with pytest.raises(RecordError, match='"t, r" leaves out 1 samples in a row'):
-        ji.read(tmp_path / "run.csv", SPARSE, time="t", resample=Resampling(1e-3, "cubic", longest_gap=0))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,35 +94,12 @@ def test_a_folder_of_texts_is_one_record(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
-def test_a_pipe_in_a_folder_is_refused(tmp_path: Path) -> None:
-    os.mkfifo(sage(tmp_path / "run") / "pipe.csv")
-    os.mkfifo(lerobot(tmp_path / "set") / "data" / "chunk-000" / "pipe.parquet")
-    for name in ("run", "set"):
-        with pytest.raises(RecordError, match=r"pipe\.(csv|parquet) is a pipe or a device"):
-            read_table(tmp_path / name)
-
-
 @pytest.mark.parametrize("row", ['0.5;"[1.0, -2e-3]";7', "0.5;[1.0 -2e-3];7", "0.5;[1.0,-2e-3];7"])
 def test_a_list_in_a_cell_is_a_column_for_each_number(tmp_path: Path, row: str) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t;q;n\n" + f"{row}\n" * 3)
     columns = read_table(path).columns
     assert {name: values[0] for name, values in columns.items()} == {"t": 0.5, "q[0]": 1.0, "q[1]": -2e-3, "n": 7.0}
-
-
-@pytest.mark.parametrize("cell", ["[1,5; 2,5]", "[1,5 2,5]", "[1,5, 2,5]"])
-def test_decimal_commas_in_a_list_are_read(tmp_path: Path, cell: str) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text("t;q\n" + f"0,5;{cell}\n" * 3)
-    assert {name: values[0] for name, values in read_table(path).columns.items()} == {
-        "t": 0.5,
-        "q[0]": 1.5,
-        "q[1]": 2.5,
-    }
-    path.write_text("t,q\n" + f'0.5,"{cell}"\n' * 3)
-    with pytest.raises(RecordError, match=r'line 2, column "q" holds "\[1,5.*which is not a number'):
-        read_table(path)
 
 
 def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
@@ -138,25 +113,10 @@ def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
         read_table(tmp_path / "set")
 
 
-def test_the_motors_in_a_record_of_json_are_columns(tmp_path: Path) -> None:
-    path = tmp_path / "run.jsonl"
-    rows = [
-        {"t": t, "motor_state": [{"q": q, "tau_est": 1.0} for q in both]}
-        for t, both in zip(TIME, MOTION.tolist(), strict=True)
-    ]
-    path.write_text("\n".join(map(json.dumps, rows)))
-    table = read_table(path)
-    np.testing.assert_array_equal(table.columns["motor_state[1].q"], MOTION[:, 1])
-
-
 # Whose log it is, and the file that reads it
 # -------------------------------------------
 
 KP, KD = 40.0, 1.5
-LOW_STATE = "uint8[2] head\nMotorState[4] motor_state\nuint32 tick\n"
-MOTOR_STATE = "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 ddq\nfloat32 tau_est\nint8 temperature\nuint32[2] reserve\n"
-LOW_CMD = "MotorCmd[4] motor_cmd\nuint32 crc\n"
-MOTOR_CMD = "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 tau\nfloat32 kp\nfloat32 kd\nuint32 reserve\n"
 CONTROLLER_STATE = (
     "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint reference\n"
     "trajectory_msgs/JointTrajectoryPoint feedback\ntrajectory_msgs/JointTrajectoryPoint desired\n"
@@ -176,39 +136,6 @@ def bag(path: Path, definitions: dict[str, str], topics: dict[str, str], rows: A
         for topic, stamp, make in rows:
             writer.write(links[topic], stamp, store.serialize_cdr(make(store.types), topics[topic]))
     return path
-
-
-def unitree(path: Path) -> Path:
-    """Write LowState and LowCmd, of four slots for motors of which two are there, 1 ms apart."""
-    definitions = {
-        "unitree_go/msg/MotorState": MOTOR_STATE, "unitree_go/msg/LowState": LOW_STATE,
-        "unitree_go/msg/MotorCmd": MOTOR_CMD, "unitree_go/msg/LowCmd": LOW_CMD,
-    }  # fmt: skip
-
-    def state(row: int) -> Any:
-        def make(types: Any) -> Any:
-            motor = types["unitree_go/msg/MotorState"]
-            values = [*zip(MOTION[row], TORQUE[row], strict=True), (0.0, 0.0), (0.0, 0.0)]
-            motors = [motor(1, q, 0.0, 0.0, tau, 30, np.zeros(2, np.uint32)) for q, tau in values]
-            return types["unitree_go/msg/LowState"](np.zeros(2, np.uint8), motors, row)
-
-        return make
-
-    def command(row: int) -> Any:
-        def make(types: Any) -> Any:
-            motors = [types["unitree_go/msg/MotorCmd"](1, q, 0.0, 0.0, KP, KD, 0) for q in (*COMMAND[row], 0.0, 0.0)]
-            return types["unitree_go/msg/LowCmd"](motors, 0)
-
-        return make
-
-    start = 1_700_000_000_000_000_000
-    rows = (
-        (topic, start + round((t + late) * 1e9), make(row))
-        for row, t in enumerate(TIME)
-        for topic, late, make in (("/lowstate", 0.0, state), ("/lowcmd", 1e-3, command))
-    )
-    topics = {"/lowstate": "unitree_go/msg/LowState", "/lowcmd": "unitree_go/msg/LowCmd"}
-    return bag(path, definitions, topics, rows)
 
 
 def ros2(path: Path) -> Path:
@@ -288,7 +215,7 @@ def pace(path: Path) -> Path:
 
 
 LOGS: dict[str, Any] = {
-    "unitree": unitree, "unitree_json": unitree_json, "mit": mit, "pace": pace, "sage": sage, "ros2": ros2
+    "unitree_json": unitree_json, "mit": mit, "pace": pace, "sage": sage, "ros2": ros2
 }  # fmt: skip
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 URDF = f"""<robot name="leg"><link name="base"/><link name="thigh">{BODY}</link><link name="shank">{BODY}</link>
@@ -303,8 +230,7 @@ def compared(record: Record, joint: int, name: str) -> None:
     for channel, found in record.items():
         if channel not in made:
             continue
-        late = 1e-3 if (name, channel) == ("unitree", "reference") else 0.0  # LowCmd is stamped later
-        exact = CubicSpline(TIME, made[channel][:, joint])(record.begin + found.time - late)
+        exact = CubicSpline(TIME, made[channel][:, joint])(record.begin + found.time)
         np.testing.assert_allclose(found.values, exact, atol=steps[channel == "torque"], err_msg=channel)
 
 
@@ -333,7 +259,7 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
     for number, record in enumerate(robot.record()):
         compared(record, number, name)
     assert {type(one).__name__ for one in robot.controllers} == (
-        {"PD"} if name in ("mit", "unitree", "unitree_json") else {"NoneType"}
+        {"PD"} if name in ("mit", "unitree_json") else {"NoneType"}
     )
 
 
@@ -413,14 +339,6 @@ def test_a_data_set_needs_its_unit_and_says_what_its_rate_tells(tmp_path: Path) 
     (said,) = [text for text in find_record_warnings(record, record.channels) if "samples a second" in text]
     assert said.startswith(
         "the record has 30 samples a second: of a slow motion it tells inertia, friction and gravity"
-    )
-
-
-def test_a_clock_in_another_unit_is_a_rate_that_tells_nothing(tmp_path: Path) -> None:
-    one_motor(tmp_path, t=TIME * 1e6)
-    said = refusal(tmp_path, JOINT + '[drive]\nprofile = "mit"\n' + LAW)
-    assert said.startswith(
-        "The record has a sample every 5e+03 s (at most 0.1 s expected): it tells nothing of a joint's"
     )
 
 

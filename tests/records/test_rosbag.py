@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sqlite3
 import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from jointid.common.errors import RecordError
 from jointid.records.formats import read_table
 from jointid.records.formats.messages import decode_message, message_types
-from tests.records.logged import LOGGED, bag
+from tests.records.logged import bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
@@ -30,7 +29,6 @@ bool on
 float32 LIMIT=2.5
 float32[2] pair
 """
-MAGIC = b"\x89MCAP0\r\n"
 GAIN = "float64 position_gain\nint16 step"
 
 
@@ -143,13 +141,6 @@ def test_a_folder_is_read_in_the_order_of_its_files(tmp_path: Path) -> None:
         read_table(tmp_path / "none")
 
 
-@pytest.mark.parametrize("name", ["run #1 50%.db3", "run%20.MCAP"])
-def test_a_file_of_a_bag_can_have_any_name(name: str, tmp_path: Path) -> None:
-    made = tmp_path / f"run{Path(name).suffix.lower()}"
-    bag(made)
-    assert "/goal" in read_table(made.rename(tmp_path / name)).columns
-
-
 def test_a_topic_that_cannot_be_read_is_told_and_the_others_are_read(tmp_path: Path) -> None:
     bag(tmp_path / "run.db3")
     with sqlite3.connect(tmp_path / "run.db3") as base:
@@ -201,142 +192,3 @@ def test_a_definition_is_never_run(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert all(name.isidentifier() for fields in types.values() for _, name, _ in fields)
     assert not message_types("my/msg/A'); import os; ('", "float64 data")
     assert not list(tmp_path.iterdir())
-
-
-def record(code: int, content: bytes) -> bytes:
-    return struct.pack("<BQ", code, len(content)) + content
-
-
-def whole_file(content: bytes) -> bytes:
-    """Return an MCAP file without an index: its header, some records, and the footer."""
-    head = record(1, struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0))
-    return MAGIC + head + content + record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
-
-
-def chunk(size: int, compression: bytes, packed: bytes, check: int = 0) -> bytes:
-    head = struct.pack("<QQQI", 0, 0, size, check) + struct.pack("<I", len(compression)) + compression
-    return record(6, head + struct.pack("<Q", len(packed)) + packed)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"",
-        record(1, b"")[:-1],
-        struct.pack("<BQ", 5, 2**62),
-        chunk(2**40, b"", b""),
-        chunk(8, b"rot13", b"x" * 8),
-        chunk(4, b"", struct.pack("<BH", 5, 1) + b"x", zlib.crc32(b"other")),
-        record(5, struct.pack("<HIQQ", 9, 0, 0, 0)),
-        record(4, struct.pack("<HHI", 1, 0, 2**31)),
-    ],
-)
-def test_no_length_in_an_mcap_file_is_trusted(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(whole_file(content))
-    with pytest.raises(RecordError, match=r"run\.mcap (cannot be read as ROS 2 bag|holds no topic)"):
-        read_table(path)
-    path.write_bytes(whole_file(content)[: -len(MAGIC)])
-    with pytest.raises(RecordError, match=r"run\.mcap cannot be read as (a )?ROS 2 bag"):
-        read_table(path)
-
-
-@pytest.mark.parametrize("compression", ["lz4", "zstd"])
-def test_a_chunk_does_not_unpack_to_more_than_it_says(compression: str, tmp_path: Path) -> None:
-    if compression == "lz4":
-        from lz4.frame import compress
-    else:
-        from sys import version_info
-
-        if version_info >= (3, 14):
-            from compression.zstd import compress
-        else:
-            from backports.zstd import compress
-    path = tmp_path / "run.mcap"
-    inside = (
-        record(3, struct.pack("<H", 1) + b"".join(struct.pack("<I", len(t)) + t for t in (b"std_msgs/msg/Float64",
-               b"ros2msg", b"float64 data")))
-        + record(4, struct.pack("<HHI", 1, 1, 2) + b"/q" + struct.pack("<I", 3) + b"cdr" + struct.pack("<I", 0))
-        + record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"\x00\x01\x00\x00" + struct.pack("<d", 2.5))
-    )  # fmt: skip
-    packed = compress(inside)
-    path.write_bytes(whole_file(chunk(len(inside), compression.encode(), packed, zlib.crc32(inside))))
-    assert read_table(path).columns["/q"].tolist() == [2.5]
-    path.write_bytes(whole_file(chunk(10, compression.encode(), compress(bytes(2**26)))))
-    with pytest.raises(RecordError, match="damaged"):
-        read_table(path)
-
-
-def test_a_view_instead_of_a_table_is_not_asked(tmp_path: Path) -> None:
-    path = tmp_path / "run.db3"
-    with sqlite3.connect(path) as base:
-        base.execute("CREATE TABLE topics(id, name, type, serialization_format)")
-        base.execute(
-            "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
-            "SELECT 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
-        )
-    base.close()
-    with pytest.raises(RecordError, match=r"run\.db3 has a view 'messages' whose content is computed"):
-        read_table(path)
-
-
-@pytest.mark.parametrize(
-    "extra",
-    [
-        "CREATE TABLE more(a, data BLOB AS (zeroblob(a)))",
-        "CREATE TRIGGER t AFTER INSERT ON messages BEGIN SELECT 1; END",
-    ],
-)
-def test_a_database_that_computes_is_refused(extra: str, tmp_path: Path) -> None:
-    """A column of a kilobyte can be computed to hold gigabytes."""
-    path = tmp_path / "run.db3"
-    LOGGED["db3"].write(path)
-    assert read_table(path).columns
-    with sqlite3.connect(path) as base:
-        base.execute(extra)
-    base.close()
-    with pytest.raises(RecordError, match=r"run\.db3 has a (table 'more'|trigger 't') whose content is computed"):
-        read_table(path)
-
-
-def test_a_bag_of_thousands_of_topics_is_refused_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "run.db3"
-    LOGGED["db3"].write(path)
-    with sqlite3.connect(path) as base:
-        base.executemany(
-            "INSERT INTO topics VALUES(?, ?, 'std_msgs/msg/Float64', 'cdr', '', '')",
-            ((number, f"/topic{number}") for number in range(10, 30_010)),
-        )
-    base.close()
-    with pytest.raises(RecordError, match=r"run\.db3 has 30002 topics \(at most 2000 are read\)"):
-        read_table(path)
-
-
-def test_a_bag_without_numbers_is_refused(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "bag", {"/text": ("std_msgs/msg/String", [(1, T["std_msgs/msg/String"](data="x"))])})
-    with pytest.raises(RecordError, match="bag holds no topic of numbers"):
-        read_table(path)
-
-
-def test_a_topic_with_too_many_parts_or_two_joints_of_one_name_is_told(tmp_path: Path) -> None:
-    twice = T["sensor_msgs/msg/JointState"](
-        header=header(1), name=["a", "a"], position=np.array([1.0, 2.0]), velocity=np.empty(0), effort=np.empty(0)
-    )
-    pose = T["geometry_msgs/msg/Pose"](
-        T["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), T["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    )
-    poses = T["geometry_msgs/msg/PoseArray"](header(1), [pose] * 3000)
-    path = write_bag(
-        tmp_path / "bag",
-        {
-            "/twice": ("sensor_msgs/msg/JointState", [(1, twice), (2, twice)]),
-            "/poses": ("geometry_msgs/msg/PoseArray", [(1, poses)]),
-            "/one": ("sensor_msgs/msg/JointState", [(1, state(1, a=5.0))]),
-        },
-    )
-    table = read_table(path)
-    assert list(table.columns) == ["/one/time", "/one/a/position"]
-    assert table.passed == {
-        "/twice": "a message of it has two numbers called '/twice/a/position'",
-        "/poses": "a message of it has more than 20000 parts",
-    }

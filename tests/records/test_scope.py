@@ -8,7 +8,6 @@ as the robot maker's own client does.
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,8 +16,8 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import RecordError
-from jointid.records.formats import Table, read_blocks, read_table
-from jointid.records.record import Tap, Timing
+from jointid.records.formats import Table, read_table
+from jointid.records.record import Tap
 
 START = 132959733843760000  # a FILETIME: 2 May 2022
 HEADER = (
@@ -157,45 +156,6 @@ def test_rows_that_were_filled_with_the_ones_before_are_left_out(read: Callable[
     np.testing.assert_array_equal(table.columns["time of Slow [ms]"], np.arange(20) * 2.0)
 
 
-def _without_times(text: str) -> str:
-    return re.sub(r"(?m)^\d+\t", "7\t", text)
-
-
-FAULTS: dict[str, tuple[str, str]] = {
-    "blanks": (scope_text(ONE_CLOCK, " ", "."), "exported with blanks between its columns"),
-    "two of one name": (
-        scope_text([(1.0, {"A": MOTION}), (1.0, {"B": MOTION})], said={"B": {"Name": "A"}}),
-        "two channels of one name",
-    ),
-    "no numbers": (scope_text([(1.0, {"A": MOTION[:1]})]).replace("\r\n0\t0\r\n", "\r\n"), "no row of numbers"),
-    "a word": (scope_text(ONE_CLOCK).replace("\t-7\r", "\tbroken\r"), 'cell 5 holds "broken", where a number'),
-    "cut off": (scope_text(ONE_CLOCK, end="").rstrip()[:-6], "where a number with the decimal mark"),
-    "an escape": (
-        scope_text(ONE_CLOCK).replace("\t-7\r", "\t\x1b[31mred\r"),
-        re.escape('cell 5 holds "\\x1b[31mred", where'),
-    ),
-    "no time columns": (_without_times(scope_text([(1.0, {"A": MOTION})], point=".")), "steps by 0; export it with"),
-    "an empty channel": (scope_text([(1.0, {"A": MOTION}), (1.0, {"B": MOTION[:0]})]), 'no number of the channel "B"'),
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_a_damaged_export_is_refused_in_one_sentence(read: Callable[..., Table], name: str) -> None:
-    text, expected = FAULTS[name]
-    with pytest.raises(RecordError, match=expected) as error:
-        read(text)
-    (said,) = error.value.faults
-    assert said.isprintable()
-    assert said.endswith(".")
-
-
-def test_an_export_is_not_read_in_pieces(tmp_path: Path) -> None:
-    path = tmp_path / "axis.csv"
-    path.write_text(scope_text(ONE_CLOCK), encoding="utf-8")
-    with pytest.raises(RecordError, match="whose rows are no instants: it cannot be read in chunks"):
-        next(read_blocks(path, 10))
-
-
 # Universal Robots' RTDE
 
 NAMES = ["timestamp", *(f"{name}_{k}" for name in ("target_q", "actual_q", "actual_current") for k in range(6))]
@@ -226,14 +186,3 @@ def test_a_recording_of_a_robot_needs_the_number_of_the_joint(tmp_path: Path, de
     np.testing.assert_allclose(record.torque.values, 0.11 * CURRENTS[:, 2])
     np.testing.assert_allclose(record.reference.values, ANGLES[:, 2])
     assert len(record.other_axes) == 5
-
-
-def test_two_torques_of_a_robot_are_chosen_between_by_name(tmp_path: Path) -> None:
-    names = [name.replace("actual_q", "target_moment") for name in NAMES]
-    path = rtde_file(tmp_path / "robot.csv", names=names)
-    drive = ji.Drive("ur-rtde", axis=1)
-    with pytest.raises(RecordError, match='"target_moment_0" and "actual_current_0", and profile "ur-rtde" knows'):
-        ji.read(path, drive=drive, kind="revolute")
-    record = ji.read(path, {"torque": "target_moment_0"}, drive=drive, kind="revolute")
-    assert record.torque is not None
-    assert (record.torque.unit, record.torque.timing) == ("N m", Timing.HELD)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import cheby1, sosfiltfilt
 
-from jointid.common.errors import MethodError, RecordError
 from jointid.records.record import Channel, Timing
 from jointid.records.signals.filtering import (
     Filtering,
@@ -104,25 +103,6 @@ def test_the_published_preset() -> None:
     assert preset.timing == "as_sampled"
 
 
-@pytest.mark.parametrize(
-    ("settings", "sentence"),
-    [
-        ({"cutoff": -1.0}, r"Filtering\.cutoff is -1\.0; expected a positive number"),
-        ({"decimation": 0}, "decimation is 0; expected a whole number, 1 or more"),
-        ({"borders": (-1, 0)}, "0 or more"),
-        ({"timing": "guessed"}, 'timing is "guessed"; expected "respected" or "as_sampled"'),
-    ],
-)
-def test_wrong_settings_are_refused(settings: dict[str, object], sentence: str) -> None:
-    with pytest.raises(MethodError, match=sentence):
-        Filtering(**settings)  # type: ignore[arg-type]
-
-
-def test_a_record_too_short_to_filter_is_refused() -> None:
-    with pytest.raises(RecordError, match="20 samples is too short to filter: more than 24"):
-        Filtering().resolve(T).decimate(np.zeros(20), T)
-
-
 def test_a_held_torque_is_windowed_exactly() -> None:
     """Held: weights 1, 3, 3, 1 over 8, later samples first. Averaged: one sample later. Sampled: between the two."""
     values = np.arange(12.0) ** 3
@@ -209,19 +189,3 @@ def test_pulses_are_seeded_and_as_wide_as_they_say() -> None:
     assert set(np.diff(edges)[::2]) == {20}
     assert abs(len(edges) / 2 - 60) < 12
     assert set(np.unique(signal)) == {-150.0, 0.0, 150.0}
-
-
-def test_an_impossible_excitation_is_refused() -> None:
-    with pytest.raises(MethodError, match="positive speeds"):
-        trapezoids((0.1, -0.1), 1.0, 0.1, T)
-
-
-@pytest.mark.parametrize(("samples", "left"), [(80, 0), (124, 24)])
-def test_borders_that_leave_too_few_samples_say_what_the_record_has(samples: int, left: int) -> None:
-    assert Filtering(borders=(50, 50)).inside(125) == slice(50, 75)
-    with pytest.raises(RecordError) as error:
-        Filtering(borders=(50, 50)).inside(samples)
-    assert str(error.value) == (
-        f"The record has {samples} samples, of which {left} are left between the borders of 50 and 50, and the filter "
-        "needs more than 24; log faster or longer, or give smaller filtering.borders."
-    )
