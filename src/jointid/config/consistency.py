@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -26,24 +26,14 @@ from jointid.config.table import Place, refusal
 from jointid.estimation.methods.registry import CALLED, METHODS, MODELS, ROBOT, method_of, methods
 from jointid.estimation.problems.base import surrounding
 from jointid.models.controllers import Controller, numbers_of, with_numbers
-from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.limits import AxisLimits
-from jointid.models.position_forces import GRAVITY_PARAMETERS
-from jointid.models.springs import SPRINGS, LinearSpring
+from jointid.models.springs import LinearSpring
 from jointid.records.columns import known_units
 from jointid.records.drives import Drive
 
 _NEXT_TO_ZERO = 1e-200
-_BESIDE_LOAD = (
-    " cannot be identified beside a constant load: torque and motor position only know the sum of both; give it a "
-    "value, or leave {} out."
-)
-_KNOWN = " is known, and not identified; give it a value, or change it in {}."
-_BESIDE_FRICTION = (
-    " cannot be identified beside {} friction: a constant adds to the Coulomb force forwards and takes as much "
-    'from it backwards, so the two cannot be distinguished; give it a value, or set {} = "symmetric".'
-)
+_NOT_FREE = " is not identified in this joint, beside friction and load as declared; give it a value."
 
 
 def find_contradictions(file: FileTable) -> Iterator[Fault]:
@@ -109,7 +99,7 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
 
     name = choose_method(file, table.name, of_model)
     if name is None:
-        rest = _describe_missing_method({method: lacking(method) for method in _defaults()}, file, of_model)
+        rest = _describe_missing_method({method: lacking(method) for method in _defaults()}, of_model)
         yield file.fault(("method", "name"), rest, "missing")
     else:
         other = next(default for default in _defaults() if default != name)
@@ -118,15 +108,14 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
             yield file.fault(
                 place,
                 f" is missing, but {needing} needs it: add it, "
-                f'or use {file.key("method", "name")} = "{other}", which needs only {_needs(other, of_model)}.',
+                f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.',
                 "missing",
             )
         if "estimator" in keys_of(method_of(name), of_model) and table.estimator == "iv":
-            iv = f'{file.key("method", "estimator")} = "iv"'
+            rest = ' is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
             for place in [place for place in lacking("didim") if place not in lacking(name)]:
-                rest = f" is missing, but {iv} simulates the loop: add it, or use another."
                 yield file.fault(place, rest, "missing")
-    for key, sentence in foreign_settings(table, name, file.model, file.key):
+    for key, sentence in foreign_settings(table, name, file.model):
         yield file.fault(("method", key), sentence)
     yield from _free_faults(("method", "free"), table.free, file)
 
@@ -141,29 +130,24 @@ def _needs(method: str, model: str) -> str:
     return join([*made.channels(model), *(["controller"] if made.needs_controller else [])])
 
 
-def _describe_missing_method(lacking: Mapping[str, list[Place]], file: FileTable, model: str) -> str:
+def _describe_missing_method(lacking: Mapping[str, list[Place]], model: str) -> str:
     """Return the rest of the sentence on a file without a possible method."""
     lacks = [
-        f"{method_of(method).describe(model)} lacks {' and '.join(file.key(*one) for one in keys)}"
+        f"{method_of(method).describe(model)} lacks {' and '.join(map(messages.dot_path, keys))}"
         for method, keys in lacking.items()
     ]
-    rigid = choose_method(file, None, "rigid") is not None
-    remedy = "add what one of them lacks" + (f', or set {file.key("joint", "model")} = "rigid"' if rigid else "")
-    return f" is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
+    return f" is missing, and no method can be chosen: {', '.join(lacks)}; add what one of them lacks."
 
 
-def foreign_settings(
-    table: MethodTable, name: str | None, system: str | None, key_of: Callable[..., str]
-) -> Iterator[tuple[str, str]]:
+def foreign_settings(table: MethodTable, name: str | None, system: str | None) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on settings of another system, method or preset.
 
     Args:
         table: [method].
         name: of the method, if the file names one.
         system: "rigid" or "flexible" for a joint, "robot"; None where that is not known.
-        key_of: returns what the file calls a key of a joint file.
     """
-    named, of_robot = key_of("method", "name"), system in ROBOT
+    of_robot = system in ROBOT
     if of_robot and name is not None and system not in method_of(name).systems:
         yield "name", messages.no_choice(name, [one.name for one in methods() if system in one.systems])
         return
@@ -174,14 +158,13 @@ def foreign_settings(
         strange = name is not None and name not in owners
         title = method_of(owner).title
         if strange and not {owner, name} <= set(_defaults()):
-            yield key, f' is not for the method "{name}": leave it out, or use {named} = {messages.either(owners)}.'
+            yield key, f' is not for the method "{name}": leave it out, or use method.name = {messages.either(owners)}.'
         elif system is not None and system not in systems:
             other = "this is a robot" if of_robot else f"the joint is {system}"
-            model = "" if of_robot or systems[0] in ROBOT else f', or set {key_of("joint", "model")} = "{systems[0]}"'
-            yield key, f" is for {title} of {CALLED[systems[0]]}, but {other}: leave it out{model}."
+            yield key, f" is for {title} of {CALLED[systems[0]]}, but {other}: leave it out."
         elif name is not None and strange:
             other = method_of(name).title
-            yield key, f' is for {title}, but the method is {other}: leave it out, or use {named} = "{owner}".'
+            yield key, f' is for {title}, but the method is {other}: leave it out, or use method.name = "{owner}".'
         elif key in table.beside_preset():
             yield key, messages.beside_preset(value, str(table.preset))
 
@@ -256,7 +239,7 @@ def _parameter_faults(file: FileTable) -> Iterator[Fault]:
             continue
         # A parameter that is a bare number has no keys.
         keys = table.model_fields_set - {"value"}
-        for key, rest in _value_faults(known[name], table, file):
+        for key, rest in _value_faults(known[name], table):
             yield file.fault((*place, key) if key and keys else place, rest)
 
 
@@ -274,15 +257,10 @@ def _bounds(parameter: Parameter, table: ParameterTable) -> tuple[float, float]:
     return lower, upper
 
 
-def _value_faults(parameter: Parameter, table: ParameterTable, file: FileTable) -> Iterator[tuple[str, str]]:
+def _value_faults(parameter: Parameter, table: ParameterTable) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on impossible values of a parameter."""
     if not parameter.free and table.value is None:
-        if parameter.name != "offset":
-            yield "", _KNOWN.format(file.key("gravity", "counterbalance"))
-        elif file.gravity is not None and file.gravity.load == "constant":
-            yield "", _BESIDE_LOAD.format(file.heading("gravity"))
-        else:
-            yield "", _BESIDE_FRICTION.format(file.joint.friction, file.key("joint", "friction"))
+        yield "", _NOT_FREE
         return
     lower, upper = _bounds(parameter, table)
     if not lower < upper:
@@ -311,24 +289,9 @@ def _open(lower: float) -> float:
 def _describe_unknown_key(name: str, file: FileTable, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
     joint = file.joint
-    remedy = messages.suggest(name, known, "leave it out")
-    for key, choices in (("model", MODELS), ("friction", FRICTIONS), ("spring", SPRINGS)):
-        # The last match is the remedy: the law most like the declared one, else that of the fewest parameters.
-        like = [choice for choice in choices if key == "friction" and choice.startswith(joint.friction)]
-        for choice in (*reversed(list(choices)), *like):
-            changed = joint.model_copy(update={key: choice})
-            if any(changed.faults()):
-                continue
-            other: Joint = changed.joint(None, gravity=None)
-            if name in [parameter.name for parameter in other.parameters]:
-                remedy = f'leave it out, or set {file.key("joint", key)} = "{choice}".'
-    for load, names in GRAVITY_PARAMETERS.items():
-        if file.gravity is None and name in names:
-            remedy = f'leave it out, or set {file.key("gravity", "load")} = "{load}".'
-    if name.removeprefix("load_").startswith("harmonic_"):
-        remedy = f"leave it out, or set {file.key('ripple', 'period')}."
     model = f"a {joint.model} joint with {joint.friction} friction"
     model += "" if joint.spring == LinearSpring.name else f" and a {joint.spring} spring"
+    remedy = messages.suggest(name, known, "leave it out, or declare the law that has it")
     return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"
 
 
@@ -349,13 +312,12 @@ def _channel_faults(file: FileTable) -> Iterator[Fault]:
             yield file.fault(("record", "channels", name), fault.removeprefix(name))
         yield from _unit_faults(file, name, table, kinds)
     if file.computes_torque:
-        key = file.key("record", "torque")
         if "torque" in file.channels:
             yield file.fault(("record", "torque"), ' is "from_controller" beside a torque channel; keep one of them.')
         channels = ("motor_position", *(("reference",) if (law := _law(file)) is None else law.channels))
         places: list[Place] = [("record", "channels", name) for name in channels if name not in file.channel_names]
         for place in [*places, *([] if file.controlled else [("controller",)])]:
-            yield file.fault(place, f' is missing, but {key} = "from_controller" needs it: add it.', "missing")
+            yield file.fault(place, ' is missing, but record.torque = "from_controller" needs it: add it.', "missing")
     if "injected" in file.channels:
         pairs = {(_si_unit(file, "injected", kind), _si_unit(file, "torque", kind)) for kind in kinds}
         pair = pairs.pop() if len(pairs) == 1 else (None, None)
@@ -381,9 +343,7 @@ def _unit_faults(file: FileTable, name: str, table: ChannelTable, kinds: Collect
         )
     if stated not in known:
         key, says = ("unit", "is") if table.unit is not None else ("column", "names the unit")
-        yield file.fault(
-            (*place, key), f' {says} "{stated}"{_misfit(file, name, stated, known, kinds, moving)}', "unit"
-        )
+        yield file.fault((*place, key), f' {says} "{stated}"{_misfit(stated, known)}', "unit")
     elif file.drive_of_joint is not None and len(set(moving)) == 1:
         lack = _lacking(file, name, stated, moving[0])
         yield from () if lack is None else (file.fault(place, f' is in "{stated}", {lack}.', "unit"),)
@@ -429,21 +389,15 @@ def _lacking(file: FileTable, channel: str, unit: str, kind: Kind) -> str | None
     return None
 
 
-def _misfit(
-    file: FileTable, channel: str, unit: str, known: Collection[str], kinds: Collection[Kind], moving: Collection[Kind]
-) -> str:
-    """Return the end of the sentence on a unit that a channel cannot have; its side may move otherwise than a joint."""
+def _misfit(unit: str, known: Collection[str]) -> str:
+    """Return the end of the sentence on a unit that a channel cannot have."""
     expected = f"expected one of {', '.join(known)}"
     try:
         dimension = units.unit(unit).dimension
     except units.UnitError:
         otherwise = "give one of them, and the gain that takes the column to it"
         return f", which is not known; {expected}: {messages.suggest(unit, known, otherwise)}"
-    fitting = [kind for kind in TORQUE_UNIT if kind not in kinds and unit in known_units(channel, kind)]
-    remedy = "".join(f", or {file.moving(kind)}" for kind in fitting)
-    if set(moving) != set(kinds) and any(unit in known_units(channel, kind) for kind in kinds):
-        remedy = ', or set side = "load"'
-    return f", a unit of {dimension}; {expected}: give one of them{remedy}."
+    return f", a unit of {dimension}; {expected}: give one of them."
 
 
 def _limit_faults(file: FileTable) -> Iterator[Fault]:
@@ -468,8 +422,7 @@ def _transmission_faults(file: FileTable) -> Iterator[Fault]:
     if transmission is not None and transmission.lead is not None and "prismatic" not in file.kinds:
         yield file.fault(
             ("transmission", "lead"),
-            f" is {transmission.lead:g}, but the load is revolute; expected a ratio: give that, "
-            f"or {file.moving('prismatic')}.",
+            f" is {transmission.lead:g}, but the load is revolute; expected a ratio: give that.",
         )
     if file.geared:
         return
@@ -477,6 +430,5 @@ def _transmission_faults(file: FileTable) -> Iterator[Fault]:
     if file.controller and "side" in file.controller.model_fields_set:
         named[("controller",)] = file.controller.side
     for place, side in named.items():
-        add = f"add {file.heading('transmission')}"
-        rest = f' is "{side}", but nothing lies between motor and load: {add}, or leave it out.'
+        rest = f' is "{side}", but nothing lies between motor and load: add a transmission, or leave it out.'
         yield file.fault((*place, "side"), rest)

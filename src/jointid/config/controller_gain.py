@@ -110,8 +110,8 @@ def _why(file: FileTable, spoken: _StatedOutput | None) -> str:
     constant = file.joint.torque_constant
     if constant is not None and (spoken is None or spoken.output in ("A", "V")):
         said = constant.text if isinstance(constant, Stated) else format(constant, "g")
-        return f"{file.key('joint', 'torque_constant')} = {said}"
-    return "" if spoken is None else f'{file.key("controller", spoken.key)} = "{spoken.text}"'
+        return f"joint.torque_constant = {said}"
+    return "" if spoken is None else f'controller.{spoken.key} = "{spoken.text}"'
 
 
 class _StatedOutput(NamedTuple):
@@ -140,9 +140,7 @@ def _of_output(
     torque, output = torque_unit(file, joint.kind), spoken.output
     if output in TORQUE_UNIT.values():
         if torque in ("A", "V"):
-            raise JointFileError(
-                _unlike(file, spoken, "a torque", f"{file.key('record', 'channels', 'torque')} is in {torque}", torque)
-            )
+            raise JointFileError(_unlike(file, spoken, "a torque", f"record.channels.torque is in {torque}", torque))
         return 1.0
     if output == "%":
         if torque in ("A", "V"):
@@ -160,7 +158,7 @@ def _of_output(
         raise JointFileError(
             spoken.fault(
                 file,
-                f"an output in {output}, but {file.key('joint', 'torque_constant')} is per "
+                f"an output in {output}, but joint.torque_constant is per "
                 f"{'V' if output == 'A' else 'A'}; expected both in one unit: correct one of them.",
             )
         )
@@ -188,8 +186,8 @@ def _is_share(file: FileTable, drive: Drive, gain: float, through: float) -> boo
 def _unlike(file: FileTable, spoken: _StatedOutput, output: str, torque: str, per: str) -> Fault:
     return spoken.fault(
         file,
-        f"{output}, but {torque}; expected what takes one to the other: add the torque constant below "
-        f'{file.heading("joint")}, as torque_constant = "0.72 N m/{per}".',
+        f"{output}, but {torque}; expected what takes one to the other: add the torque constant to "
+        f'the joint, as torque_constant = "0.72 N m/{per}".',
     )
 
 

@@ -303,7 +303,7 @@ class RobotFile(File[tuple[Record, ...]]):
         """
         said = read_robot_tables(tables)
         name = said.method_name
-        foreign = foreign_settings(said.method, name, "robot", lambda *keys: messages.dot_path(keys))
+        foreign = foreign_settings(said.method, name, "robot")
         if faults := [fault_at(("method", key), rest) for key, rest in foreign]:
             raise JointFileError(faults)
         bare, method = _robot(said, path.parent), said.method.method(name, "robot")

@@ -663,20 +663,6 @@ class FileTable(Table):
                 return keys
         return (*below, *keys)
 
-    def key(self, *keys: int | str) -> str:
-        """Return the name of a key of a joint file in the file that this table was made from."""
-        return messages.dot_path(self.place(*keys))
-
-    def heading(self, table: str) -> str:
-        """Return the heading of a table of a joint file in the file that this table was made from."""
-        if self._axis is None:
-            return f"[{table}]"
-        return "[[joints]]" if table == "joint" else f"[joints.{table}]"
-
-    def moving(self, kind: str) -> str:
-        """Return the remedy that makes the joint move otherwise."""
-        return f'set joint.kind = "{kind}"' if self._axis is None else f"make the joint {kind} in the robot's model"
-
     def fault(self, place: Place, rest: str, code: str = CONTRADICTION) -> Fault:
         """Return a fault at a place of a joint file, in the file that this table was made from."""
         return fault_at(self.place(*place), rest, code)
