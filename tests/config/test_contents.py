@@ -176,19 +176,6 @@ def test_all_of_a_file() -> None:
     assert file.loop.controller is file.controller
 
 
-def test_all_settings_of_a_rigid_joint() -> None:
-    text = """[method]
-        form = "paper"
-        start = "given"
-        scaled_iterations = 0
-        tolerance = 1e-3
-        step_tolerance = 1e-2
-        iterations = 7
-        initial_state = "reference"
-        """
-    assert loads(SMALLEST + text).method == DIDIM("paper", "given", 0, 1e-3, 1e-2, 7, "reference")
-
-
 def test_gravity() -> None:
     file = loads(
         LINK + "angle = 0.01\ncounterbalance = { cos = 0.2, rate = 1e-3 }\n[parameters]\ngravity_sin = { start = 0.5 }"
@@ -286,20 +273,6 @@ def test_the_filtering(text: str, expected: Filtering) -> None:
     file = loads(f"{SMALLEST}[filtering]\n{text}")
     assert file.filtering == expected
     assert loads(dumps(file)) == file
-
-
-@pytest.mark.parametrize("unit", ["A", "mA", "V"])
-def test_a_torque_in_drive_units_gives_parameters_in_them(unit: str) -> None:
-    text = '[joint]\nkind = "revolute"\nmodel = "flexible"\n[record.channels]\nmotor_position = { column = "q" }\n'
-    text += 'load_position = { column = "q2" }\n'
-    file = loads(text + f'torque = {{ column = "i", unit = "{unit}" }}\ninjected = {{ column = "x" }}')
-    units = {parameter.name: file.joint.unit(parameter) for parameter in file.joint.parameters}
-    si = unit[-1]
-    assert units["stiffness"] == f"{si}/rad"
-    assert units["motor_inertia"] == f"{si} s2/rad"
-    assert units["offset"] == si
-    named = loads(text + f'torque = {{ column = "i [{unit}]" }}')
-    assert named.joint == file.joint
 
 
 def test_values_are_those_fixed_and_those_started_from() -> None:

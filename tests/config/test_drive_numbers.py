@@ -10,7 +10,7 @@ import pytest
 from jointid.config import learned_text, load_to_learn, loads
 from jointid.controller_id.learned_controller import LearnedController, LearnedNumber, numbers_in_drive
 from jointid.controller_id.structures import Structure
-from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
+from jointid.models.controllers import PID, Cascade, Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 
 GEARED = """
@@ -153,22 +153,3 @@ def test_a_profile_has_names_and_units(tmp_path: Path) -> None:
     position, velocity = shown(text, made, tmp_path, position_gain=50.0, velocity_gain=84.0).in_drive
     assert (position.name, position.value, position.unit) == ("S-0-0104 position_gain", pytest.approx(3.0), "1000/min")
     assert (velocity.name, velocity.value) == ("S-0-0100 velocity_gain", pytest.approx(0.84))
-
-
-def test_another_law_than_declared_is_compared_with_nothing(tmp_path: Path) -> None:
-    learned = shown(
-        GEARED + DECLARED, PD(position_gain=1.0, derivative_gain=84.0, gain=72.0), tmp_path, derivative_gain=84.0
-    )
-    (gain,) = learned.in_drive
-    assert (gain.value, gain.unit, gain.declared) == (pytest.approx(0.84), "A s/rad", None)
-
-
-def test_plain_numbers_in_si_show_nothing_more_and_a_time_of_a_filter_what_was_declared(tmp_path: Path) -> None:
-    plain = '[joint]\nkind = "prismatic"\n[record.channels]\ntorque = {column = "f"}\nreference = {column = "r"}\n'
-    plain += 'motor_position = {column = "q"}\n'
-    made = Cascade(position_gain=30.0, velocity_gain=84.0, velocity_filter=FirstOrder(1e-3))
-    assert shown(plain, made, tmp_path, position_gain=30.0, velocity_gain=84.0).in_drive == ()
-    plain += '[controller]\nlaw = "cascade"\nvelocity_filter = { time_constant = "2 ms" }\n'
-    learned = shown(plain, made, tmp_path, **{"velocity_filter.time_constant": 1e-3})
-    (time,) = [one for one in learned.in_drive if one.name.endswith("time_constant")]
-    assert (time.value, time.unit, time.difference) == (pytest.approx(1.0), "ms", pytest.approx(-0.5))

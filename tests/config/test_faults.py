@@ -318,14 +318,6 @@ def test_all_faults_come_at_once() -> None:
         assert sum(sentence.startswith(key) for sentence in found) == 1, key
 
 
-def test_a_joint_with_other_faults_still_has_its_model() -> None:
-    found = faults(FLEXIBLE.replace('"flexible"', '"flexible"\nfriktion = "symmetric"') + "[method]\niterations = 3")
-    assert [sentence.split()[0] for sentence in found] == ["joint.friktion", "method.iterations"]
-    for unknown in (FLEXIBLE.replace("flexible", "flexibel"), SMALLEST.replace(JOINT, "joint = 3\n")):
-        (sentence,) = faults(f"{unknown}[method]\niterations = 3\nminimiser = 'nelder-mead'")
-        assert sentence.startswith("joint")
-
-
 def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
     (tmp_path / "joint.toml").write_bytes(b"name = '\xff'")
     for name in ("none.toml", "joint.toml"):
@@ -333,24 +325,3 @@ def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
             load(tmp_path / name)
     (tmp_path / "marked.toml").write_text(SMALLEST, encoding="utf-8-sig")
     assert load(tmp_path / "marked.toml") == loads(SMALLEST)
-
-
-@pytest.mark.parametrize(
-    ("right", "wrong", "sentence"),
-    [
-        ("[controller]", "[contoller]", "contoller is not a known key;"),
-        ("[joint]", "[jont]", "jont is not a known key;"),
-        ("[record.channels]", "[record.chanels]", "record.chanels is not a known key;"),
-    ],
-)
-def test_nothing_is_missed_that_is_there_with_its_name_misspelt(right: str, wrong: str, sentence: str) -> None:
-    text = SMALLEST.replace("motor_position", "load_position")
-    assert right in text
-    (found,) = faults(text.replace(right, wrong))
-    assert found.startswith(sentence)
-    assert found.endswith(f"did you mean {right.strip('[]').rpartition('.')[2]}?")
-
-
-def test_a_unit_that_is_nearly_known_is_told_the_one_that_may_be_meant() -> None:
-    (found,) = faults(SMALLEST + 'delay = "1 Ms"\n')
-    assert found == 'controller.delay is "1 Ms"; "Ms" is no unit that is known; write "ms" if that is meant.'

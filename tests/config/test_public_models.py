@@ -222,30 +222,3 @@ def test_inertias_that_are_rounded_or_lack_a_part(inertial: str, weighs: float, 
     robot = read_robot("\n" + urdf(arm(1, l1=inertial)), "arm")
     assert robot.inertials[0][0] == pytest.approx(weighs)
     assert [one.split(", as no body")[0] for one in robot.remarks] == ([f"arm: link l1 has {remark}"] if remark else [])
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (mjcf(body("a", '<joint name="j" springdamper="1 1"/>')), "joint j has a spring .* robot.locked"),
-        (
-            mjcf(body("a", '<joint name="j"/>', "<frame><geom mesh='link0'/></frame>", "")),
-            "<body> a follows from a mesh",
-        ),
-        (
-            mjcf(body("a", '<joint name="j"/>', '<geom mesh="link0"/>'), before='<compiler inertiafromgeom="true"/>'),
-            "add <inertial> to it and leave inertiafromgeom out",
-        ),
-        (
-            mjcf(
-                claw(),
-                '<tendon><fixed name="t"><joint joint="left_driver"/><joint joint="right_driver"/></fixed></tendon>'
-                '<equality><tendon tendon1="t"/></equality>',
-            ),
-            "<tendon> ties left_driver, right_driver",
-        ),
-    ],
-)
-def test_what_would_be_left_out_of_a_model_is_refused(text: str, said: str) -> None:
-    with pytest.raises(JointFileError, match=said):
-        read_robot(text, "arm")

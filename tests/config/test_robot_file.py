@@ -10,7 +10,7 @@ import pytest
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.messages import dot_path
-from jointid.config import dumps, load, loads, schema_record
+from jointid.config import dumps, load, loads
 from jointid.config.loading import parse_toml
 from jointid.config.robot_file import RobotFile
 from jointid.estimation.methods.idim import IDIM
@@ -386,15 +386,6 @@ def test_a_robot_file_of_one_joint_is_simulated_as_its_joint_file(tmp_path: Path
     coarse, fine = (float(np.max(np.abs(run.torque[:, 0] - exact.torque)) / peak) for run in runs)
     assert fine < 2e-9
     assert fine < coarse / 10.0 + 3e-11
-
-
-def test_the_record_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read, paths = schema_record.read_table, list[Path]()
-    monkeypatch.setattr(
-        schema_record, "read_table", lambda path, **options: paths.append(path) or read(path, **options)
-    )
-    file = load(folder / "robot.toml")
-    assert len(file.record()) == 3 and paths == [folder / "log.csv"]
 
 
 def test_a_method_and_a_friction_are_chosen_as_of_a_joint_file(folder: Path) -> None:

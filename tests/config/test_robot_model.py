@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import subprocess
-import sys
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -161,30 +157,6 @@ def test_files_that_are_no_model(tmp_path: Path) -> None:
     assert load_robot(tmp_path / "two.urdf").names == ("turn", "lift")
 
 
-def of_class(default: str, body: str, inside: str = "") -> str:
-    """Return an arm of 1 kg, whose body is drawn by a shape of a class."""
-    box = '<geom type="box" size="0.1 0.1 0.1" mass="1"/>'
-    return f"""<mujoco><default>{default}</default><worldbody>
-      <body name="b"{body}><joint name="j"/>{inside}{box}</body></worldbody></mujoco>"""
-
-
-MESHES = [
-    of_class('<default class="v"><geom type="mesh" mesh="m"/></default>', "", '<geom class="v"/>'),
-    of_class('<default class="v"><geom type="mesh" mesh="m"/></default>', ' childclass="v"', "<frame><geom/></frame>"),
-    of_class('<default class="v"><geom type="mesh"/><default class="w"/></default>', "", '<geom class="w" mesh="m"/>'),
-    of_class('<geom type="mesh" mesh="m"/>', "", "<geom/>"),
-    of_class('<geom type="hfield"/>', "", "<body><geom/></body>"),
-]
-
-
-@pytest.mark.parametrize("text", MESHES)
-def test_a_shape_whose_class_is_a_mesh_is_no_sphere(text: str) -> None:
-    with pytest.raises(JointFileError, match=r"the mass of <body>.* follows from a mesh, which is not read"):
-        read_robot(text)
-    said = '<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>'
-    assert read_robot(re.sub(r"(<body[^>]*>)", rf"\1{said}", text)).inertials[0][0] in (2.0, 4.0)
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -202,44 +174,6 @@ def test_a_model_is_counted_before_it_is_compiled(text: str, monkeypatch: pytest
     monkeypatch.setattr("jointid.config.robot_model.extra", lambda *_: pytest.fail("it would be compiled"))
     with pytest.raises(JointFileError, match=r"has 200\d elements <.*> \(at most 2000\); expected a robot"):
         read_robot(text)
-
-
-ALONE = """
-import sys
-from jointid.common.errors import JointFileError
-from jointid.config import robot_model
-from jointid.config.robot_model import load_robot
-from jointid.records.formats import reader_process
-assert load_robot(sys.argv[1]).names == ("turn", "lift") and "mujoco" not in sys.modules
-reader_process.SECONDS = -1.0  # which is over at once
-try:
-    load_robot(sys.argv[1])
-except JointFileError as error:
-    print(error)
-def run_out(*_, **__):
-    raise MemoryError
-robot_model.call_apart = run_out
-try:
-    load_robot(sys.argv[1])
-except JointFileError as error:
-    print(error)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="the time of a processor is not bounded there")
-def test_a_model_is_compiled_in_the_process_that_reads_untrusted_files(tmp_path: Path) -> None:
-    (tmp_path / "two.urdf").write_text(URDF, encoding="utf-8")
-    order = [sys.executable, "-c", ALONE, str(tmp_path / "two.urdf")]
-    said = subprocess.run(order, capture_output=True, text=True, check=True).stdout
-    late, large = said.splitlines()
-    assert "MuJoCo does not compile" in late and "is not read within" in late
-    assert late.endswith("for each megabyte); correct or simplify it.")
-    assert large.endswith("two.urdf: it takes too much memory; simplify it.")
-    here, there = read_robot(URDF, "two.urdf"), load_robot(tmp_path / "two.urdf")
-    for one, other in zip(here.links, there.links, strict=True):
-        for part in fields(one):
-            np.testing.assert_array_equal(getattr(one, part.name), getattr(other, part.name))
-    assert (here.joints, here.name, here.remarks) == (there.joints, there.name, there.remarks)
 
 
 def test_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
@@ -294,11 +228,6 @@ def test_locked_joints_load_the_others_as_if_they_stood_still(tie: str, locked: 
 def test_a_tie_between_joints_that_move_names_the_key(tie: str, locked: dict[str, float], said: str) -> None:
     with pytest.raises(JointFileError, match=said):
         read_robot(HAND.format(tie), locked=locked)
-
-
-def test_a_tie_of_bodies_that_stand_still_is_none() -> None:
-    weld = '<equality><weld body1="tip" body2="wrist"/></equality>'
-    assert read_robot(HAND.format(weld), locked={"grip": 0.0, "bend": 0.1}).names == ("lift", "turn")
 
 
 def test_the_inertia_of_an_axis_is_that_of_the_mass_matrix() -> None:

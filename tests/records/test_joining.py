@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.campaigns.campaign_file import load_campaign
-from jointid.common.errors import JointFileError, RecordError
+from jointid.common.errors import RecordError
 from jointid.config import load
 from jointid.records.joining import join_files
 from jointid.records.record import Record
@@ -183,18 +182,3 @@ def test_joints_of_files_of_their_own_begin_together(late: float, tmp_path: Path
         assert record.begin == pytest.approx(late) and record.motor_position is not None
         at = record.begin + record.motor_position.time
         np.testing.assert_allclose(record.motor_position.values, angle(at), atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["joint", "robot"])
-def test_what_reads_one_file_refuses_several(name: str, tmp_path: Path) -> None:
-    if name == "robot":
-        pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
-        write_robot(tmp_path)
-    else:
-        (tmp_path / "joint.toml").write_text(JOINT)
-        file = load(tmp_path / "joint.toml")
-        with pytest.raises(RecordError, match="in several files is not read in chunks; join them to one file"):
-            file.log()
-    (tmp_path / "campaign.toml").write_text(f'[fleet]\njoint = "{name}.toml"\n')
-    with pytest.raises(JointFileError, match="a record in several files, and a campaign reads each record from one"):
-        load_campaign(tmp_path / "campaign.toml")

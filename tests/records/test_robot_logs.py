@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import jointid as ji
-from jointid.apps.cli import main
 from jointid.common.errors import RecordError
 from jointid.config import loads
 from jointid.config.logged import describe_log
@@ -340,20 +338,3 @@ def test_a_data_set_needs_its_unit_and_says_what_its_rate_tells(tmp_path: Path) 
     assert said.startswith(
         "the record has 30 samples a second: of a slow motion it tells inertia, friction and gravity"
     )
-
-
-def test_a_log_without_gains_asks_for_them_and_no_file_is_replaced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table(tmp_path / "run.csv", {"time": TIME, "commanded": COMMAND[:, 0], "measured": MOTION[:, 0]})
-    text = describe_log(ji.inspect(tmp_path / "run.csv"), "run.csv")
-    assert '\n# [controller]\n# law = "pd"\n# position_gain = "? N m/rad"\n' in text
-    given = text.replace("? N m/rad", "40 N m/rad").replace("? N m s/rad", "1.5 N m s/rad")
-    given = re.sub(r"^# (?=\[cont|law|pos|der)", "", given, flags=re.MULTILINE)
-    assert set(loads(given, tmp_path).record().channels) >= {"reference", "motor_position"}
-    (tmp_path / "joint.toml").write_text("mine")
-    with pytest.raises(SystemExit) as ended:
-        main(["inspect", str(tmp_path / "run.csv"), "--write", str(tmp_path / "joint.toml")])
-    assert ended.value.code == 2
-    assert "exists, and may hold what only you know; name another file" in capsys.readouterr().err
-    assert (tmp_path / "joint.toml").read_text() == "mine"

@@ -20,7 +20,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.text import short, show
+from jointid.common.text import short
 
 WHOLE = 2**30
 """Bytes of numbers that are read at once, 1 GiB: 13 columns of 10 million rows; reading them may take twice that."""
@@ -106,21 +106,6 @@ class Table:
     def cut(self, first: int, last: int) -> Table:
         """Return the rows from the first up to the last."""
         return replace(self, columns={name: values[first:last] for name, values in self.columns.items()})
-
-    def take(self, names: Iterable[str]) -> Table:
-        """Select columns by name, in order.
-
-        Raises:
-            RecordError: there is no such column.
-        """
-        names = list(names)
-        missing = [name for name in names if name not in self.columns]
-        if missing:
-            why = self.explain_missing(missing[:1])
-            raise RecordError(
-                f'{self.source} has no column "{show(missing[0])}"{why}; it has {self.list_columns(missing[0])}.'
-            )
-        return replace(self, columns={name: self.columns[name] for name in names})
 
 
 def _find_close(wanted: str, names: Sequence[str]) -> list[str]:
