@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from jointid.common.errors import JointFileError
-from jointid.config import load, loads
+from jointid.config import loads
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.friction import AsymmetricFriction
@@ -72,8 +71,3 @@ def test_a_change_may_bring_what_makes_a_method_the_file_s_own() -> None:
     text = JOINT + CHANNELS + '[method]\nform = "paper"'
     controller = [f"controller={{{', '.join(CASCADE.strip().splitlines()[1:])}}}"]
     assert loads(text, changes=controller, method="didim").method == DIDIM(form="paper")
-
-
-def test_a_choice_keeps_the_folder(tmp_path: Path) -> None:
-    (tmp_path / "joint.toml").write_text(SMALLEST, encoding="utf-8")
-    assert load(tmp_path / "joint.toml", method="idim").path == tmp_path / "joint.toml"

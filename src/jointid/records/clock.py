@@ -276,7 +276,7 @@ def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
         if time in table.columns:
             return time, []
         why = table.explain_missing([time])
-        return time, [f'{table.source} has no time column "{time}"{why}; it has {table.list_columns(time)}.']
+        return time, [f'{table.source} has no time column "{time}"{why}; it has {table.list_columns()}.']
     names = [name for name in table.columns if TIME_NAME.fullmatch(name)]
     if len(names) == 1:
         return names[0], []

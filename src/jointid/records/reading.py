@@ -290,7 +290,7 @@ class _Columns:
         missing = {n: column for n, column in wanted.items() if column.column not in self.table.columns}
         needed = [f'"{column.column}" (for {n})' for n, column in missing.items() if not column.optional]
         if needed:
-            listed = self.table.list_columns(" ".join(column.column for column in missing.values()))
+            listed = self.table.list_columns()
             why = self.table.explain_missing(column.column for column in missing.values() if not column.optional)
             self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}{why}; it has {listed}.")
         return {n: column for n, column in wanted.items() if n not in missing}

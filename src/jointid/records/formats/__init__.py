@@ -42,7 +42,7 @@ __all__ = [
 FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Npz(), Json(), Hdf5(), Parquet(), Tdms(), Folder(), RosBag())
 """Every format there is."""
 
-_PICKLES = {".pt": "torch", ".pth": "torch", ".pkl": "pickle", ".pickle": "pickle"}
+_PICKLES = (".pt", ".pth", ".pkl", ".pickle")
 _TEXTS = (Csv, Json)  # that are read packed, too
 _SHORT = 2**21  # bytes of a text that takes less time than a process would to start
 
@@ -58,7 +58,10 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     packed = is_gzip(path) and not is_folder
     suffix = path.suffixes[-2] if packed and len(path.suffixes) > 1 else path.suffix
     if suffix.lower() in _PICKLES and not is_folder:
-        raise RecordError(_refuse_pickle(path))
+        raise RecordError(
+            f"{path.name} is a pickle, which runs code when it is loaded, and is not read; convert it where it comes "
+            "from, by numpy.savez."
+        )
     for entry in FORMATS:
         if isinstance(entry, Folder) and is_folder and entry.fits(path):
             break
@@ -77,17 +80,6 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     if unknown:
         raise RecordError(f"Reading {entry.name} has no option {', '.join(sorted(unknown))}; it has: {known}.")
     return replace(entry, **options)
-
-
-def _refuse_pickle(path: Path) -> list[str]:
-    """Return the refusal of a pickle, with the lines that convert it."""
-    package = _PICKLES[path.suffix.lower()]
-    load = f'("{path.name}", weights_only=True)' if package == "torch" else f'(open("{path.name}", "rb"))'
-    return [
-        f"{path.name} is a pickle, which runs code when it is loaded, and is not read; convert it where it comes from:",
-        f"import numpy, {package}",
-        f'numpy.savez("{path.stem}.npz", **{package}.load{load})',
-    ]
 
 
 def read_table(path: str | os.PathLike[str], **options: object) -> Table:

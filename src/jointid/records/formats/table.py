@@ -5,8 +5,6 @@ Binary libraries raise arbitrary errors on damaged files; all become one sentenc
 
 from __future__ import annotations
 
-import difflib
-import heapq
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -41,7 +39,6 @@ _NUMBER = 8  # bytes of a number in memory
 _FEW = 3  # things passed over that a sentence names
 _STEPS = ("KiB", "MiB", "GiB", "TiB", "PiB")
 _QUOTED = 100  # characters of a name
-_COMPARED = 1000  # names, letter by letter
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
 
 
@@ -86,12 +83,11 @@ class Table:
         object.__setattr__(self, "units", MappingProxyType(units))
         object.__setattr__(self, "passed", MappingProxyType(dict(self.passed)))
 
-    def list_columns(self, wanted: str) -> str:
-        """List column names, quoted; of many, those most similar to `wanted`."""
+    def list_columns(self) -> str:
+        """List the first column names, quoted."""
         names = list(self.columns)
-        close = names if len(names) <= _LISTED else _find_close(wanted, names)
-        rest = f" and {len(names) - len(close)} more" if len(close) < len(names) else ""
-        return (", ".join(f'"{short(name, _QUOTED)}"' for name in close) or "none") + rest
+        rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+        return (", ".join(f'"{short(name, _QUOTED)}"' for name in names[:_LISTED]) or "none") + rest
 
     def explain_missing(self, names: Iterable[str]) -> str:
         """Return in brackets why columns of these names are not there, as far as it is known."""
@@ -106,20 +102,6 @@ class Table:
     def cut(self, first: int, last: int) -> Table:
         """Return the rows from the first up to the last."""
         return replace(self, columns={name: values[first:last] for name, values in self.columns.items()})
-
-
-def _find_close(wanted: str, names: Sequence[str]) -> list[str]:
-    """Find similar names; of thousands, prefilter by shared letters and beginnings."""
-    matcher = difflib.SequenceMatcher(b=wanted[:_QUOTED])
-
-    def share(name: str) -> float:
-        matcher.set_seq1(name[:_QUOTED])
-        return matcher.quick_ratio()
-
-    if len(names) > _COMPARED:
-        names = heapq.nlargest(_COMPARED, names, share)
-    beginnings = {name[:_QUOTED]: name for name in reversed(names)}
-    return [beginnings[one] for one in difflib.get_close_matches(wanted[:_QUOTED], beginnings, _LISTED, cutoff=0.0)]
 
 
 def join_tables(tables: Sequence[Table]) -> Table:

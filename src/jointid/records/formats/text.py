@@ -36,9 +36,7 @@ _DELIMITERS = (";", "\t", "|", ",", BLANKS)  # of dialects that read a file alik
 _SAMPLE = 200  # lines that decide, from the end of the file, where the data is
 _COMMA_AND_BLANK = re.compile(r",[ \t]+")
 _LIST = re.compile(r'(?:^|(?<=[,;\t|]))("?)\[([-+\d.eEnaifNAIF,;\s]+)\]\1(?=$|[,;\t|])')  # a cell
-# Of a list: where a semicolon, or a blank, separates its numbers, a comma within one is a decimal mark.
-_COMMA = re.compile(",")
-_SEPARATORS = (re.compile(r"\s*;\s*"), re.compile(r"\s*,\s+|\s+,?"), _COMMA)
+_SEPARATOR = re.compile(r"\s*,\s*|\s+")
 _SPLIT_NUMBER = re.compile(r"[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)  # a cell cut at the wrong mark
 _EXPONENT_OR_WORD = r"(?:e[+-]?\d+)?|nan|inf|infinity)"
 _NUMBERS = {
@@ -159,8 +157,7 @@ def _find_lists(text: str) -> tuple[str, list[list[str]]]:
         return ",", []
     first = found[0]
     mark = (text[first.start() - 1] if first.start() else text[first.end() : first.end() + 1]) or ","
-    inside = [match[2].strip() for match in found]
-    lists = [next(one for one in _SEPARATORS if one.search(each) or one is _COMMA).split(each) for each in inside]
+    lists = [_SEPARATOR.split(match[2].strip()) for match in found]
     return mark, lists if all(is_number(cell) and mark not in cell for cells in lists for cell in cells) else []
 
 
