@@ -43,7 +43,7 @@ from tests.joint_files import (
     FLEXIBLE,
     JOINT,
     LINK,
-    PAGE,
+    ROOT,
     SMALLEST,
 )
 
@@ -312,5 +312,5 @@ def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit) 
 
 
 def test_the_files_on_the_page_are_right() -> None:
-    texts = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    texts = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "joint-file.md").read_text(encoding="utf-8"), re.DOTALL)
     assert len([loads(text) for text in texts]) >= 5
