@@ -226,8 +226,8 @@ def test_a_state_space_law() -> None:
         (CHANNELS + CASCADE + '[method]\nname = "idim"', IDIM()),
         (CHANNELS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
         (
-            CHANNELS + '[method]\nharmonics = 2\ndrift = "both"',
-            IDIM(effects=(PositionHarmonics(None, 2), Drift("both"))),
+            CHANNELS + '[method]\nharmonics = 2\nperiod = 0.005\ndrift = "both"',
+            IDIM(effects=(PositionHarmonics(0.005, 2), Drift("both"))),
         ),
         (CHANNELS + "[method]\nharmonics = 1\nperiod = 0.005", IDIM(effects=(PositionHarmonics(0.005),))),
         (CHANNELS + CASCADE + '[method]\npreset = "paper"', DIDIM.paper()),
