@@ -1,0 +1,1 @@
+"""What the package answers, frozen: `python -m tests.frozen` says what has changed."""
