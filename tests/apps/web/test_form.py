@@ -183,6 +183,12 @@ def test_the_torque_is_recognised_by_unit_and_usual_names(
     assert draft.get(f"record.channels.torque.unit@{kind or 'revolute'}") == unit
 
 
+@pytest.mark.parametrize(("kind", "key"), [("prismatic", "counts_per_metre"), ("revolute", "counts_per_turn")])
+def test_encoder_counts_are_asked_for_in_what_the_motor_moves_by(kind: str, key: str) -> None:
+    counts = [one for one in FIELDS if one.key.startswith("drive.counts_per_")]
+    assert [one.key for one in counts if one.applies({"joint.kind": kind})] == [f"drive.{key}"]
+
+
 def test_axis_and_units_are_asked_where_nothing_says_them() -> None:
     draft = {"record.channels.torque.column": "i", "record.channels.reference.column": "x"}
     with pytest.raises(JointFileError, match=r"^joint.kind is not chosen; say whether it turns"):
