@@ -40,9 +40,6 @@ _DELAY_SAID = (
     "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
     "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
 )
-UNSTATED_SAID = (
-    "it is not stated whether the torque is held or sampled, and the intervals cover both; state timing of its channel"
-)
 _LATE = 1.0  # half samples beyond every possible reading: a minimum further away may be that of a late log
 _BETTER = 16.0  # squared deviations, by which a delay must explain more than friction under load or another constant
 _BEND, _SPAN = 0.02, 5  # of the torque: a step of these; samples to each side that tell the direction

@@ -13,10 +13,9 @@ get the intervals of a white residual. Columns are scaled first, since J's condi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds
@@ -24,7 +23,6 @@ from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 
 _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing determines
 _ALONE = 0.9  # of the information in a direction: the group is as good as alone
-BANDWIDTHS = 3  # times the bandwidth of the autocorrelation is a block of time long
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +53,6 @@ class Sums:
         """Return those of the rows of both."""
         square, size, rows = self.square + other.square, self.size + other.size, self.rows + other.rows
         return Sums(self.A + other.A, self.b + other.b, square, size, rows)
-
-    def of_some(self, at: NDArray[np.intp]) -> Sums:
-        """Return the sums of some of the parameters."""
-        return replace(self, A=self.A[np.ix_(at, at)], b=self.b[at])
 
     def shift(self, step: FloatArray) -> Sums:
         """Update the sums for a step of the parameters, to first order."""
