@@ -182,7 +182,19 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     ),
 }
 """Where every command writes, and what else it is given."""
-_READ = {"JOINT", "FILE", "BEFORE", "AFTER", "--record", "--estimate", "--motion", "--held-out", "--without", "--with"}
+_READ = {
+    "JOINT",
+    "ROBOT",
+    "FILE",
+    "BEFORE",
+    "AFTER",
+    "--record",
+    "--estimate",
+    "--motion",
+    "--held-out",
+    "--without",
+    "--with",
+}
 
 
 def test_every_place_where_a_command_writes_is_listed() -> None:
