@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.bounds import LATE, TOO_LARGE
+from jointid.common.bounds import TOO_LARGE
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -71,7 +70,6 @@ def test_an_identification_runs_without_what_windows_lacks(tmp_path: Path) -> No
 
 
 SYSTEMS = {
-    "without resource": "sys.modules['resource'] = None",
     "macOS": """
 import resource
 sys.platform = 'darwin'
@@ -95,15 +93,13 @@ ctypes.windll = types.SimpleNamespace(kernel32=types.SimpleNamespace(K32GetProce
 """,
 }
 BOUNDED = """
-from jointid.common.bounds import limit_resource, measure_memory
+from jointid.common.bounds import limit_memory, measure_memory
 
-limit_resource("RLIMIT_AS", measure_memory() + 2**28)
-limit_resource("RLIMIT_CPU", 1)
+limit_memory(measure_memory() + 2**28)
 kept = []
 """
 WORK = {
     "memory": ("while len(kept) < 64: kept.append(b'x' * 2**24)\ntime.sleep(1.0)", TOO_LARGE),
-    "time": ("while time.process_time() < 3.0: pass", LATE),
     "little": ("kept.append(b'x' * 2**24)\ntime.sleep(0.2)", 0),
 }
 
@@ -112,10 +108,8 @@ WORK = {
 @pytest.mark.parametrize("work", WORK)
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_process_watches_itself_where_the_system_has_no_bounds(system: str, work: str) -> None:
-    """The bounds are 256 MiB more than at the beginning, and a second of the processor."""
+    """The bound is 256 MiB more than at the beginning."""
     does, code = WORK[work]
-    if system == "macOS" and work == "time":  # which it bounds itself
-        code = -signal.SIGXCPU
     program = f"import ctypes, sys, time, types\n{SYSTEMS[system]}{BOUNDED}{does}"
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
     assert ran.returncode == code, ran.stderr

@@ -1,17 +1,15 @@
-"""Bounds on what this process takes: by the system, or by a watch of its own where the system has none."""
+"""A bound on the memory of this process: by the system, or by a watch of its own where the system has none."""
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import threading
 import time
 
 LIBRARIES = 2**29  # bytes of addresses that the libraries of the formats take, most of which are never touched
-LATE, TOO_LARGE = 4, 5  # exit codes of a process that took more than it may
+TOO_LARGE = 5  # exit code of a process that took more than it may
 _POLL = 0.05  # s between looks at what it has taken
-_watched: dict[str, int] = {}
 
 
 def measure_memory() -> int:
@@ -33,29 +31,19 @@ def measure_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def limit_resource(what: str, most: int) -> None:
-    """Limit a resource of this process; a thread watches memory and time where the system bounds neither."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        is_bounded = False
-    else:
-        is_bounded = what != "RLIMIT_AS" or sys.platform == "linux"
-    if is_bounded:
-        kind = getattr(resource, what)
-        _, hard = resource.getrlimit(kind)
-        least = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(kind, (least, hard))
+def limit_memory(most: int) -> None:
+    """Limit the memory of this process, in bytes; a thread watches it where the system bounds none."""
+    if sys.platform != "linux":
+        threading.Thread(target=_watch, args=(most,), daemon=True).start()
         return
-    if not _watched:
-        threading.Thread(target=_watch, daemon=True).start()
-    _watched[what] = most
+    import resource
+
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (least, hard))
 
 
-def _watch() -> None:
-    while True:
+def _watch(most: int) -> None:
+    while measure_memory() <= most:
         time.sleep(_POLL)
-        if time.process_time() > _watched.get("RLIMIT_CPU", math.inf):
-            os._exit(LATE)
-        if measure_memory() > _watched.get("RLIMIT_AS", math.inf):
-            os._exit(TOO_LARGE)
+    os._exit(TOO_LARGE)

@@ -1,14 +1,14 @@
 """A robot from URDF or MJCF: what MuJoCo's own parser makes of the file's links, joints and masses.
 
-The file is not trusted: what `model_file` keeps of it is compiled in the process that reads untrusted files. Links that
-do not move against each other are one.
+The file is not trusted: only what `model_file` keeps of it is compiled. Links that do not move against each other are
+one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointFileError, MethodError, RecordError, extra
+from jointid.common.errors import JointFileError, MethodError, extra
 from jointid.common.units import Kind
 from jointid.config.model_file import (
     LEAST_MASS,
@@ -32,7 +32,6 @@ from jointid.config.model_file import (
 )
 from jointid.models.robots.inertial import MassProperties, change_frame
 from jointid.models.robots.robot import Link, Robot, RobotJoint
-from jointid.records.formats.reader_process import call_apart
 
 _MOST_LINKS = 100  # without a mass, in one body
 
@@ -55,37 +54,11 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
         ExtraError: MuJoCo is not installed.
     """
     path = Path(path)
-    raw, function = read_model(path), f"{__name__}:{describe_robot.__name__}"
     try:
-        text = raw.decode("utf-8-sig")
-        said = call_apart(
-            path, "a robot", "correct or simplify it", function, text=text, called=path.name, locked=dict(locked)
-        )
+        text = read_model(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-    except (RecordError, MemoryError) as error:
-        reason = str(error) or "it takes too much memory; simplify it."
-        raise JointFileError(f"MuJoCo does not compile {path}: {reason}") from error
-    arrays = ("axis", "rotation", "origin", "inertial")
-    links = [
-        Link(**one | {key: np.array(one[key]) for key in arrays} | {"limits": one["limits"] and tuple(one["limits"])})
-        for one in said["links"]
-    ]
-    joints = [RobotJoint(*numbers) for numbers in said["joints"]]
-    return Robot(tuple(links), tuple(joints), np.array(said["gravity"]), said["name"], tuple(said["remarks"]))
-
-
-def describe_robot(text: str, called: str, locked: Mapping[str, float]) -> dict[str, Any]:
-    """Return the robot of `read_robot` in types of JSON."""
-    robot = read_robot(text, called, locked)
-    links = [{one.name: getattr(link, one.name) for one in fields(link)} for link in robot.links]
-    return {
-        "links": [{key: getattr(value, "tolist", lambda v=value: v)() for key, value in one.items()} for one in links],
-        "joints": [(one.name, one.rotor_inertia, one.viscous, one.coulomb) for one in robot.joints],
-        "gravity": robot.gravity.tolist(),
-        "name": robot.name,
-        "remarks": robot.remarks,
-    }
+    return read_robot(text, path.name, locked)
 
 
 def read_robot(
@@ -105,8 +78,8 @@ def read_robot(
     try:
         with _quiet(mujoco):
             model = mujoco.MjModel.from_xml_string(ET.tostring(kept, encoding="unicode"))
-    except ValueError as error:
-        reason = " ".join(str(error).split())[:300]
+    except (ValueError, mujoco.FatalError, MemoryError) as error:
+        reason = " ".join(str(error).split())[:300] or "it takes too much memory"
         raise JointFileError(f"{called} is no robot that MuJoCo reads ({reason}); correct it there.") from error
     try:
         with np.errstate(all="ignore"):  # what is too large is seen by the robot, which asks for finite numbers

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from jointid.apps.web.folder import CHECKED, PREVIEW, Run, link_files, write_json
-from jointid.common.bounds import LIBRARIES, TOO_LARGE, limit_resource, measure_memory
+from jointid.common.bounds import LIBRARIES, TOO_LARGE, limit_memory, measure_memory
 from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import is_full, write_whole
 
@@ -302,5 +302,5 @@ def main(action: str, folder: Path) -> int:
 if __name__ == "__main__":
     threading.Thread(target=_end_with_the_page, daemon=True).start()
     # Beside the libraries: one that is loaded at the limit fails in ways of its own, not with `MemoryError`.
-    limit_resource("RLIMIT_AS", measure_memory() + LIBRARIES + int(sys.argv[3]))
+    limit_memory(measure_memory() + LIBRARIES + int(sys.argv[3]))
     sys.exit(main(sys.argv[1], Path(sys.argv[2])))

@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
-from jointid.common.errors import RecordError
+from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import beside
 from jointid.records.formats.csv import Csv
 from jointid.records.formats.folder import Folder
@@ -19,7 +19,6 @@ from jointid.records.formats.matlab import Matlab
 from jointid.records.formats.npy import Npy
 from jointid.records.formats.npz import Npz
 from jointid.records.formats.parquet import Parquet
-from jointid.records.formats.reader_process import MEMORY, read_apart, read_blocks_apart
 from jointid.records.formats.rosbag import RosBag
 from jointid.records.formats.table import (
     Block,
@@ -28,7 +27,6 @@ from jointid.records.formats.table import (
     Streamed,
     Table,
     Written,
-    format_size,
     require_file,
 )
 from jointid.records.formats.tdms import Tdms
@@ -44,7 +42,6 @@ FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Npz(), Json(), Hdf5(), Pa
 
 _PICKLES = (".pt", ".pth", ".pkl", ".pickle")
 _TEXTS = (Csv, Json)  # that are read packed, too
-_SHORT = 2**21  # bytes of a text that takes less time than a process would to start
 
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
@@ -90,9 +87,9 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
     """
     path = Path(path)
     reader = format_of(path, **options)
-    with _explain_failure(path):
+    with _explain_failure(path, reader):
         require_file(path)
-        return reader.read(path) if _is_harmless(reader, path) else read_apart(path, reader.name, dict(options))
+        return reader.read(path)
 
 
 def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Block]:
@@ -109,42 +106,33 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
 
     def read(block: Block, count: int) -> Table:
         """Read a block outside of this generator."""
-        with _explain_failure(path):
+        with _explain_failure(path, reader):
             return block.table(count)
 
-    with _explain_failure(path):
+    with _explain_failure(path, reader):
         require_file(path)
-        if _is_harmless(reader, path):
-            blocks = reader.blocks(path, rows)
-        else:
-            blocks = read_blocks_apart(path, rows, reader.name, dict(options))
-        for block in blocks:
+        for block in reader.blocks(path, rows):
             yield Block(block.rows, partial(read, block))
 
 
-def _is_harmless(reader: Format, path: Path) -> bool:
-    """Test for a file that is cheap to read whatever it contains.
-
-    Rows of NumPy files are at known offsets; short text takes a few hundred times its bytes.
-    """
-    is_short = path.stat().st_size <= _SHORT and not is_gzip(path)
-    return isinstance(reader, Npy) or (isinstance(reader, Csv) and is_short)
-
-
 @contextmanager
-def _explain_failure(path: Path) -> Iterator[None]:
-    """Say in a sentence why a file cannot be read."""
+def _explain_failure(path: Path, reader: Format) -> Iterator[None]:
+    """Say in a sentence why a file cannot be read, whatever the library of its format raises."""
     try:
         yield
-    except OSError as error:
-        raise RecordError(
-            f"{path} cannot be opened ({(error.strerror or type(error).__name__).lower()}); check the path."
-        ) from error
+    except JointidError:
+        raise
     except MemoryError as error:
-        size = format_size(path.stat().st_size)
         raise RecordError(
-            f"{path.name} ({size}) takes more than the {format_size(MEMORY)} of memory that reading a file may take; "
-            "log fewer channels, or cut it into shorter files."
+            f"{path.name} takes more memory than there is; log fewer channels, or cut it into shorter files."
+        ) from error
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno:  # of the system; a library's own has no number
+            said = os.strerror(error.errno).lower()
+            raise RecordError(f"{path} cannot be opened ({said}); check the path.") from error
+        raise RecordError(
+            f"{path.name} cannot be read as {reader.name}: it is damaged, cut off or of another format; log or copy it "
+            "again, or convert it to CSV or NPY by what wrote it."
         ) from error
 
 

@@ -21,7 +21,6 @@ from jointid.records.formats.arrays import find_sides, skip_reason
 from jointid.records.formats.table import (
     Table,
     describe_skips,
-    explain_damage,
     format_size,
     require_size,
     require_unique_names,
@@ -29,7 +28,6 @@ from jointid.records.formats.table import (
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
-_REMEDY = "log or copy it again"
 _CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
 # Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
 # stands for 1032 at most, and each of these may be a number.
@@ -55,7 +53,7 @@ class Hdf5:
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
-        with open_contents(path, self.name, _scan) as contents:
+        with open_contents(path, _scan) as contents:
             return contents.read()
 
 
@@ -114,7 +112,6 @@ class Contents:
     """
 
     path: Path
-    format: str
     file: Member
     signals: list[DatasetColumns] = field(default_factory=list)
     scalars: dict[str, float] = field(default_factory=dict)
@@ -173,38 +170,32 @@ class Contents:
         """Read every column."""
         columns: dict[str, FloatArray] = {}
         units: dict[str, str] = {}
-        with explain_damage(self.path, self.format, _REMEDY):
-            for signal in self.signals:
-                columns.update(zip(signal.names, signal.values(self.file[signal.place]), strict=True))
-                if signal.unit is not None:
-                    units.update(dict.fromkeys(signal.names, signal.unit))
-            return Table(columns, self.scalars, self.path.name, units, self.passed)
+        for signal in self.signals:
+            columns.update(zip(signal.names, signal.values(self.file[signal.place]), strict=True))
+            if signal.unit is not None:
+                units.update(dict.fromkeys(signal.names, signal.unit))
+        return Table(columns, self.scalars, self.path.name, units, self.passed)
 
 
 @contextmanager
-def open_contents(path: Path, name: str, scan: Callable[[Contents], None]) -> Iterator[Contents]:
+def open_contents(path: Path, scan: Callable[[Contents], None]) -> Iterator[Contents]:
     """Open a file with the layout of its columns.
 
     Args:
         path: the file.
-        name: of its format.
         scan: lists the content by the format's names.
     """
     h5py = extra("h5py", "logs", f"Reading {path.name}")
-    path.open("rb").close()  # what cannot be opened is said by the system, not by the library
-    with explain_damage(path, name, _REMEDY):
-        file = h5py.File(path, "r")
-    with file:
-        contents = Contents(path, name, file)
-        with explain_damage(path, name, _REMEDY):
-            scan(contents)
-            signals = contents.signals
-            if not (signals or contents.scalars):
-                raise RecordError(
-                    f"{path.name} holds no numbers{describe_skips(contents.passed)}; expected datasets of one or two "
-                    "dimensions."
-                )
-            require_unique_names(path, [name for signal in signals for name in signal.names])
+    with h5py.File(path, "r") as file:
+        contents = Contents(path, file)
+        scan(contents)
+        signals = contents.signals
+        if not (signals or contents.scalars):
+            raise RecordError(
+                f"{path.name} holds no numbers{describe_skips(contents.passed)}; expected datasets of one or two "
+                "dimensions."
+            )
+        require_unique_names(path, [name for signal in signals for name in signal.names])
         numbers = sum(signal.rows * len(signal.names) for signal in signals)
         require_size(path, numbers)
         declared = 8 * numbers

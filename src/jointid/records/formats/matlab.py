@@ -1,7 +1,5 @@
 """MATLAB's MAT files: versions 4 to 7 by SciPy, and version 7.3, which is HDF5; the first bytes tell which.
 
-A damaged file may end SciPy's reader, so that such a file is read in a process of its own (`reader_process`).
-
 Version 7.3 is HDF5 as MATLAB lays it out. Before the HDF5 stand 512 bytes: a text, the version 0x0200 and "IM". Every
 variable is a dataset, a structure a group, with its class in the attribute MATLAB_class; rows and columns are stored
 the other way round. The fields of an array of structures, and cells, are references into the group "#refs#". (Layout:
@@ -26,7 +24,6 @@ from jointid.records.formats.hdf5 import SIGNATURE, Contents, Member, open_conte
 from jointid.records.formats.table import (
     Table,
     describe_skips,
-    explain_damage,
     require_unique_names,
 )
 
@@ -36,7 +33,6 @@ _KEYWORD = re.compile(
     "return|spmd|switch|try|while"
 )
 
-_NAME_73 = "a MAT file of version 7.3"
 _HEADER_73 = 512  # bytes before the HDF5
 _NUMERIC_73 = {"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))}
 _CLASSES_73 = {"char": "it holds text", "cell": "a cell array"}
@@ -59,22 +55,21 @@ class Matlab:
     def read(self, path: Path) -> Table:
         """Read every numeric variable of the file; see `Format.read`."""
         if _is_hdf5(path):
-            with open_contents(path, _NAME_73, _scan) as contents:
+            with open_contents(path, _scan) as contents:
                 return contents.read()
         columns, scalars, passed = dict[str, FloatArray](), dict[str, float](), dict[str, str]()
-        with explain_damage(path, "a MAT file", "save it again with -v7 in MATLAB"):
-            for name, array in _load_arrays(path):
-                if isinstance(array, str):
-                    passed[name] = array
-                    continue
-                found: dict[str, FloatArray] = {}
-                if array.size == 1:
-                    found[name] = array
-                else:
-                    find_columns(name, array, found, passed)
-                require_unique_names(path, [*columns, *scalars, *found])
-                columns |= found if array.size != 1 else {}
-                scalars |= {name: float(array.item())} if array.size == 1 else {}
+        for name, array in _load_arrays(path):
+            if isinstance(array, str):
+                passed[name] = array
+                continue
+            found: dict[str, FloatArray] = {}
+            if array.size == 1:
+                found[name] = array
+            else:
+                find_columns(name, array, found, passed)
+            require_unique_names(path, [*columns, *scalars, *found])
+            columns |= found if array.size != 1 else {}
+            scalars |= {name: float(array.item())} if array.size == 1 else {}
         if not (columns or scalars):
             raise RecordError(
                 f"{path.name} holds no array of real numbers{describe_skips(passed)}; save the signals as numeric "

@@ -19,7 +19,6 @@ from jointid.records.formats.table import (
     PIECES,
     Block,
     Table,
-    explain_damage,
     join_tables,
     require_one_length,
     require_size,
@@ -33,7 +32,6 @@ _SCALARS = b"jointid.scalars"
 _UNITS = (b"units", b"unit")
 _TEXT, _CONTAINER = 2**24, 2**20  # bytes and items of one entry of a file's description
 _ANY_LENGTH = "its rows are lists of any length"
-_REMEDY = "log or copy it again"
 
 Arrow: TypeAlias = Any
 """An object of pyarrow, which has no types."""
@@ -53,7 +51,7 @@ class Parquet:
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
-        with _open(path) as file, explain_damage(path, self.name, _REMEDY):
+        with _open(path) as file:
             require_size(path, _count_values(file))
             parts = list(_read_parts(path, file))
         if not parts:
@@ -68,12 +66,8 @@ class Parquet:
         """Yield so many rows after so many."""
         with _open(path) as file:
             require_size(path, _count_values(file), PIECES)
-            found, parts = _read_parts(path, file), list[Table]()
-            while True:
-                with explain_damage(path, self.name, _REMEDY):
-                    part = next(found, None)
-                if part is None:
-                    break
+            parts = list[Table]()
+            for part in _read_parts(path, file):
                 parts.append(part)
                 while sum(each.rows for each in parts) >= rows:
                     whole = join_tables(parts)
@@ -113,19 +107,19 @@ def _to_block(table: Table) -> Block:
 @contextmanager
 def _open(path: Path) -> Iterator[Arrow]:
     parquet = extra("pyarrow.parquet", "logs", f"Reading {path.name}")
-    with path.open("rb") as raw:
-        with explain_damage(path, Parquet.name, _REMEDY):
-            # Not mapped, and read as it is asked for: memory holds what is decoded, and little else.
-            file = parquet.ParquetFile(
-                raw,
-                buffer_size=2**20,
-                pre_buffer=False,
-                thrift_string_size_limit=_TEXT,
-                thrift_container_size_limit=_CONTAINER,
-                page_checksum_verification=True,
-            )
-        with file:
-            yield file
+    # Not mapped, and read as it is asked for: memory holds what is decoded, and little else.
+    with (
+        path.open("rb") as raw,
+        parquet.ParquetFile(
+            raw,
+            buffer_size=2**20,
+            pre_buffer=False,
+            thrift_string_size_limit=_TEXT,
+            thrift_container_size_limit=_CONTAINER,
+            page_checksum_verification=True,
+        ) as file,
+    ):
+        yield file
 
 
 def _count_values(file: Arrow) -> int:

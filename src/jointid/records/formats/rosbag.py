@@ -24,14 +24,12 @@ from jointid.records.formats.messages import (
 from jointid.records.formats.table import (
     Table,
     describe_skips,
-    explain_damage,
     require_size,
     require_unique_names,
 )
 
 _DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before counts from some beginning
 _WIDEST = 1000  # columns of one topic
-_REMEDY = "record it again, or rebuild it with ros2 bag reindex"
 _DIGITS = re.compile(r"(\d+)")
 
 Stamps = NDArray[np.int64]
@@ -54,9 +52,8 @@ class RosBag:
         extra("rosbags", "logs", "Reading ROS 2 bags")
         reading = _BagTable(path)
         for file in list_files(path):
-            with explain_damage(file, self.name, _REMEDY):
-                for topic, time, data in read_messages(file):
-                    reading.take(topic, time, data)
+            for topic, time, data in read_messages(file):
+                reading.take(topic, time, data)
         return reading.table()
 
 

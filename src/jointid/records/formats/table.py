@@ -1,13 +1,9 @@
-"""Tables of columns and scalars, common to all formats, and errors on damaged files.
-
-Binary libraries raise arbitrary errors on damaged files; all become one sentence.
-"""
+"""Tables of columns and scalars, common to all formats, and bounds on what a file may hold."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import Field, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +13,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError, RecordError
+from jointid.common.errors import RecordError
 from jointid.common.text import short
 
 WHOLE = 2**30
@@ -210,19 +206,6 @@ class Streamed(Protocol):
 
 class NotStreamedError(RecordError):
     """A file without consecutive rows cannot be read in chunks."""
-
-
-@contextmanager
-def explain_damage(path: Path, format_name: str, remedy: str) -> Iterator[None]:
-    """Convert any library error to the sentence on a damaged file; `remedy` ends it."""
-    try:
-        yield
-    except (JointidError, MemoryError):
-        raise
-    except Exception as error:
-        raise RecordError(
-            f"{path.name} cannot be read as {format_name}: it is damaged, cut off or of another format; {remedy}."
-        ) from error
 
 
 def require_file(path: Path) -> None:

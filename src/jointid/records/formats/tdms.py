@@ -16,7 +16,6 @@ from jointid.common.errors import RecordError, extra
 from jointid.records.formats.arrays import REAL, skip_reason
 from jointid.records.formats.table import (
     Table,
-    explain_damage,
     require_size,
     require_unique_names,
 )
@@ -26,7 +25,6 @@ _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
 _UNITS = ("unit_string", "unit", "units", "Unit")
 _STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
 _UNSET = np.datetime64("1904-01-02")  # LabVIEW counts from the day before; an instant nobody set is that
-_REMEDY = "log or copy it again"
 
 Nptdms: TypeAlias = Any
 """An object of npTDMS, which has no types."""
@@ -86,8 +84,7 @@ class _Contents:
 
     def read(self) -> Table:
         """Read every column."""
-        with explain_damage(self.path, Tdms.name, _REMEDY):
-            columns = {c.name: c.values() for c in self.channels}
+        columns = {c.name: c.values() for c in self.channels}
         units = {c.name: c.unit for c in self.channels if c.unit}
         clocks = {c.name: c.clock for c in self.channels if c.clock}
         return Table(columns, self.scalars, self.path.name, units, self.passed, clocks)
@@ -100,24 +97,23 @@ def _open(path: Path) -> Iterator[_Contents]:
     extra("nptdms.log", "logs", "Reading TDMS").log_manager.set_level(logging.CRITICAL)
     # An open file, not its path: an index beside it, which may be of another file, is then left alone.
     with path.open("rb") as raw:
-        with explain_damage(path, Tdms.name, _REMEDY):
-            file = nptdms.TdmsFile.open(raw)
-            if file.file_status.incomplete_final_segment:
-                raise RecordError(f"{path.name} ends in the middle of its data; {_REMEDY}.")
-            owners = {"": file.properties} | {f"{group.name}/": group.properties for group in file.groups()}
-            scalars = {
-                f"{prefix}{name}": float(value)
-                for prefix, properties in owners.items()
-                for name, value in properties.items()
-                if isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            }
-            passed = {
-                f"{group.name}/{channel.name}": skip_reason(np.dtype(channel.dtype)) or "it is empty"
-                for group in file.groups()
-                for channel in group.channels()
-                if not (len(channel) and np.dtype(channel.dtype).kind in _READ)
-            }
-            contents = _Contents(path, list(_list_channels(file)), scalars, passed)
+        file = nptdms.TdmsFile.open(raw)
+        if file.file_status.incomplete_final_segment:
+            raise RecordError(f"{path.name} ends in the middle of its data; log or copy it again.")
+        owners = {"": file.properties} | {f"{group.name}/": group.properties for group in file.groups()}
+        scalars = {
+            f"{prefix}{name}": float(value)
+            for prefix, properties in owners.items()
+            for name, value in properties.items()
+            if isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        }
+        passed = {
+            f"{group.name}/{channel.name}": skip_reason(np.dtype(channel.dtype)) or "it is empty"
+            for group in file.groups()
+            for channel in group.channels()
+            if not (len(channel) and np.dtype(channel.dtype).kind in _READ)
+        }
+        contents = _Contents(path, list(_list_channels(file)), scalars, passed)
         require_unique_names(path, [channel.name for channel in contents.channels])
         if not contents.channels:
             raise RecordError(f"{path.name} holds no channel of numbers; log the signals as numbers.")
