@@ -15,7 +15,6 @@ from jointid.config.robot_file import RobotFile
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.models.robots.robot import Robot
 from tests.estimation.robots.twin import SAMPLE_TIME, motion
-from tests.output.test_kept_estimates import compiled
 from tests.public_arms import real_arm, urdf_of
 
 mujoco = pytest.importorskip("mujoco", reason="plays the arm, which is not installed")
@@ -121,11 +120,6 @@ def test_an_arm_is_identified_once_and_used_by_every_command(
         run("export", robot, "--estimate", kept, "--out", path)
         return path, re.findall("^Left out: (.*)\\.$", capsys.readouterr().out, re.M)
 
-    source, lost = export("c")
-    function = compiled(source.read_text("utf-8"), tmp_path, 6)
-    written = np.array([function(*rows) for rows in zip(q, v, a, strict=True)])
-    np.testing.assert_allclose(written, torque, rtol=1e-12, atol=1e-12 * np.abs(torque).max())
-    assert not lost
     offsets = np.array([estimate.values[f"{name}.offset"] for name in arm.names])
     found, lost = export("xml")
     assert lost == ["the constant parts of the motors' torques"]
