@@ -161,13 +161,13 @@ def test_all_faults_are_reported_at_once(saved: Saved) -> None:
     gap[[70, 90]] = NAN
     faults = faults_of(
         saved(t=np.append(TIME[:-1], 1.0), q=gap, v=POSITION),
-        {"torque": "i", "reference": Column("q", tap=Tap.FILTERED), "load_position": Column("v", unit="rad")},
+        {"torque": "i", "reference": Column("q", tap=Tap.MEASURED), "load_position": Column("v", unit="rad")},
     )
     expected = [
         'run.mat has no column "i" (for torque); it has "t", "q", "v".',
         'The time column "t" jumps 1 time: after sample 198',
         'reference (column "q") has 2 samples without a finite number, the first nan at sample 70',
-        "reference has tap = filtered",
+        "reference has tap = measured",
         'load_position (column "v") is in "rad"; expected one of m, mm',
     ]
     assert len(faults) == len(expected)

@@ -62,7 +62,7 @@ class Column:
     )
     tap: Tap | None = setting(
         None,
-        "where the torque was logged: the controller's output, behind the drive's filters, or a measured current; "
+        "where the torque was logged: the controller's output behind its filters and its limit, or a measured current; "
         "the drive's profile may say, or else the controller's output",
     )
     at: InjectionPoint = setting(

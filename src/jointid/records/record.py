@@ -45,8 +45,7 @@ class Timing(StrEnum):
 class Tap(StrEnum):
     """Point of the drive at which the torque was logged."""
 
-    COMMAND = "command"  # the controller's output, after its limit
-    FILTERED = "filtered"  # after the drive's torque filters
+    COMMAND = "command"  # the controller's output, after its filters and its limit
     MEASURED = "measured"  # a measured current times the torque constant, with its own noise
 
 
