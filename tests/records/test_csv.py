@@ -200,7 +200,7 @@ def test_a_packed_text_is_read(suffix: str, tmp_path: Path) -> None:
     assert_same(read_table(path), {"t": [0], "q": [1.5]})
     assert next(read_blocks(path, 5)).table().rows == 1
     path.write_bytes(gzip.compress(b"t;q\n" + b"0;1\n" * 9000)[:-20])
-    with pytest.raises(RecordError, match=r"cannot be unpacked by gzip: it is damaged or cut off"):
+    with pytest.raises(RecordError, match=r"it is damaged, cut off"):
         read_table(path)
 
 

@@ -1,8 +1,7 @@
-"""NumPy archives (.npz): arrays by name, never objects. Each is unpacked only if it is as large as it declares."""
+"""NumPy archives (.npz): arrays by name, never objects."""
 
 from __future__ import annotations
 
-import math
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,11 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.records.formats.arrays import find_columns, to_numbers
-from jointid.records.formats.npy import HEADER_ERRORS, read_header
+from jointid.records.formats.npy import HEADER
 from jointid.records.formats.table import (
     WIDEST,
     Table,
     describe_skips,
-    format_size,
     require_size,
     require_unique_names,
 )
@@ -48,7 +46,7 @@ class Npz:
                 raise RecordError(f"{path.name} has {len(members)} arrays (at most {WIDEST} are read); log fewer.")
             for member in members:
                 name = member.filename.removesuffix(_SUFFIX)
-                array = _read_array(path, archive, member) if name != member.filename else "it is no array"
+                array = _read_array(archive, member) if name != member.filename else "it is no array"
                 if isinstance(array, str):
                     passed[name] = array
                 elif array.size == 1 and not array.dtype.names and array.dtype.kind in "fiub":
@@ -61,21 +59,11 @@ class Npz:
         return Table(columns, scalars, path.name, passed=passed)
 
 
-def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any] | str:
-    """Return an array, or why it is none; what it declares is checked before it is unpacked."""
-    with archive.open(member) as file:
-        try:
-            shape, by_column, dtype = read_header(file)
-        except HEADER_ERRORS:
-            return "its header is no array's"
-        if dtype.hasobject:
-            return "it holds objects"
-        if not all(type(size) is int and size >= 0 for size in shape):
-            return "its header is no array's"
-        require_size(path, math.prod(shape))
-        size = math.prod(shape) * dtype.itemsize
-        if size > member.file_size:
-            return f"it declares {format_size(size)} and holds {format_size(member.file_size)}"
-        content = file.read(size)
-    array = np.frombuffer(content, dtype=dtype) if size else np.empty(0, dtype=dtype)
-    return array.reshape(shape, order="F" if by_column else "C")
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any] | str:
+    """Return an array, or why it is none."""
+    try:
+        with archive.open(member) as file:
+            array: np.ndarray[Any, Any] = np.lib.format.read_array(file, allow_pickle=False, max_header_size=HEADER)
+    except ValueError:
+        return "it holds objects, or less than it declares"
+    return array

@@ -7,10 +7,8 @@ import csv
 import gzip
 import io
 import re
-import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -85,7 +83,7 @@ def exceeds(path: Path, size: int) -> bool:
     """Test for a text of more than `size` bytes, unpacked."""
     if not is_gzip(path):
         return path.stat().st_size > size
-    with _explain_packing(path), open_text(path) as file:
+    with open_text(path) as file:
         left = size
         while left >= 0 and (part := file.read(2**20)):
             left -= len(part)
@@ -94,7 +92,7 @@ def exceeds(path: Path, size: int) -> bool:
 
 def read_bytes(path: Path, most: int) -> bytes:
     """Read the bytes of a text, unpacked; refuse more than `most`."""
-    with _explain_packing(path), open_text(path) as file:
+    with open_text(path) as file:
         raw = file.read(most + 1)
     if len(raw) > most:
         raise RecordError(f"{path.name} has more than {most} bytes of text; cut it into shorter files.")
@@ -103,7 +101,7 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 def read_lines(path: Path) -> TextFile:
     """Read a file in UTF-8, UTF-16 with byte order mark, or Latin-1."""
-    with _explain_packing(path), open_text(path) as file:
+    with open_text(path) as file:
         raw = file.read()
     text = decode(path, raw)
     # str.splitlines would also split at form feeds and other marks that occur inside names.
@@ -161,15 +159,6 @@ def _find_lists(text: str) -> tuple[str, list[list[str]]]:
     return mark, lists if all(is_number(cell) and mark not in cell for cells in lists for cell in cells) else []
 
 
-@contextmanager
-def _explain_packing(path: Path) -> Iterator[None]:
-    """Say so where a packed text is damaged."""
-    try:
-        yield
-    except (gzip.BadGzipFile, EOFError, zlib.error):
-        raise RecordError(f"{path.name} cannot be unpacked by gzip: it is damaged or cut off; copy it again.") from None
-
-
 def build_text(name: str, filled: list[Line]) -> TextFile:
     """Build a text from non-empty lines."""
     lines = [line for line in filled if not is_remark(line.text)]
@@ -183,7 +172,7 @@ def stream_lines(path: Path) -> Iterator[Line]:
 
     The beginning determines the encoding.
     """
-    with _explain_packing(path), open_text(path) as raw:
+    with open_text(path) as raw:
         head = raw.read(_HEAD)
     encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
@@ -193,7 +182,6 @@ def stream_lines(path: Path) -> Iterator[Line]:
     if "\0" in beginning:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
     with (
-        _explain_packing(path),
         open_text(path) as raw,
         io.TextIOWrapper(raw, encoding=encoding, errors="replace") as file,
     ):
