@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError, RecordError, UnknownName
+from jointid.common.errors import RecordError, UnknownName
 from jointid.common.text import interval
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Iteration, Params, Settings
@@ -99,15 +99,12 @@ def test_a_records_own_parameters_have_keys_of_their_own() -> None:
         params["inertia@3"]
 
 
-def test_intervals_of_any_level() -> None:
-    inside = ESTIMATE.conf_int(0.5)
-    assert list(inside) == ["inertia", "viscous", "initial_position"]  # neither refused nor fixed
-    assert inside["viscous"] == pytest.approx((207.534 - 0.67449 * 1.25, 207.534 + 0.67449 * 1.25))
-    assert ESTIMATE.conf_int()["viscous"] == pytest.approx((207.534 - 1.959964 * 1.25, 207.534 + 1.959964 * 1.25))
-    wide = amended(ESTIMATE, params={"rows": (replace(ESTIMATE["viscous"], lack_of_fit=1.25),)})
-    assert wide.conf_int()["viscous"][1] == pytest.approx(207.534 + 1.959964 * 1.25 * 2**0.5)
-    with pytest.raises(MethodError, match="received 95"):
-        ESTIMATE.conf_int(95.0)
+def test_an_interval_has_what_a_lack_of_fit_adds() -> None:
+    inside = [name for name, one in ESTIMATE.params.items() if one.interval is not None]
+    assert inside == ["inertia", "viscous", "initial_position"]  # neither refused nor fixed
+    assert ESTIMATE["viscous"].interval == pytest.approx((207.534 - 2 * 1.25, 207.534 + 2 * 1.25))
+    wide = replace(ESTIMATE["viscous"], lack_of_fit=1.25)
+    assert wide.interval == pytest.approx((207.534 - 2 * 1.25 * 2**0.5, 207.534 + 2 * 1.25 * 2**0.5))
 
 
 def test_residual_and_frequencies() -> None:

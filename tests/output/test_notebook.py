@@ -71,19 +71,10 @@ def test_a_record_is_a_data_frame_over_time() -> None:
     assert np.isnan(slow["reference"]).tolist() == [False, True, False, True]
 
 
-def test_a_validation_is_a_data_frame_over_time() -> None:
-    pytest.importorskip("pandas")
-    made = results()["validation"]
-    frame = made.to_dataframe()
-    np.testing.assert_array_equal(frame["error"], made.axes[0].measured - made.axes[0].predicted)
-    assert frame.index[1] == made.sample_time
-
-
 def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    for name in ("record", "validation"):
-        with pytest.raises(ji.ExtraError):
-            results()[name].to_dataframe()
+    with pytest.raises(ji.ExtraError):
+        results()["record"].to_dataframe()
 
 
 def test_pictures_are_a_word_away() -> None:

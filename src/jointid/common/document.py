@@ -17,12 +17,11 @@ from html import escape
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from jointid.common.errors import extra
 from jointid.common.files import write_whole
 from jointid.common.text import align, encodable, wrap
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    pass
 
 Mark: TypeAlias = bool | Literal["noted"] | None
 """The answer to a question; None if undecided, noted if it is no but changes nothing."""
@@ -209,13 +208,6 @@ class Documented(ABC):
         said = {document.title: None, self.sentence: None}  # once where they are the same
         blocks = (*map(Paragraph, filter(None, said)), *document.blocks)
         return "\n".join(block_html(block) for block in blocks if not isinstance(block, Picture))
-
-
-def data_frame(rows: Mapping[str, Mapping[str, object]], index: str) -> DataFrame:
-    """Return a pandas data frame of rows by their names, which `index` calls."""
-    pandas = extra("pandas", "dataframe", "A data frame")
-    frame: DataFrame = pandas.DataFrame.from_dict(rows, orient="index").rename_axis(index)
-    return frame
 
 
 def common_facts(resampled: object | None, transmission: object | None) -> tuple[tuple[str, str], ...]:

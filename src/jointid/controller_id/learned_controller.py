@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import (
@@ -17,7 +16,6 @@ from jointid.common.document import (
     Paragraph,
     Table,
     common_facts,
-    data_frame,
 )
 from jointid.common.messages import Message
 from jointid.common.text import join, number, pluralise, sentence
@@ -27,9 +25,6 @@ from jointid.controller_id.structures import Structure
 from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, in_torque
 from jointid.models.controllers.drive_numbers import DriveNumber, name_in_words
 from jointid.records.record import Resampled
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 _TUNED = ("_gain", "integral_time", "derivative_time")  # what the names of gains and their times end with
 
@@ -185,10 +180,6 @@ class LearnedController(Documented):
         if CONTROLLER_UNITS not in n.unit:
             return 1.0, n.unit
         return getattr(self.controller, "gain", 1.0), in_torque(n.unit, self.torque_unit)
-
-    def to_dataframe(self) -> DataFrame:
-        """Pandas data frame of the numbers, with standard errors."""
-        return data_frame({n.name: {"value": n.value, "stderr": n.std} for n in self.numbers}, "number")
 
     def to_document(self, *, details: bool = False) -> Document:
         """Numbers, other structures and limitations."""

@@ -11,14 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from jointid.common.document import Document, Documented, Facts, Listing, Table, data_frame
+from jointid.common.document import Document, Documented, Facts, Listing, Table
 from jointid.common.errors import MethodError
 from jointid.common.text import in_words, number
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 LEVEL = 0.05
 """Family-wise significance level: largest share of unchanged pairs in which some quantity is called changed."""
@@ -151,15 +147,6 @@ class EstimateComparison(Documented):
     def sentence(self) -> str:
         """Whether anything changed."""
         return self.sentences[0]
-
-    def to_dataframe(self) -> DataFrame:
-        """Return the quantities as a pandas data frame, one row each.
-
-        Raises:
-            ExtraError: pandas is not installed.
-        """
-        keys = ("symbol", "before", "after", "difference", "std", "p_value", "unit", "reason")
-        return data_frame({row.name: {key: getattr(row, key) for key in keys} for row in self.rows}, "quantity")
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Paragraph, Table, common_facts
-from jointid.common.errors import MethodError, extra
+from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
@@ -40,7 +40,6 @@ from jointid.uncertainty.verdict import POOR_FIT, scale_verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pandas import DataFrame
 
 _LAGS = 40  # of the residual's autocorrelation
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
@@ -272,22 +271,6 @@ class Validation(Documented):
         import jointid
 
         return jointid.figures.torque(self)
-
-    def to_dataframe(self) -> DataFrame:
-        """Return measured and predicted signal of each axis and their difference over time as a pandas data frame.
-
-        Raises:
-            ExtraError: pandas is not installed.
-        """
-        pandas = extra("pandas", "dataframe", "A data frame")
-        columns = dict[str, FloatArray]()
-        for axis in self.axes:
-            of = f"{axis.name}." if axis.name else ""
-            columns |= {f"{of}measured": axis.measured, f"{of}predicted": axis.predicted}
-            columns[f"{of}error"] = axis.measured - axis.predicted
-        time = pandas.Index(self.sample_time * np.arange(self.axes[0].measured.size), name="time")
-        frame: DataFrame = pandas.DataFrame(columns, index=time)
-        return frame
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the answer, errors and whiteness as a document; there are no further details."""

@@ -95,36 +95,6 @@ def pulses(samples: int, sample_time: float, height: float, width: float, every:
     return signal
 
 
-def chirp(samples: int, sample_time: float, amplitude: float, lowest: float, highest: float) -> FloatArray:
-    """Sine with logarithmic frequency sweep, which begins and ends at 0.
-
-    Args:
-        samples: how many.
-        sample_time: seconds.
-        amplitude: of the sine.
-        lowest: frequency at the beginning, Hz.
-        highest: at the end, Hz.
-
-    Returns:
-        Shape (samples,).
-
-    Raises:
-        MethodError: the frequencies are not positive and rising, or the highest is no signal of that sample time.
-    """
-    _require_band(lowest, highest, sample_time)
-    if samples < 2:
-        return np.zeros(samples)
-    time, length = np.arange(samples) * sample_time, samples * sample_time
-    grows = math.log(highest / lowest) or 1e-12
-    turns = lowest * length / grows * np.expm1(grows * time / length)
-    # It fades in and out over a period each, so that no step rings the joint.
-    into, out = (
-        np.clip(at * sample_time * f, 0.0, 1.0)
-        for at, f in ((np.arange(samples), lowest), (np.arange(samples)[::-1], highest))
-    )
-    return np.asarray(amplitude * into * out * np.sin(2 * math.pi * turns))
-
-
 def multisine(
     samples: int,
     sample_time: float,
@@ -151,7 +121,7 @@ def multisine(
         Shape (samples,), beginning and ending at 0.
 
     Raises:
-        MethodError: see `chirp`.
+        MethodError: the frequencies are not positive and rising, or the highest is no signal of that sample time.
     """
     _require_band(lowest, highest, sample_time)
     length = samples * sample_time
@@ -180,30 +150,6 @@ def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplit
     f, sizes = np.asarray(frequencies, dtype=np.float64), np.asarray(amplitudes, dtype=np.float64)
     _require_band(float(f.min()), float(f.max()), sample_time)
     return _ramp_ends(samples, 1 / (float(f.min()) * sample_time)) * _sum_sines(samples, sample_time, f, sizes)
-
-
-def fourier_series(
-    samples: int, sample_time: float, period: float, cosines: Sequence[float], sines: Sequence[float]
-) -> FloatArray:
-    """Return ``sum_k a_k (cos(k w t) - 1) + b_k sin(k w t)``, w = 2 pi / period.
-
-    Args:
-        samples: how many.
-        sample_time: seconds.
-        period: of the first harmonic, seconds.
-        cosines: a_1, a_2, ...
-        sines: b_1, b_2, ..., as many.
-
-    Returns:
-        Shape (samples,), beginning at 0.
-    """
-    if len(cosines) != len(sines) or not period > 0:
-        raise MethodError(
-            f"A Fourier series has as many cosines as sines and a positive period; received {len(cosines)}, "
-            f"{len(sines)} and {period}."
-        )
-    angle = np.outer(np.arange(samples) * sample_time, 2 * math.pi / period * np.arange(1, len(sines) + 1))
-    return np.asarray((np.cos(angle) - 1.0) @ np.asarray(cosines) + np.sin(angle) @ np.asarray(sines))
 
 
 def smooth(reference: FloatArray, sample_time: float, seconds: float) -> FloatArray:

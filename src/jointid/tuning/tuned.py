@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,7 +30,6 @@ from jointid.common.document import (
     Paragraph,
     Table,
     common_facts,
-    data_frame,
 )
 from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import join, number
@@ -41,9 +39,6 @@ from jointid.models.controllers.drive_numbers import name_in_words
 from jointid.models.linear import ComplexArray
 from jointid.tuning.margins import Margins
 from jointid.tuning.proposals import FeedForward, Tuning
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 _SMALLEST = 1e-3  # loop gain that is shown
 _REACH = 2.5  # of the Nyquist plot, about its origin
@@ -173,11 +168,6 @@ class Tuned(Charted, Documented):
         )
         steps = " Set the gains in steps: a lag of the drive that is not declared is in no margin." if far else ""
         return f"{advice}: in the worst case the {name} margin {margin}{unit} ({least} required).{steps}"
-
-    def to_dataframe(self) -> DataFrame:
-        """Pandas data frame of the gains: before and after, unit and formula."""
-        rows = {g.key: {"before": g.before, "after": g.after, "unit": g.unit, "formula": g.formula} for g in self.gains}
-        return data_frame(rows, "gain")
 
     def to_document(self, *, details: bool = False) -> Document:
         """Tables before and after, with notes."""

@@ -44,7 +44,7 @@ def test_a_robot_under_its_declared_controllers_is_relied_on() -> None:
     assert found.answer.trust.code is Trust.RELIABLE and found.success
     row = found.params["joint2.coulomb"]
     assert (row.axis, row.unit, row.side) == ("joint2", "N m", None)
-    low, high = found.conf_int()["joint2.coulomb"]
+    low, high = row.interval
     assert low < 1.5 < high
     assert found.covariance.shape == (len(found.params),) * 2
     assert found.residual.shape == found.fit.measured.shape and found.fit.measured.shape[1] == 2

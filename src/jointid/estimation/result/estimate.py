@@ -6,15 +6,14 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, data_frame, write
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.document import Document, Documented, write
+from jointid.common.errors import MethodError, RecordError, extra
 from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.parts import EstimateParts
 from jointid.models.disturbances import Effect
@@ -115,21 +114,6 @@ class Estimate(EstimateParts, Documented):
         """Frequencies of a flexible joint by name, Hz, see `FlexibleJoint.frequencies`; none without its stiffness."""
         known = {"motor_inertia", "load_inertia", "stiffness"} <= self.values.keys() and self.values["stiffness"] > 0
         return FlexibleJoint.frequencies(self.values) if known else {}
-
-    def conf_int(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Return the confidence interval of every parameter that has one, by name.
-
-        Args:
-            level: probability that it covers the value; 0.954 gives `EstimatedParameter.interval`, two deviations.
-        """
-        if not 0.0 < level < 1.0:
-            raise MethodError(f"A confidence level lies between 0 and 1; received {level:g}.")
-        half = NormalDist().inv_cdf(0.5 + 0.5 * level)
-        return {
-            name: (p.value - half * p.deviation, p.value + half * p.deviation)
-            for name, p in self.params.items()
-            if p.value is not None and p.deviation is not None
-        }
 
     def __repr__(self) -> str:
         """Return model, method and answer: one line, or two."""
@@ -256,7 +240,9 @@ class Estimate(EstimateParts, Documented):
                 "free": p.free,
                 "identifiable": p.identifiable,
             }
-        return data_frame(rows, "parameter").astype(dict.fromkeys(("value", "stderr", "lower", "upper"), float))
+        pandas = extra("pandas", "dataframe", "A data frame")
+        frame: DataFrame = pandas.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
+        return frame.astype(dict.fromkeys(("value", "stderr", "lower", "upper"), float))
 
     # What follows is a shorter way to public functions, which stand above this room and are found by their public
     # names, as in a user's program.
