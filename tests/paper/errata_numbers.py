@@ -13,7 +13,6 @@ from jointid.paper.recomputed import (
     TESTS,
     agrees,
     compute_variations,
-    find_misprints,
     format_as_print,
     format_digits,
     recompute_cells,
@@ -26,6 +25,25 @@ REGRESSOR_OF_2 = (
     ("0", "0", "0", "q2", "v2", "a12", "v12", "sign(v12)"),
 )
 """The regressor of (2), in the letters of `models.joints` and in the order of the parameters of Table 2."""
+
+
+def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:
+    """Cells that do not follow from other printed numbers by any admissible rounding.
+
+    Rounded or cut to the printed digits, rounded to a whole number where a whole one is printed, by any denominator.
+    """
+    return tuple(
+        (column, name)
+        for (column, name), candidates in recompute_cells(table).items()
+        if not any(_matches_print(table.cell((column, name)), candidate) for candidate in candidates)
+    )
+
+
+def _matches_print(printed: Decimal, recomputed: Decimal) -> bool:
+    if agrees(printed, recomputed) or agrees(printed, recomputed, ROUND_DOWN):
+        return True
+    whole = printed.to_integral_value()
+    return whole == printed and agrees(whole, recomputed)
 
 
 def compute_shifts(before: PublishedTable, after: PublishedTable) -> dict[str, float]:

@@ -20,7 +20,6 @@ from jointid.paper.recomputed import (
     compute_relative_deviations,
     compute_relative_errors,
     compute_variations,
-    find_misprints,
     format_as_print,
     recompute_cells,
     sum_sides,
@@ -33,6 +32,7 @@ from tests.paper.errata_numbers import (
     compute_shifts,
     compute_stiffness,
     find_largest_decimation,
+    find_misprints,
     find_wrong_entries,
     stops,
 )

@@ -11,7 +11,7 @@ from jointid.common.errors import RecordError
 from jointid.records.chunks import InMemory, Log
 from jointid.records.columns import Column
 from jointid.records.formats import Table, read_blocks, read_table, write_table
-from jointid.records.formats.table import NotStreamedError, join_tables
+from jointid.records.formats.table import join_tables
 from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, Record
 
@@ -139,7 +139,7 @@ def test_a_jump_of_the_clock_is_found_where_it_is(tmp_path: Path) -> None:
 def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
     made = tmp_path / "day.mat"
     write_table(made, Table(numbers()))
-    with pytest.raises(NotStreamedError):
+    with pytest.raises(RecordError, match="in chunks"):
         list(Log(made, CHANNELS).chunks(20, 4))
     with pytest.raises(RecordError, match="torque has one of its own"):
         Log(made, {**CHANNELS, "torque": Column("torque", sample_time=0.02)})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from decimal import ROUND_DOWN, Decimal
+from decimal import Decimal
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
@@ -76,25 +76,6 @@ def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
         for heading, found in columns.items()
         for name in table.rows
     }
-
-
-def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:
-    """Cells that do not follow from other printed numbers by any admissible rounding.
-
-    Rounded or cut to the printed digits, rounded to a whole number where a whole one is printed, by any denominator.
-    """
-    return tuple(
-        (column, name)
-        for (column, name), candidates in recompute_cells(table).items()
-        if not any(_matches_print(table.cell((column, name)), candidate) for candidate in candidates)
-    )
-
-
-def _matches_print(printed: Decimal, recomputed: Decimal) -> bool:
-    if agrees(printed, recomputed) or agrees(printed, recomputed, ROUND_DOWN):
-        return True
-    whole = printed.to_integral_value()
-    return whole == printed and agrees(whole, recomputed)
 
 
 # Tables for reports: printed, and recomputed from print

@@ -23,7 +23,6 @@ from jointid.records.formats.rosbag import RosBag
 from jointid.records.formats.table import (
     Block,
     Format,
-    NotStreamedError,
     Streamed,
     Table,
     Written,
@@ -102,7 +101,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
     reader = format_of(path, **options)
     if not isinstance(reader, Streamed):
         streamed = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Streamed))
-        raise NotStreamedError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
+        raise RecordError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
 
     def read(block: Block, count: int) -> Table:
         """Read a block outside of this generator."""

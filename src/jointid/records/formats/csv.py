@@ -27,7 +27,6 @@ from jointid.records.formats.table import (
     TIME_NAME,
     WIDEST,
     Block,
-    NotStreamedError,
     Table,
     join_tables,
     require_no_scalars,
@@ -251,7 +250,7 @@ class Csv:
         lines = open_lists(stream_lines(path))
         text = build_text(path.name, list(islice(lines, _BEGINNING)))
         if find_scope(text) is not None:
-            raise NotStreamedError(
+            raise RecordError(
                 f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in chunks; "
                 "convert it to NPY."
             )

@@ -198,14 +198,9 @@ class Streamed(Protocol):
         Short columns are absent from blocks behind their end.
 
         Raises:
-            RecordError: the file is not of this format.
-            NotStreamedError: this file has no consecutive rows.
+            RecordError: the file is not of this format, or has no consecutive rows.
             OSError: the file cannot be opened.
         """
-
-
-class NotStreamedError(RecordError):
-    """A file without consecutive rows cannot be read in chunks."""
 
 
 def require_file(path: Path) -> None:
