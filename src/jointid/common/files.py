@@ -48,9 +48,7 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
         if _is_written_as_it_is(path):
             yield path
             return
-        place = Path(os.path.realpath(path))
-        if place.exists() and not os.access(place, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        place = _place_of(path)
         with _room_in(place.parent) as room:
             yield room / place.name
             _settle(room / place.name, place)
@@ -65,7 +63,7 @@ def require_room(path: str | os.PathLike[str]) -> None:
     path = Path(path)
     with _explain(path):
         if not _is_written_as_it_is(path):
-            place = Path(os.path.realpath(path))
+            place = _place_of(path)
             with _room_in(next(each for each in (place, *place.parents) if each.is_dir())) as room:
                 (room / place.name).write_bytes(b"\n")
         elif path.is_char_device():
@@ -143,7 +141,7 @@ def lock(descriptor: int) -> bool | None:
 
 def remove_rooms() -> None:
     """Remove temporary folders that an interrupt left, at the end of the program."""
-    for room in _rooms:
+    for room in tuple(_rooms):
         shutil.rmtree(room, ignore_errors=True)
     _rooms.clear()
 
@@ -177,6 +175,14 @@ def _is_written_as_it_is(path: Path) -> bool:
     except OSError:
         return False
     return not (stat.S_ISREG(kind) or stat.S_ISDIR(kind))
+
+
+def _place_of(path: Path) -> Path:
+    """Return the place of a file or folder that may be written."""
+    place = Path(os.path.realpath(path))
+    if place.exists() and not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    return place
 
 
 @contextlib.contextmanager

@@ -1,8 +1,11 @@
-"""What an identification knew is printed where it is interrupted, and a reason is told once."""
+"""What an identification knew is printed where it is interrupted, a reason is told once, and how signals end it."""
 
 from __future__ import annotations
 
 import re
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -94,3 +97,51 @@ def test_a_wrong_gain_is_suspected_before_the_whole_search_and_no_reason_is_repe
     assert "times too large" in told[likeliest]
     searched = next(i for i, line in enumerate(told) if line.startswith("searching for the cause"))
     assert likeliest < searched, "before the identification ends"
+
+
+PROGRAM = """
+import signal, sys
+from pathlib import Path
+from jointid.apps.cli import main
+from jointid.common.files import beside
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
+
+def end(_):
+    with beside(Path("o.json")) as fresh:
+        fresh.write_text("half")
+        signal.raise_signal(int(sys.argv[2]))
+
+if sys.argv[1] == "loaded":
+    from jointid.apps.cli import app
+    app._refuse_gone = end
+else:
+    sys.addaudithook(lambda event, words: words[:1] == ("jointid.apps.cli.app",) and signal.raise_signal(signal.SIGINT))
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process can send itself these signals")
+@pytest.mark.parametrize(
+    ("when", "number", "code"),
+    [("loading", signal.SIGINT, -2), ("loaded", signal.SIGINT, 130), ("loaded", signal.SIGTERM, 143)],
+)
+def test_a_signal_ends_the_program_without_a_traceback(
+    when: str, number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    words = [sys.executable, "-c", PROGRAM, when, str(int(number))]
+    ran = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ran.returncode == code and "Traceback" not in ran.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell")
+@pytest.mark.parametrize("ending", ["| true", "2>&1 | true", ">&-"])
+def test_a_reader_that_has_gone_costs_no_file(ending: str, tmp_path: Path) -> None:
+    rows = "".join(f"{0.001 * i:.3f},{i % 7}\n" for i in range(400))
+    (tmp_path / "table.csv").write_text(f"t,i\n{rows}", encoding="utf-8")
+    program = f"{sys.executable} -c 'from jointid.apps.cli import main; main()'"
+    line = f"set -o pipefail; {program} inspect table.csv --json o.json {ending}"
+    ended = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, b"")
+    assert (tmp_path / "o.json").read_bytes().rstrip().endswith(b"}")

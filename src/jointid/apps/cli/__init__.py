@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-
-from jointid.apps import INTERRUPTED, SIGNALLED
+import signal
 
 __all__ = ["main"]
 
@@ -15,22 +13,9 @@ def main(arguments: list[str] | None = None) -> None:
     Ctrl-C ends the program at once while it is being loaded, which is most of a short command's time: nothing is being
     written yet, and an exception might be swallowed by the module that is being loaded.
     """
-    try:
-        # A module in C, always there: Ctrl-C in the middle of the import of `signal` would be ignored, and said to be.
-        import _signal  # type: ignore[import-not-found]
-
-        loading = arguments is None and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler
-        if loading:
-            _signal.signal(_signal.SIGINT, _leave)
-    except KeyboardInterrupt:
-        _leave(2)  # SIGINT, whose name has not been loaded
+    loading = arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if loading:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     from jointid.apps.cli.app import run
 
     run(arguments, signals=loading)
-
-
-def _leave(number: int, _: object = None) -> None:
-    try:
-        os.write(2, f"jointid: {INTERRUPTED}\n".encode())
-    finally:
-        os._exit(SIGNALLED + number)

@@ -6,6 +6,7 @@ import atexit
 import contextlib
 import errno
 import gc
+import io
 import os
 import platform
 import signal
@@ -20,10 +21,9 @@ from typing import Any, NoReturn
 from cyclopts import App, CycloptsError, Group, UnknownOptionError
 
 from jointid import __version__
-from jointid.apps import SIGNALLED
-from jointid.apps.cli import console, endings, streams
+from jointid.apps.cli import console
 from jointid.apps.cli.campaign import campaign
-from jointid.apps.cli.console import clear_bars, tell
+from jointid.apps.cli.console import clear_bars, put, tell
 from jointid.apps.cli.demo import demo
 from jointid.apps.cli.diagnose import diagnose
 from jointid.apps.cli.identify import identify, learn_controller, payload, tune
@@ -36,6 +36,7 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import remove_rooms
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
+_SIGNALLED = 128  # added to a signal's number it is the exit code
 
 _GONE = {
     "examine": "jointid diagnose says it of the record, and of loop, log and joint",
@@ -139,30 +140,44 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # At its end Python would look through all that was loaded for what can be freed, which took 0.3 s of `identify`.
     atexit.register(gc.freeze)
-    if arguments is None:
-        streams.prepare_outputs()
+    _prepare_outputs()
     warnings.showwarning = partial(_show_warning, debug)
     try:
         if signals:
-            endings.listen_to_signals()
-        code = _run([word for word in words if word != "--debug"], debug)
-    except (KeyboardInterrupt, endings.EndedError):  # once more, while the first was being answered
-        code = _end(debug)
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.signal(signal.SIGTERM, _leave)
+        code = _finish(_run([word for word in words if word != "--debug"], debug))
+    except KeyboardInterrupt:  # once more, while the first was being answered
+        code = _interrupted(debug)
     if signals:
-        endings.ignore_signals()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     remove_rooms()
-    sys.exit(_finish(code))
+    sys.exit(code)
+
+
+def _leave(number: int, _: object) -> NoReturn:
+    """End at once, as no exception can: a callback of a library may swallow one."""
+    remove_rooms()
+    os._exit(_SIGNALLED + number)
+
+
+def _prepare_outputs() -> None:
+    """Have an output show what it can of a character that it lacks, and nowhere to print be no fault."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # it was closed before the program began
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - until the program ends
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _run(words: list[str], debug: bool) -> int:
     try:
         _refuse_gone(words)
         code: int | None = app(words, exit_on_error=False, print_error=False, result_action="return_value")
-    except (KeyboardInterrupt, endings.EndedError):
-        return _end(debug)
+    except KeyboardInterrupt:
+        return _interrupted(debug)
     except Exception as error:
-        if endings.last_signal() is not None:  # a library made another exception of it
-            return _end(debug)
         if debug and not isinstance(error, CycloptsError):
             traceback.print_exc()
         return _explain(error)
@@ -198,20 +213,20 @@ def _explain(error: Exception) -> int:
     )
 
 
-def _end(debug: bool) -> int:
-    """Print the signal that ends the program, and return the exit code."""
-    number = endings.last_signal() or signal.SIGINT
+def _interrupted(debug: bool) -> int:
+    """Print that Ctrl-C ends the program, and return the exit code."""
     if debug:
         traceback.print_exc()
-    return _say(endings.describe(number), SIGNALLED + number)
+    return _say("Interrupted; no file is left half written.", _SIGNALLED + signal.SIGINT)
 
 
 def _finish(code: int) -> int:
     """Print what is still held back, and return the exit code; a reader that has gone is no fault."""
-    failure = streams.finish_outputs()
-    if failure is None or isinstance(failure, BrokenPipeError):
+    put("", sys.stdout)
+    failures = [error for error in console.unprinted if not isinstance(error, BrokenPipeError)]
+    if not failures:
         return code
-    reason = (failure.strerror or type(failure).__name__).lower()
+    reason = (failures[0].strerror or type(failures[0]).__name__).lower()
     _say(f"The answer could not be printed ({reason}); free space there, or print to another place.", code)
     return code or USERS_MISTAKE
 
@@ -238,5 +253,5 @@ def _setting(error: UnknownOptionError) -> str:
 def _say(message: str, code: int) -> int:
     clear_bars()
     for line in message.splitlines():
-        print(f"jointid: {line}", file=sys.stderr)  # noqa: T201
+        put(f"jointid: {line}\n", sys.stderr)
     return code

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import Flag, Quiet, listen, ready, show
-from jointid.apps.cli.places import Outputs
+from jointid.apps.cli.console import Flag, Quiet, listen, ready, show, spare
 from jointid.common.errors import MethodError
 
 if TYPE_CHECKING:
@@ -55,8 +54,8 @@ def campaign(
     engine, kept = _engine(workers, dask), out or file.with_suffix(".jsonl")
     if not 0 < false_alarm < 1:
         raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
-    outputs, listener = Outputs({"--out": kept, "--html": html, "--csv": csv}), listen(quiet)
-    outputs.spare("FILE", file)
+    listener = listen(quiet)
+    spare((kept, html, csv), file)
     if html is not None:
         require_extra(plots=False)
     asked = load_campaign(file)

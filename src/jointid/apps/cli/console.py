@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
+from typing import IO, TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.places import NOTHING, Outputs
 from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.common.files import require_room
 from jointid.common.messages import BETWEEN, Detail, Pace, Progress, Suspicions, describe_time, ignore_progress
 from jointid.common.text import printable
 
@@ -34,14 +35,36 @@ Several: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 """Keys of the joint file that are changed before it is checked; every setting can be reached."""
 
-F = TypeVar("F", "JointFile", "RobotFile", "JointFile | RobotFile")
-
 FilteringName = Literal["default", "published", "as-printed"]
 
 details = False
 """Whether each step of a search is printed, too: with --debug."""
 
+unprinted: list[OSError] = []
+"""Why the standard output takes nothing more: it is full, or its reader has gone."""
+
 _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
+
+
+def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
+    """Refuse, before any work, an output that cannot be written, or that is a file which is read.
+
+    Args:
+        outputs: files; None is none.
+        inputs: likewise; a folder stands for the files in it.
+
+    Raises:
+        RecordError: one of them is.
+    """
+    named = [path for path in inputs if path is not None]
+    read = [*named, *(path for folder in named if folder.is_dir() for path in folder.iterdir())]
+    for out in filter(None, outputs):
+        if out.is_dir() or not out.absolute().parent.is_dir():
+            what = "it is a folder" if out.is_dir() else f"there is no folder {out.parent}"
+            raise RecordError(f"{out} cannot be written, because {what}; name another file.")
+        require_room(out)
+        if out.is_file() and any(path.exists() and out.samefile(path) for path in read):
+            raise RecordError(f"{out} is a file that is read, and would be replaced; name another file.")
 
 
 @Parameter(name="*")
@@ -66,36 +89,32 @@ class Inputs:
         """The listener to progress."""
         return listen(self.quiet)
 
-    def load(self, joint: Path, outputs: Outputs = NOTHING, **choices: str | None) -> JointFile | RobotFile:
+    def load(self, joint: Path, *outputs: Path | None, **choices: str | None) -> JointFile | RobotFile:
         """Load the joint file or robot file with its changes; see `jointid.config.load`.
 
         Raises:
             JointFileError: it cannot be loaded.
-            RecordError: it, or a record, would be written over.
+            RecordError: an output is refused, see `spare`.
         """
         from jointid.config import load
 
-        return self._load_and_spare(joint, outputs, lambda: load(joint, self.changes, axis=self.axis, **choices))
+        spare(outputs, joint, self.record)
+        file = load(joint, self.changes, axis=self.axis, **choices)
+        spare(outputs, *file.inputs(self.record))
+        return file.of_record(self.record)
 
-    def load_joint(
-        self, joint: Path, outputs: Outputs = NOTHING, *, what: str = "This command", **choices: str | None
-    ) -> JointFile:
+    def load_joint(self, joint: Path, *outputs: Path | None, what: str, **choices: str | None) -> JointFile:
         """Load the joint file with its changes.
 
         Raises:
             MethodError: it is a robot file, and `what` is for a joint.
+            RecordError: an output is refused, see `spare`.
         """
         from jointid.config import load_joint
 
-        return self._load_and_spare(
-            joint, outputs, lambda: load_joint(joint, self.changes, what=what, axis=self.axis, **choices)
-        )
-
-    def _load_and_spare(self, joint: Path, outputs: Outputs, load: Callable[[], F]) -> F:
-        outputs.spare("JOINT", joint)
-        outputs.spare("--record", self.record)
-        file = load()
-        outputs.spare(str(joint), *file.inputs(self.record))
+        spare(outputs, joint, self.record)
+        file = load_joint(joint, self.changes, what=what, axis=self.axis, **choices)
+        spare(outputs, *file.inputs(self.record))
         return file.of_record(self.record)
 
     def identify(
@@ -148,11 +167,6 @@ class Options(Inputs):
 
     json: Path | None = None
 
-    @property
-    def outputs(self) -> Outputs:
-        """The answer as a file, if it is one."""
-        return Outputs({"--json": self.json})
-
 
 DEFAULTS = Options()
 
@@ -171,12 +185,23 @@ def show(result: object = "", *, details: bool = False) -> None:
         print_blocks(result.to_document(details=details))
         return
     text = result.summary(details=details) if isinstance(result, Documented) else str(result)
-    print(printable(text))  # noqa: T201
+    put(f"{printable(text)}\n", sys.stdout)
 
 
 def tell(message: str) -> None:
     """Print a line on the standard error."""
-    print(printable(message), file=sys.stderr, flush=True)  # noqa: T201
+    put(f"{printable(message)}\n", sys.stderr)
+
+
+def put(text: str, stream: IO[str]) -> None:
+    """Print at once; where that fails nothing more is printed there, and the command goes on to write its files."""
+    try:
+        stream.write(text)
+        stream.flush()
+    except OSError as error:
+        if stream is sys.stdout:
+            unprinted.append(error)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 class Lines:

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jointid.apps.cli.console import Flag, Options, Quiet, fresh_folder, listen, ready, show
-from jointid.apps.cli.places import Outputs
 from jointid.common.document import Document
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.files import write_whole
+from jointid.common.files import require_room, write_whole
 from jointid.common.messages import Progress, Work
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ def demo(
         raise MethodError("A demo is of a robot or of a fleet; leave out --robot or --fleet.")
     kind, make = ("-robot", _make_robot) if robot else ("-fleet", _make_fleet) if fleet else ("", _make_axis)
     folder = folder or Path(f"jointid-demo{kind}")
-    Outputs(folders={"FOLDER": folder})
+    require_room(folder)
     listener = listen(quiet)
     work = Work(listener, "simulating and identifying", 2, "steps")
     options = Options(quiet=quiet or not details)

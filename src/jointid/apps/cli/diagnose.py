@@ -37,9 +37,9 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
     """
     from jointid.config import JointFile, require_joint
 
-    file = options.load(joint, options.outputs)
+    file = options.load(joint, options.json)
     if isinstance(file, JointFile) and file.loop is not None:
-        file = options.load_joint(joint, options.outputs, method="didim")
+        file = options.load_joint(joint, what="A diagnosis", method="didim")
     if laws and require_joint(file, "A comparison of laws").loop is None:
         raise MethodError("Laws are compared in the closed loop; declare the [controller].")
     several = options.record is None and file.only_lists

@@ -17,8 +17,8 @@ from jointid.apps.cli.console import (
     deliver,
     ready,
     show,
+    spare,
 )
-from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.registry import MethodName
 
@@ -71,13 +71,13 @@ def identify(
     from jointid import Windowing, figures
     from jointid.config import require_joint
 
-    outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
-    outputs.spare("--record", *records)
+    figures.require_format(figure)
+    spare((json, figure), *records)
     first = records[0] if records else None
     one = first if len(records) == 1 else None
     options = Options(record=one, changes=changes, axis=axis, json=json, quiet=quiet)
-    file: File[Any] = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
+    file: File[Any] = options.load(joint, json, figure, method=method, filtering=filtering, friction=friction)
     if figure is not None and len(records) > 1:
         require_joint(file, "--figure of several records")
     if window is not None or settling is not None:
@@ -122,12 +122,9 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             "--write is for a joint file; write the learned [controller] as [joints.controller] of the axis, and "
             "leave --write out."
         )
-    outputs = Outputs({"--json": options.json, "--write": write})
-    outputs.spare("JOINT", joint)
-    outputs.spare("--record", options.record)
+    spare((options.json, write), joint, options.record)
     file = load_to_learn(joint, options.changes, options.axis)
-    if options.record is None:
-        outputs.spare(str(joint), *file.inputs())
+    spare((options.json, write), *file.inputs(options.record))
     learned = file.learn_controller(file.record(options.record), options.progress)
     learned = learned.beside(file.drive_numbers(learned.controller))
     deliver(learned, options.json)
@@ -169,9 +166,8 @@ def tune(
     from jointid import tune as run
 
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch)
-    file = options.load_joint(
-        joint, Outputs({"--json": options.json}, {"--figure": figure}), what="Tuning", method="didim"
-    )
+    figures.require_format(figure)
+    file = options.load_joint(joint, options.json, figure, what="Tuning", method="didim")
     _, estimate = options.identify(file)
     tuned = run(estimate, settings, drive=file.drive, shown=file.declared_numbers, progress=options.progress)
     deliver(tuned, options.json, (figure, figures.draw))
@@ -207,17 +203,14 @@ def payload(
     from jointid.config.robot_file import RobotFile
     from jointid.output.json import load_estimate, read_choices
 
-    outputs = Outputs({"--json": json})
-    outputs.spare("--without", without)
-    outputs.spare("--with", with_)
-    outputs.spare("--estimate", estimate)
+    spare((json,), without, with_, estimate)
     options = Options(changes=changes, quiet=quiet)
     if (without is None) == (estimate is None):
         raise MethodError(
             "A payload is weighed against the robot without it; expected either --without RECORD or --estimate FILE, "
             f"of identify --json, and received {'neither' if without is None else 'both'}."
         )
-    file = options.load(robot, outputs, **({} if estimate is None else read_choices(estimate)))
+    file = options.load(robot, json, **({} if estimate is None else read_choices(estimate)))
     if not isinstance(file, RobotFile):
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
     if file.parameters:

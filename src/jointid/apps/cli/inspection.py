@@ -8,8 +8,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import deliver, show
-from jointid.apps.cli.places import Outputs
+from jointid.apps.cli.console import deliver, show, spare
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
 
@@ -49,8 +48,8 @@ def inspect(
     from jointid import inspect as look
     from jointid.config.logged import describe_log
 
-    outputs = Outputs({"--json": json, "--write": write}, {"--figure": figure})
-    outputs.spare("FILE", file)
+    figures.require_format(figure)
+    spare((json, figure, write), file)
     if write is not None and write.exists():
         raise RecordError(f"{write} exists, and may hold what only you know; name another file, or remove it first.")
     options = {"delimiter": delimiter, "decimal": decimal, "header": header}

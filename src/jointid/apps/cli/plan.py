@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
-from jointid.apps.cli.places import Outputs
+from jointid.apps.cli.console import DEFAULTS, Options, deliver, show, spare
 from jointid.apps.cli.results import require_goal
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.files import require_room
 
 if TYPE_CHECKING:
     from jointid import Record
@@ -160,16 +160,19 @@ def design(
     from jointid.config import JointFile
     from jointid.output.test_layout import lay_out
 
-    outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
-    outputs.spare("--motion", motion)
-    outputs.spare("--estimate", rough.estimate)
-    file = options.load(joint, outputs)
+    figures.require_format(figure)
+    outputs = [options.json, figure]
+    if out is not None:
+        require_room(out)
+        outputs += [out / "test.csv"] if out.is_dir() else []  # the only one that may be a record
+    spare(outputs, motion, rough.estimate)
+    file = options.load(joint, *outputs)
     asked: dict[str, Any] = {
         "goal": goal, "duration": duration, "search_time": search_time, "injection": injection,
         "progress": options.progress, "within": rough.within,
     }  # fmt: skip
     if isinstance(file, JointFile):
-        file = options.load_joint(joint, outputs, method="didim")
+        file = options.load_joint(joint, what="Planning", method="didim")
         require_goal(file, goal)
         asked |= {"limits": file.limits, "motion": None if motion is None else _read(motion, file)}
         if rough.stated:

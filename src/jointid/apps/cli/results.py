@@ -17,8 +17,8 @@ from jointid.apps.cli.console import (
     deliver,
     ready,
     show,
+    spare,
 )
-from jointid.apps.cli.places import Outputs
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
@@ -69,12 +69,10 @@ def report(
     from jointid.output.report.pages import require_page
     from jointid.output.test_layout import lay_out
 
-    outputs = Outputs({"--html": html, "--json": options.json})
     require_page(html)
     require_extra(plots=True)
-    outputs.spare("--held-out", held_out)
-    outputs.spare("--estimate", estimate)
-    file = options.load(joint, outputs, **({} if estimate is None else read_choices(estimate)))
+    spare((html, options.json), held_out, estimate)
+    file = options.load(joint, html, options.json, **({} if estimate is None else read_choices(estimate)))
     asked = {"axis": options.axis, "plan": plan, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
     if isinstance(file, JointFile):
@@ -178,10 +176,12 @@ def validate(
     from jointid.config import JointFile
     from jointid.output import json as answers
 
-    outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
-    outputs.spare("--estimate", estimate)
+    outputs = options.json, figure, residuals
+    for picture in (figure, residuals):
+        figures.require_format(picture)
+    spare(outputs, estimate)
     choices = {} if estimate is None else answers.read_choices(estimate)
-    file = options.load(joint, outputs, **choices)
+    file = options.load(joint, *outputs, **choices)
     if not isinstance(file, JointFile):
         if options.record is None:
             raise MethodError(
@@ -192,9 +192,8 @@ def validate(
     else:
         estimate = _require_estimate(estimate)
         identified = answers.load_estimate(estimate, file)
-        record = options.load_joint(joint, method=identified.settings.method, friction=choices.get("friction")).record(
-            options.record
-        )
+        chosen = {"method": identified.settings.method, "friction": choices.get("friction")}
+        record = options.load_joint(joint, what="A validation", **chosen).record(options.record)
         ready(options.progress)
         found = run(identified, record)
     deliver(found, options.json, (figure, figures.torque), (residuals, figures.residual))
@@ -214,9 +213,7 @@ def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | N
     from jointid import compare
     from jointid.output import json as answers
 
-    outputs = Outputs({"--json": json})
-    outputs.spare("BEFORE", before)
-    outputs.spare("AFTER", after)
+    spare((json,), before, after)
     deliver(compare(answers.read_report(before), answers.read_report(after), level=level), json)
 
 
@@ -256,11 +253,10 @@ def export(
     from jointid.output.export import export as run
     from jointid.output.export import find_language, read_joint_model
 
-    outputs = Outputs({"--out": out})
-    outputs.spare("--estimate", estimate)
+    spare((out,), estimate)
     choices = {} if estimate is None else answers.read_choices(estimate)
     of_file = tuple(one for one in changes if not one.startswith(_EXPORT))
-    file = Options(changes=of_file, axis=axis).load(joint, outputs, **choices)
+    file = Options(changes=of_file, axis=axis).load(joint, out, **choices)
     settings = dict(map(_setting, (one for one in changes if one.startswith(_EXPORT))))
     language = find_language(format or out.suffix.lower()).name
     if not isinstance(file, JointFile):

@@ -13,8 +13,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from jointid.apps.cli.console import make_folder, show, tell
-from jointid.apps.cli.places import Outputs
 from jointid.common.errors import JointidError, extra
+from jointid.common.files import require_room
 
 _HOST = "127.0.0.1"  # which no other machine reaches
 _TOKEN = 24  # bytes that nobody guesses
@@ -73,7 +73,7 @@ def run_page(folder: Path, port: int, announce: Callable[[str], None]) -> None:
         extra(module, "web", "The page")
     from jointid.apps.web.application import build_application, run
 
-    Outputs(folders={"--folder": folder})
+    require_room(folder)
     make_folder(folder, "--folder", mode=0o700)
     token = secrets.token_urlsafe(_TOKEN)
     with _listen(port) as listening:

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import DEFAULTS, Options, Quiet, fresh_folder, listen, ready, show
-from jointid.apps.cli.places import Outputs
+from jointid.apps.cli.console import DEFAULTS, Options, Quiet, fresh_folder, listen, ready, show, spare
 from jointid.common.errors import MethodError
+from jointid.common.files import require_room
 from jointid.common.text import in_words, interval
 
 if TYPE_CHECKING:
@@ -37,12 +37,11 @@ def simulate(
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
     """
-    outputs = Outputs({"--json": options.json, "--out": out})
-    outputs.spare("--estimate", estimate)
+    spare((options.json, out), estimate)
     from jointid.config import JointFile
     from jointid.output import json as answers
 
-    file = options.load(joint, outputs, **({} if estimate is None else answers.read_choices(estimate)))
+    file = options.load(joint, options.json, out, **({} if estimate is None else answers.read_choices(estimate)))
     if isinstance(file, JointFile):
         _simulate_joint(file, estimate, out, options)
     else:
@@ -133,7 +132,7 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     from jointid.paper.reproduce import reproduce as run
 
     require_extra(plots=False)
-    Outputs(folders={"--out": out})
+    require_room(out)
     with fresh_folder(out, "--out"):
         ready(listen(quiet))
         found = run(seed, listen(quiet))

@@ -152,7 +152,7 @@ def save(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-def require_format(path: Path) -> None:
-    """Raise a `RecordError` if a figure cannot be saved under that name."""
-    if path.suffix.lower() not in FORMATS:
+def require_format(path: Path | None) -> None:
+    """Raise a `RecordError` if a figure cannot be saved under that name; None is no figure."""
+    if path is not None and path.suffix.lower() not in FORMATS:
         raise RecordError(f'A figure is saved as {", ".join(FORMATS)}; received "{path.name}": change its suffix.')
