@@ -15,11 +15,9 @@ import pytest
 import jointid as ji
 from jointid.apps.cli import main
 from jointid.common.charts import Line
-from jointid.common.errors import RecordError
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.limits import AxisLimits, find_excess
 from jointid.output.json.documents import to_dict
-from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
 from jointid.planning import search as search_module
 from jointid.planning.designed import Design
@@ -41,7 +39,6 @@ from jointid.records.record import Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
 from jointid.simulation import excitation
-from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import joint_set
 
 AXIS = twin("L19", noise="white")
@@ -274,99 +271,6 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     own = json.loads((tmp_path / "own.json").read_text())
     told, again = (one["tests"]["proposed"]["std"]["stiffness"] for one in (answer, own))
     assert again == pytest.approx(told, rel=1e-6)  # the same test, read back
-
-
-ROUGH = """
-[joint]
-kind = "revolute"
-[record.channels]
-torque = { column = "torque" }
-reference = { column = "reference" }
-[controller]
-law = "cascade"
-position_gain = 40.0
-velocity_gain = 2.0
-integral_gain = 30.0
-[limits]
-stroke = "120 deg"
-speed = 3.0
-acceleration = 20.0
-torque = 2.0
-"""
-KNOWN = """
-[parameters]
-inertia = { start = 0.04 }
-viscous = { start = 0.05 }
-coulomb = { start = 0.1 }
-offset = 0.0
-"""
-
-
-def planned(tmp_path: Path, text: str, *words: str) -> int:
-    """Run the command on a joint file of that text, and return its exit code."""
-    (tmp_path / "rough.toml").write_text(text)
-    with pytest.raises(SystemExit) as ended:
-        main(["design", str(tmp_path / "rough.toml"), "-q", "--search-time", "1", *words])
-    return int(str(ended.value.code))
-
-
-@pytest.mark.slow
-def test_the_command_plans_from_rough_values_without_a_record(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    told = tmp_path / "told.json"
-    without = ["--noise-log", "0.02", "--duration", "4", "--sample-time", "0.001"]
-    assert planned(tmp_path, ROUGH + KNOWN, *without, "--within", "20", "--goal", "inertia", "--json", str(told)) == 0
-    answer = json.loads(told.read_text())
-    assert answer["tests"]["proposed"]["values"] == {
-        "inertia": 0.04,
-        "viscous": 0.05,
-        "coulomb": 0.1,
-    }  # offset is fixed
-    assert answer["axes"][0]["limits"]["stroke"] == pytest.approx(math.radians(120))
-    assert not answer["passed"]
-    nominal, worst = (answer["tests"][name]["std"] for name in ("proposed", "at worst"))
-    assert all(worst[name] >= std for name, std in nominal.items()) and worst["coulomb"] > 1.05 * nominal["coulomb"]
-    out = tmp_path / "out"
-    assert planned(tmp_path, ROUGH + KNOWN, *without, "--out", str(out)) == 0
-    own = ["--motion", str(out / "test.csv"), "--json", str(told)]
-    assert planned(tmp_path, ROUGH + KNOWN, *without, *own) == 0  # a table of a revolute joint is in rad
-    assert json.loads(told.read_text())["axes"][0]["reached"]["stroke"] < 2.1
-    (tmp_path / "other.csv").write_text("t,ref\n0,0\n0.001,0\n")
-    assert planned(tmp_path, ROUGH + KNOWN, *without, "--motion", str(tmp_path / "other.csv")) == 2
-    assert planned(tmp_path, ROUGH + KNOWN, "--sample-time", "0.001") == 2
-    assert planned(tmp_path, ROUGH, *without) == 2
-
-
-def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path) -> None:
-    loop, truth = PLAIN, PLAIN_VALUES
-    reference = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, 1e-3, duration=6.0)
-    noise = 0.02 * np.random.default_rng(5).standard_normal(reference.size)
-    record = simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise)
-    write(replace(record, motor_position=None), tmp_path / "record.csv")
-    (tmp_path / "rough.toml").write_text(ROUGH)
-    with pytest.raises(SystemExit):
-        main([
-            "identify", str(tmp_path / "rough.toml"), "--record", str(tmp_path / "record.csv"), "-q", "--json",
-            str(tmp_path / "answer.json"),
-        ])  # fmt: skip
-    answer = json.loads((tmp_path / "answer.json").read_text())
-    free = ["inertia", "viscous", "coulomb", "offset"]
-    found = read_covariance(tmp_path / "answer.json", free)
-    assert np.sqrt(np.diag(found)) == pytest.approx([answer["parameters"][name]["std"] for name in free])
-    assert abs(found[1, 2]) > 0.3 * math.sqrt(found[1, 1] * found[2, 2])  # viscous and Coulomb friction are not apart
-    record_and_estimate = ("--record", str(tmp_path / "record.csv"), "--estimate", str(tmp_path / "answer.json"))
-    words = [*record_and_estimate, "--noise-log", "0.02"]
-    assert planned(tmp_path, ROUGH, *words, "--json", str(tmp_path / "told.json")) == 0
-    tests = json.loads((tmp_path / "told.json").read_text())["tests"]
-    assert tests["present"]["values"]["inertia"] == answer["parameters"]["inertia"]["value"]
-    reported = answer["parameters"]["inertia"]["std"]  # the larger of two, where predicted is what they scatter by
-    assert 0.4 * reported < tests["present"]["std"]["inertia"] < 1.2 * reported
-    with pytest.raises(RecordError):
-        read_covariance(tmp_path / "answer.json", ["stiffness"])
-    answer["parameters"]["inertia"]["std"] = None
-    (tmp_path / "answer.json").write_text(json.dumps(answer))
-    assert planned(tmp_path, ROUGH, *words) == 2
 
 
 @pytest.mark.slow

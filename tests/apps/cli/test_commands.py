@@ -475,7 +475,6 @@ file = "b.csv"
     "words",
     [
         ("report", EMPS, "--held-out", "nope.csv"),
-        ("report", EMPS, "--set", "method.name=didim", "--plan", "nope"),
         ("design", EMPS, "--goal", "nope"),
     ],
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,10 +28,8 @@ _EXPORT = "export."  # the beginning of a change that is a setting of the writte
 
 if TYPE_CHECKING:
     from jointid import Estimate, Report
-    from jointid.config import JointFile
     from jointid.config.robot_file import RobotFile
     from jointid.diagnostics.validation import Validation
-    from jointid.planning.designed import Design
 
 
 def report(
@@ -42,7 +40,6 @@ def report(
     html: Path = Path("report.html"),
     no_profiles: Flag = False,
     no_tuning: Flag = False,
-    plan: str | None = None,
     held_out: Path | None = None,
     estimate: Path | None = None,
 ) -> None:
@@ -56,29 +53,24 @@ def report(
         html: the page, one file that opens without a network.
         no_profiles: do not follow the criterion along the parameters where it is no parabola.
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
-        plan: also plan the next test, for a goal as of design, within the limits of the file; it takes a minute.
         held_out: another record, that the estimate has not seen, which it is held against.
         estimate: what identify --json wrote, to report it with its record, and identify nothing.
     """
-    from jointid import Report, design
+    from jointid import Report
     from jointid import validate as validate_estimate
     from jointid.config import JointFile
     from jointid.output.json import load_estimate, read_choices
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
-    from jointid.output.test_layout import lay_out
 
     require_page(html)
     require_extra(plots=True)
     spare((html, options.json), held_out, estimate)
     file = options.load(joint, html, options.json, **({} if estimate is None else read_choices(estimate)))
-    asked = {"axis": options.axis, "plan": plan, "held_out": held_out and held_out.name}
+    asked = {"axis": options.axis, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
-    if isinstance(file, JointFile):
-        if plan is not None:
-            require_goal(file, plan)
-    else:
+    if not isinstance(file, JointFile):
         _refuse_options(
             "The report of a robot has neither profiles nor tuning",
             {"--no-profiles": no_profiles, "--no-tuning": no_tuning},
@@ -86,7 +78,6 @@ def report(
     unseen = None if held_out is None else file.record(held_out)
     system: Literal["joint", "robot"] = "joint" if isinstance(file, JointFile) else "robot"
     again = repetition(joint, Path(file.record_path(options.record)), asked, options.changes, html.name, system)
-    settings = file.design_settings if plan is not None else {}
     if estimate is None:
         record, found = options.identify(file, judged=True, whole=True)
     else:
@@ -102,10 +93,6 @@ def report(
         show(f"Without margins and gains: {tuned}")
     else:
         stated = replace(stated, tuned=tuned)
-    if plan is not None:
-        stated = _with_test(
-            stated, lambda: lay_out(file, design(found, record, goal=plan, progress=options.progress, **settings))
-        )
     written = [stated.save(html)]
     written += _deliver_report(stated, checks, options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
@@ -120,31 +107,6 @@ def _deliver_report(stated: Report, checks: Sequence[Validation], json: Path | N
         if json is not None:
             write_whole(json, stated.answer())
     return [] if json is None else [json]
-
-
-def _with_test(stated: Report, plan: Callable[[], Design]) -> Report:
-    """Add the next test to a report, or the reason why there is none."""
-    from numpy.linalg import LinAlgError
-
-    try:
-        return replace(stated, design=plan())
-    except (JointidError, LinAlgError) as error:
-        stated.data.absent["design"] = str(error)
-        show(f"Without a next test: {error}")
-        return stated
-
-
-def require_goal(file: JointFile, plan: str) -> None:
-    """Raise a `MethodError` if no test can be planned for this goal, before the record is read."""
-    from jointid.planning.goals import parse_goal
-
-    if file.method.name != "didim":
-        raise MethodError(
-            f"A test is planned from an answer of didim, and this joint is identified by {file.method.name}; add "
-            "--set method.name=didim, or leave --plan out."
-        )
-    own = [file.parameters.get(p.name, p) for p in file.joint.parameters]
-    parse_goal(plan, {p.name: file.joint.unit(p) for p in own if p.free})
 
 
 def validate(

@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from jointid import ClosedLoop
-from jointid.common.arrays import FloatArray
 from jointid.common.document import optional_number
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import open_file
@@ -103,29 +100,6 @@ def _read_robot(path: str | Path, answer: Json, system: RobotSystem) -> Estimate
         raise RecordError(f"{path} does not fit this robot: {error}.") from None
     except _DAMAGE:
         raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.") from None
-
-
-def read_covariance(path: str | Path, names: Sequence[str]) -> FloatArray:
-    """Return the covariance of the errors of parameters in the JSON of an estimate, (names, names).
-
-    Of an answer that has no correlation the errors are taken for independent.
-
-    Raises:
-        RecordError: the file is no estimate, or one of the parameters has no interval in it.
-    """
-    answer = read_answer(path)
-    try:
-        std = np.array([float(answer["parameters"][name]["std"]) for name in names])
-        order, correlation = answer.get("free"), answer.get("correlation")
-        together = np.eye(len(names))
-        if order is not None and correlation is not None:
-            at = [order.index(name) for name in names]
-            together = np.asarray(correlation, dtype=np.float64)[np.ix_(at, at)]
-        if not np.all(np.isfinite(std)) or not np.all(np.isfinite(together)):
-            raise ValueError
-    except (KeyError, TypeError, ValueError, IndexError):
-        raise RecordError(f"{path} has no interval of each of {', '.join(names)}; {_REMEDY}.") from None
-    return np.asarray(together * np.outer(std, std))
 
 
 def _gear_text(transmission: object) -> str:
