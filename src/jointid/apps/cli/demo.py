@@ -32,6 +32,8 @@ joint = "joint.toml"                     # one for all; "joints/{joint}.toml" wh
 records = "logs/{joint}/{day}.npy"
 """
 FIRST_DAY = datetime.date(2026, 10, 1)
+_JOINTS, _DAYS = 4, 9
+_SPOILED, _FALL = 0.05, 0.1  # of the records, of a stiffness
 SCATTER = {"stiffness": 0.005, "motor_coulomb": 0.03, "load_coulomb": 0.03, "motor_viscous": 0.03, "load_viscous": 0.03}
 """Standard deviation from day to day, as a share of the value."""
 
@@ -178,7 +180,7 @@ def _make_fleet(folder: Path, seed: int, options: Options, listener: Progress, w
         options.progress("simulating 8 s of four axes on each of nine days")
         ready(listener)
     work.add()
-    make_fleet(folder, seed=seed)
+    _write_fleet(folder, seed)
     return _Made(
         said="The stiffness of axis-001 falls by a tenth one day; 5 % of files are spoiled.",
         steps=(
@@ -188,20 +190,10 @@ def _make_fleet(folder: Path, seed: int, options: Options, listener: Progress, w
     )
 
 
-def make_fleet(
-    folder: Path, joints: int = 4, days: int = 9, spoiled: float = 0.05, falling: int = 1, fall: float = 0.1,
-    seed: int = 1,
-) -> None:  # fmt: skip
+def _write_fleet(folder: Path, seed: int) -> None:
     """Write the records of a fleet, and its table: the twin's axis with parameters that scatter from day to day.
 
-    Args:
-        folder: in which there are joint and campaign files.
-        joints: how many.
-        days: one record of each joint a day.
-        spoiled: share of the records.
-        falling: joints whose stiffness falls, the first ones.
-        fall: by what share, from a day between a third and two thirds on.
-        seed: of all that is drawn.
+    The stiffness of the first joint falls, from a day between a third and two thirds on.
     """
     import numpy as np
 
@@ -211,26 +203,26 @@ def make_fleet(
     loop = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, 1e-3, duration=8.0)
     pulses = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
-    names = [f"axis-{number + 1:03}" for number in range(joints)]
+    names = [f"axis-{number + 1:03}" for number in range(_JOINTS)]
     rows = ["name,filtering.cutoff,method.frequency", *(f"{name},60,30" for name in names)]
     write_whole(folder / "fleet.csv", "".join(f"{row}\n" for row in rows))
     for place_in_line, name in enumerate(names):
         draw = np.random.default_rng([seed, place_in_line])
         own = {name: value * (1 + 0.1 * draw.uniform(-1, 1)) for name, value in TABLE_2.items()}
-        begins = int(draw.integers(days // 3, max(2 * days // 3, days // 3 + 1)))
+        begins = int(draw.integers(_DAYS // 3, 2 * _DAYS // 3))
         place = folder / "logs" / name
         place.mkdir(parents=True, exist_ok=True)
-        for day in range(days):
+        for day in range(_DAYS):
             today = {name: value * (1 + SCATTER.get(name, 0.0) * draw.standard_normal()) for name, value in own.items()}
-            if place_in_line < falling and day >= begins:
-                today["stiffness"] *= 1 - fall
+            if place_in_line == 0 and day >= begins:
+                today["stiffness"] *= 1 - _FALL
             force = 10.0 * draw.standard_normal(reference.size)
             record = ji.simulated_record(
                 loop, reference, today, sample_time=1e-3, injected=pulses, disturbance=force, encoder_step=5e-8
             )
             path = place / f"{FIRST_DAY + datetime.timedelta(days=day)}.npy"
             ji.write(record, path)
-            if draw.random() < spoiled:
+            if draw.random() < _SPOILED:
                 content = path.read_bytes()
                 ways = (content[: len(content) // 3], b"", b"the drive could not be reached\n")
                 path.write_bytes(ways[int(draw.integers(3))])

@@ -120,18 +120,13 @@ class Run:
             PageError: `work.json` is damaged, or names what is no file of its folder.
         """
         work = read_json(self.folder / "work.json") or {}
-        files = work.setdefault("files", [work.get("file")])  # as in earlier versions
+        files = work.get("files")
         if not isinstance(files, list) or not all(map(self.has, [work.get("file"), *files])):
             raise PageError(
                 f"work.json of identification {self.number} is damaged: it names no file of its folder; press Identify "
                 "again."
             )
         return work
-
-    @property
-    def keeps_names(self) -> bool:
-        """Whether its record has a reserved name, as in earlier versions."""
-        return (read_json(self.folder / "work.json") or {}).get("file", "") in _OF_A_RUN
 
     def end_planning(self, sentence: str = "") -> None:
         """Go back to how the identification ended; the sentence says why there is no test."""

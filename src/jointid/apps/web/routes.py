@@ -371,10 +371,6 @@ async def plan_test(request: Request) -> Response:
     async with state.files:
         if not run.answered or run.active:
             raise PageError(f"Identification {run.number} is still at work; plan the next test when it has ended.")
-        if run.keeps_names:
-            raise PageError(
-                "This record has the name of a file that a plan writes; press Identify again, then plan it."
-            )
         await state.jobs.require_idle(yields=False)
         (run.folder / "progress.txt").unlink(missing_ok=True)
         asked = {"goal": goal[:_GOAL], "seconds": state.limits.planning}
