@@ -1,4 +1,4 @@
-"""Declarative charts; `matplotlib_backend` draws them, and `output.figures` with bokeh."""
+"""Declarative charts, which `matplotlib_backend` draws."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Panel:
         title: above it.
         log_x, log_y: whether an axis is logarithmic.
         height: of the panel, in pixels at a width of 900.
-        group: panels of one chart with the same name move and zoom together along x.
+        group: panels of one chart with the same name share their x axis.
         x_range, y_range: where it is not to follow the data.
         equal: whether a unit is as long in x as in y.
     """

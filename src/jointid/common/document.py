@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from html import escape
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from jointid.common.files import write_whole
@@ -119,27 +119,18 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture, PNG or SVG.
+    """A picture, PNG, or SVG that stands in the HTML itself.
 
     Attributes:
-        draw: returns its content.
+        draw: returns its content; SVG of our own as one element, every text of it escaped.
         text: the caption, which says what to see.
-        plot: the same as JSON for bokeh, for a page; none when empty.
         wide: whether it may be as wide as the page.
-        inline: whether it is SVG of our own, escaped, that stands in the HTML itself.
     """
 
     name: str
     draw: Callable[[], bytes]
     text: str
-    plot: str = ""
     wide: bool = True
-    inline: bool = False
-
-    @property
-    def kind(self) -> str:
-        """The media type of the image."""
-        return "image/svg+xml" if self.name.endswith(".svg") else "image/png"
 
 
 Block: TypeAlias = Heading | Paragraph | Listing | Verdicts | Table | Facts | Code | Picture
@@ -297,16 +288,13 @@ def _verdict(asked: str, good: Mark, reasons: tuple[str, ...]) -> str:
 
 
 def _picture_html(block: Picture) -> str:
-    stem = escape(PurePath(block.name).stem)
-    data = f'<script type="application/json" class="plot-data">{inert(block.plot)}</script>'
-    plot = f'<div class="plot" id="plot-{stem}"></div>\n{data}\n' if block.plot else ""
-    if block.inline:
+    if block.name.endswith(".svg"):
         image = block.draw().decode()
     else:
-        source = f"data:{block.kind};base64,{base64.b64encode(block.draw()).decode('ascii')}"
-        image = f'<img class="still" src="{source}" alt="{escape(block.text)}">'
+        source = f"data:image/png;base64,{base64.b64encode(block.draw()).decode('ascii')}"
+        image = f'<img src="{source}" alt="{escape(block.text)}">'
     narrow = "" if block.wide else " class=narrow"
-    return f"<figure{narrow}>\n{plot}{image}\n<figcaption>{escape(block.text)}</figcaption>\n</figure>"
+    return f"<figure{narrow}>\n{image}\n<figcaption>{escape(block.text)}</figcaption>\n</figure>"
 
 
 def _table_html(block: Table) -> str:

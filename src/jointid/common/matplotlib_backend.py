@@ -1,10 +1,11 @@
-"""Charts drawn by matplotlib: for paper, for a reader without scripts, and as files."""
+"""Charts drawn by matplotlib: for pages, windows, paper and files."""
 
 from __future__ import annotations
 
 import io
 import re
 from abc import ABC, abstractmethod
+from html import escape
 from typing import TYPE_CHECKING
 
 from jointid.common.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, decimate, format_correlation
@@ -21,6 +22,7 @@ _DASHES = {"solid": "-", "dashed": (0, (5, 3)), "dotted": (0, (1, 2))}
 _FORMULA = re.compile(r"\$\\mathdefault\{(?:(?P<factor>\d+)\\times)?10\^\{(?P<power>-?\d+)\}\}\$")  # of a power of ten
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _POINTS = 1500  # of a line: more than two for each point of print across a page
+_POINTS_IN_WINDOW = 30_000  # likewise, where one looks closer: 30 s at 1 kHz are drawn as they are
 
 
 class Charted(ABC):
@@ -37,8 +39,8 @@ class Charted(ABC):
         return draw(self.chart())
 
 
-def draw(chart: Chart) -> Figure:
-    """Return a chart as a figure of matplotlib."""
+def draw(chart: Chart, points: int = _POINTS_IN_WINDOW) -> Figure:
+    """Return a chart as a figure of matplotlib, with about `points` of a line, no peak left out."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -71,25 +73,31 @@ def draw(chart: Chart) -> Figure:
                 axes.sharex(groups[panel.group])
             elif panel.group:
                 groups[panel.group] = axes
-            _draw_panel(axes, panel)
+            _draw_panel(axes, panel, points)
             if chart.columns > 2 and not panel.log_x:
                 axes.locator_params(axis="x", nbins=4)
     return figure
 
 
 def svg(chart: Chart) -> bytes:
-    """Return a chart as SVG; the same chart gives the same bytes."""
+    """Return a chart as the SVG element of a page, every text of it escaped; the same chart gives the same bytes."""
     import matplotlib as mpl
 
     buffer = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": chart.name, "svg.fonttype": "path"}):
-        _lay_out(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    with mpl.rc_context({"svg.hashsalt": chart.name, "svg.fonttype": "none"}):
+        _lay_out(chart).savefig(buffer, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    title = f' role="img" stroke-linejoin="round"><title>{escape(chart.title or chart.name)}</title>'.encode()
+
+    def begin(start: re.Match[bytes]) -> bytes:
+        return start[1] + title  # without matplotlib's style of all elements: it would hold for the whole page
 
     def shorten(path: re.Match[bytes]) -> bytes:
         # To two decimals: a hundredth of a point is finer than any print, and matplotlib writes six.
         return re.sub(rb"\s*([MLQCz])\s*", rb"\1", re.sub(rb"(\.\d\d)\d+", rb"\1", path.group()))
 
-    return re.sub(rb' d="[^"]*"', shorten, buffer.getvalue())
+    element = re.sub(rb"(?s)\A.*?(<svg [^>]*)>.*?</defs>", begin, buffer.getvalue(), count=1)
+    # Every chart names its groups alike, and nothing refers to them.
+    return re.sub(rb'<path[^>]* d="[^"]*"', shorten, re.sub(rb'<g id="[^"]*"', b"<g", element))
 
 
 def png(chart: Chart, dpi: int = 150) -> bytes:
@@ -101,7 +109,7 @@ def png(chart: Chart, dpi: int = 150) -> bytes:
 
 def _lay_out(chart: Chart) -> Figure:
     """Draw a chart with a fixed layout: a figure without one is drawn twice when it is saved."""
-    figure = draw(chart)
+    figure = draw(chart, _POINTS)
     engine = figure.get_layout_engine()
     assert engine is not None
     engine.execute(figure)
@@ -109,7 +117,7 @@ def _lay_out(chart: Chart) -> Figure:
     return figure
 
 
-def _draw_panel(axes: Axes, panel: Panel) -> None:
+def _draw_panel(axes: Axes, panel: Panel, points: int) -> None:
     axes.set_xlabel(panel.x_label, fontsize=9)
     axes.set_ylabel(panel.y_label, fontsize=9)
     axes.set_title(panel.title, fontsize=9, loc="left")
@@ -126,7 +134,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         _write_powers(axes.yaxis)
     axes.margins(x=0)
     for item in panel.items:
-        _draw_item(axes, item)
+        _draw_item(axes, item, points)
     if panel.x_range is not None:
         axes.set_xlim(*panel.x_range)
     if panel.y_range is not None:
@@ -156,10 +164,10 @@ def _write_powers(axis: Axis) -> None:
     axis.set_minor_formatter(Powers(labelOnlyBase=False))
 
 
-def _draw_item(axes: Axes, item: Item) -> None:
+def _draw_item(axes: Axes, item: Item, points: int) -> None:
     if isinstance(item, Line):
         axes.plot(
-            *decimate(item.x, item.y, most=_POINTS), color=item.colour, linewidth=0.75 * item.width,
+            *decimate(item.x, item.y, most=points), color=item.colour, linewidth=0.75 * item.width,
             linestyle=_DASHES[item.dash], label=item.label or None, marker="o" if item.dots else None, markersize=3,
         )  # fmt: skip
     elif isinstance(item, Dots):

@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.charts import decimate
+from jointid.common.charts import Chart, Line, Mark, Panel, decimate
 from jointid.common.document import inert
 from jointid.common.matplotlib_backend import svg
-from jointid.output.figures.bokeh_backend import plot
 from jointid.output.report import repetition
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
@@ -102,8 +101,7 @@ def test_the_next_test_has_its_place() -> None:
     assert found.description.split()[0] in text
     assert json.loads(planned.answer())["design"]["schema"] == "jointid.design/2"
     assert "What is to be played" in text
-    chart = planned.charts["test"]
-    assert svg(chart).startswith(b"<?xml") and "torque" in plot(chart)
+    assert b"torque" in svg(planned.charts["test"])
 
 
 def test_the_three_frequencies_are_marked() -> None:
@@ -134,31 +132,43 @@ def test_the_emps_report_is_one_small_file(emps_path: Path, tmp_path: Path) -> N
     assert carried["joint_file"] == EMPS.read_text(encoding="utf-8")
     assert len(carried["record_file_sha256"]) == 64
     assert estimate["record"]["torque_sha256"] in text
-    # The whole record is drawn, every sample: no peak is hidden.
-    assert "samples are drawn" not in text
 
 
 @pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(rigid_page: str) -> None:
     elements = Elements(rigid_page)
     for tag, attributes in elements.found:
-        for name in ("src", "href"):
+        for name in ("src", "href", "xlink:href"):
             assert (attributes.get(name) or "#").startswith(("#", "data:")), (tag, attributes)
     policy = next(m["content"] for m in elements.of("meta") if m.get("http-equiv") == "Content-Security-Policy")
     assert policy is not None
-    assert policy.startswith("default-src 'none'; script-src 'sha256-")
-    assert "unsafe-eval" not in policy
-    assert "script-src 'unsafe-inline'" not in policy
+    assert policy.startswith("default-src 'none';")
+    assert "script-src" not in policy
 
 
 def test_hostile_names_stay_names(rigid_page: str) -> None:
-    scripts = Elements(rigid_page).of("script")
-    data = [s for s in scripts if s.get("type") == "application/json"]
-    assert len(scripts) - len(data) == 2  # the library, and what starts it
+    assert {one.get("type") for one in Elements(rigid_page).of("script")} == {"application/json"}
     assert not any(attributes.get("href", "").startswith("javascript") for attributes in Elements(rigid_page).of("a"))
     carried = re.findall(r'id="jointid-answer">(.*?)</script>', rigid_page, re.DOTALL)[0]
     assert "<" not in carried
     assert json.loads(carried)["estimate"]["record"]["name"] == reports.EVIL
+
+
+def test_a_chart_makes_no_element_of_a_name() -> None:
+    line = Line(np.arange(3.0), np.arange(3.0), "#000000", label=reports.EVIL)
+    charts = [
+        Chart("x", "", (Panel(name, name, (replace(line, label=name), Mark(1.0, name)), name),), title=name)
+        for name in ("a name", reports.EVIL)
+    ]
+    friendly, hostile = ([tag for tag, _ in Elements(svg(chart).decode()).found] for chart in charts)
+    assert set(hostile) == set(friendly)
+    assert hostile.count("text") == friendly.count("text")
+
+
+def test_no_two_elements_of_a_page_have_one_id(rigid_page: str) -> None:
+    ids = [attributes["id"] for _, attributes in Elements(rigid_page).found if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:url\(|href=")#(\w[^")]*)', rigid_page)) <= set(ids)
 
 
 def test_inert_json_is_the_same_json() -> None:
@@ -174,25 +184,12 @@ def test_the_same_answer_gives_the_same_bytes(rigid_page: str) -> None:
 
 
 @pytest.mark.browser
-def test_the_page_draws_its_plots_and_links_their_zoom(rigid_page: str, tmp_path: Path) -> None:
+def test_the_page_shows_its_charts_and_runs_no_name(rigid_page: str, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     path.write_text(rigid_page, encoding="utf-8")
     with opened(path, viewport={"width": 1280, "height": 900}) as (page, complaints):
-        page.wait_for_function("document.querySelectorAll('figure.drawn').length >= 6")
-        page.wait_for_function("Bokeh.index.roots.length >= 6")
+        assert page.evaluate("document.querySelectorAll('figure > svg').length") >= 6
         assert page.title().startswith("<script>document.title='x'")  # a name, not a script
-        assert page.evaluate("document.querySelectorAll('figure:not(.drawn):has(.plot)').length") == 0
-        moved = page.evaluate(
-            """() => {
-                const root = Bokeh.index.roots.find(view => view.el.parentElement.id === "plot-torque").model
-                const ranges = root.children.map(child => child[0].x_range)
-                ranges[1].start = 2
-                ranges[1].end = 3
-                return ranges.map(range => [range.start, range.end])
-            }"""
-        )
-        assert moved[1] == moved[2] == moved[3] == [2, 3]
-        assert moved[0] != [2, 3]  # the zoom stays where it is
         assert page.evaluate("document.documentElement.scrollWidth") <= 1280
         assert complaints == []
     with opened(path, viewport={"width": 820, "height": 900}) as (page, _):
@@ -201,8 +198,7 @@ def test_the_page_draws_its_plots_and_links_their_zoom(rigid_page: str, tmp_path
 
 @pytest.mark.slow
 def test_a_page_needs_its_extra_before_anything_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for package in ("bokeh", "bokeh.embed", "bokeh.resources", "jinja2"):
-        monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(ji.ExtraError):
         reports.rigid().save(tmp_path / "page.html")
     assert run("report", EMPS, "--record", tmp_path / "none.mat", "--html", tmp_path / "p.html", "-q") == 2

@@ -57,7 +57,7 @@ def campaign(
     listener = listen(quiet)
     spare((kept, html, csv), file)
     if html is not None:
-        require_extra(plots=False)
+        require_extra()
     asked = load_campaign(file)
     if asked.left_out:
         listener(asked.left_out)

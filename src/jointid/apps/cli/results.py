@@ -65,7 +65,7 @@ def report(
     from jointid.output.report.pages import require_page
 
     require_page(html)
-    require_extra(plots=True)
+    require_extra()
     spare((html, options.json), held_out, estimate)
     file = options.load(joint, html, options.json, **({} if estimate is None else read_choices(estimate)))
     asked = {"axis": options.axis, "held_out": held_out and held_out.name}

@@ -131,7 +131,7 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     from jointid.paper.reproduce import report_reproduction
     from jointid.paper.reproduce import reproduce as run
 
-    require_extra(plots=False)
+    require_extra()
     require_room(out)
     with fresh_folder(out, "--out"):
         ready(listen(quiet))

@@ -26,7 +26,6 @@ from jointid.common.charts import (
     Line,
     Mark,
     Panel,
-    decimate,
     stride,
 )
 from jointid.common.errors import MethodError
@@ -50,9 +49,6 @@ _MODES = {
 }  # fmt: skip
 _PREDICTIONS = {"idim": "inverse model"}  # other methods simulate
 _JUMP = 1.01  # times the residual before: a step of a search goes down
-_SAMPLES = 30_000  # of a signal over time that are drawn: 25 s at 1 kHz are drawn as they are
-_SAMPLES_OF_SEVERAL = 6_000  # of each axis: six axes have about as many as one
-_MOVING = 4_000  # of the motion, which has no noise to be shown
 _POINTS = 4_000  # of a cloud
 _CELLS = 40  # of the mean over velocity or position
 _LEAST_CELLS, _PER_CELL = 6, 20  # likewise, where there are few samples; and samples of each
@@ -171,7 +167,7 @@ def torque_word(unit: str) -> str:
 
 def torque_chart(axis: AxisSignals, motion_source: str = "") -> Chart:
     """Return the measured and the predicted signal of an axis, their difference, and the motion over time."""
-    t, measured, predicted, remains = decimate(axis.time, axis.measured, axis.predicted, axis.error, most=_SAMPLES)
+    t = axis.time
     size = max(int(_ZOOM * axis.measured.size), min(axis.measured.size, 10))
     starts = range(0, max(axis.measured.size - size, 1), max(size // 4, 1))
     low = max(starts, key=lambda start: float(np.std(axis.measured[start : start + size])))
@@ -187,23 +183,23 @@ def torque_chart(axis: AxisSignals, motion_source: str = "") -> Chart:
             f"its liveliest part, {near[0]:.1f} to {near[-1]:.1f} s", height=260,
         ),
         Panel(
-            "", axis.label, (Line(t, measured, MEASURED, "measured"), Line(t, predicted, SIMULATED, axis.prediction)),
+            "", axis.label, (
+                Line(t, axis.measured, MEASURED, "measured"),
+                Line(t, axis.predicted, SIMULATED, axis.prediction),
+            ),
             "the whole record", height=280, group="time",
         ),
-        Panel("", f"error [{axis.unit}]", (Line(t, remains, ERROR, "error", 0.8),), height=190, group="time"),
+        Panel("", f"error [{axis.unit}]", (Line(t, axis.error, ERROR, "error", 0.8),), height=190, group="time"),
     ]  # fmt: skip
     if axis.velocity is not None:
-        ts, velocity = decimate(axis.time, axis.velocity, most=_MOVING)
         label = f"velocity{axis.side} [{axis.length}/s]"
-        panels.append(Panel("", label, (Line(ts, velocity, "#777777"),), height=150, group="time"))
+        panels.append(Panel("", label, (Line(t, axis.velocity, "#777777"),), height=150, group="time"))
     panels[-1] = _with_time(panels[-1])
-    drawn = f" {t.size} of {axis.time.size} samples are drawn"
     caption = (
         f"Measured and {axis.prediction} {axis.quantity} lie on each other where the model is right; below them their "
         f"difference, {100 * axis.relative_error:.2f} % of the measured, on a scale of its own"
         + ("" if axis.velocity is None else f", and the {motion_source} velocity of the motor")
-        + ". On a screen, zooming one of the last panels zooms the others."
-        + (f"{drawn}, the least and the largest of every stretch: no peak is lost." if t.size < axis.time.size else "")
+        + "."
     )
     return Chart("torque", caption, tuple(panels))
 
@@ -212,13 +208,13 @@ def torques_chart(axes: Sequence[AxisSignals], how: str = "filtered as they were
     """Return the measured and the predicted signal of each of several axes, and their difference, over time."""
     panels = []
     for axis in axes:
-        t, *signals = decimate(axis.time, axis.measured, axis.predicted, axis.error, most=_SAMPLES_OF_SEVERAL)
-        shown = axis.compared[np.searchsorted(axis.time, t)]  # what is not compared is 0, or scaled
-        measured, predicted, error = (np.where(shown, signal, np.nan) for signal in signals)
+        measured, predicted, error = (  # what is not compared is 0, or scaled
+            np.where(axis.compared, signal, np.nan) for signal in (axis.measured, axis.predicted, axis.error)
+        )
         lines = (
-            Line(t, measured, MEASURED, "measured"),
-            Line(t, predicted, SIMULATED, axis.prediction),
-            Line(t, error, ERROR, "error", 0.8),
+            Line(axis.time, measured, MEASURED, "measured"),
+            Line(axis.time, predicted, SIMULATED, axis.prediction),
+            Line(axis.time, error, ERROR, "error", 0.8),
         )
         title = f"{axis.name}, {100 * axis.relative_error:.3g} % left"
         panels.append(Panel("", axis.label, lines, title, height=230, group="time"))
@@ -228,7 +224,6 @@ def torques_chart(axes: Sequence[AxisSignals], how: str = "filtered as they were
         f"Measured and {axes[0].prediction} torque of each motor behind its gear, {how}, and "
         f"their difference on the same scale."
         + ("" if whole else " Lines break where a motor rests or turns round: friction takes what it must there.")
-        + " On a screen, zooming one zooms all."
     )
     return Chart("torque", caption, tuple(panels))
 

@@ -184,7 +184,7 @@ class Report:
         """Return one self-contained HTML page.
 
         Raises:
-            ExtraError: bokeh or jinja2 is not installed.
+            ExtraError: jinja2 is not installed.
         """
         return page(self.to_document())
 
@@ -196,7 +196,7 @@ class Report:
 
         Raises:
             RecordError: another suffix, or the file cannot be written.
-            ExtraError: bokeh or jinja2 is not installed.
+            ExtraError: jinja2 is not installed.
         """
         path = Path(path)
         require_page(path)

@@ -1,21 +1,18 @@
-"""A document as one HTML page: it opens without a network, prints, and runs no script but its own.
+"""A document as one HTML page: it opens without a network, prints, and runs no script.
 
-The page's policy names the scripts it may run by their hashes: a text that got past the escaping would still be
-nothing but text. Data for plots, and the answer it carries for other programs, are JSON in which no tag can end.
+The page's policy allows none: a text that got past the escaping would still be nothing but text. The answer it carries
+for other programs is JSON in which no tag can end.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointid.common.document import Document, Heading, Picture, block_html, inert
+from jointid.common.document import Document, Heading, block_html, inert
 from jointid.common.errors import extra
 from jointid.common.files import write_folder
-from jointid.output.figures.bokeh_backend import PURPOSE, script
 from jointid.output.json.documents import REPORT_ELEMENT
 
 if TYPE_CHECKING:
@@ -23,24 +20,13 @@ if TYPE_CHECKING:
 
 _FEW = 4  # headings: a shorter page needs no list of contents
 
-_START = """
-for (const data of document.querySelectorAll("script.plot-data")) {
-  const item = JSON.parse(data.textContent);
-  const figure = data.closest("figure");
-  figure.classList.add("drawn");
-  Bokeh.embed.embed_item(item, item.target_id).catch(() => figure.classList.remove("drawn"));
-}
-"""
-
 
 def page(document: Document) -> str:
     """Return a document as one HTML page; the same document gives the same bytes.
 
     Raises:
-        ExtraError: jinja2, or for a page with plots bokeh, is not installed.
+        ExtraError: jinja2 is not installed.
     """
-    plotted = any(isinstance(block, Picture) and block.plot for block in document.blocks)
-    scripts = [script(), _START] if plotted else []
     headings = [block for block in document.blocks if isinstance(block, Heading) and block.level == 2]
     anchors = _anchors([block.text for block in headings])
     links = dict(zip(map(id, headings), anchors, strict=True))
@@ -49,8 +35,6 @@ def page(document: Document) -> str:
         blocks=[block_html(block, links.get(id(block), "")) for block in document.blocks],  # escaped
         contents=list(zip((block.text for block in headings), anchors, strict=True)) if len(headings) >= _FEW else [],
         style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
-        scripts=scripts,
-        policy=" ".join(map(_hash, scripts)) or "'none'",
         answer=document.answer,
         element=REPORT_ELEMENT,
     )  # fmt: skip
@@ -66,15 +50,13 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
     return write_folder(folder, {f"{name}.html": page(document).encode()} | document.pictures)
 
 
-def require_extra(*, plots: bool) -> None:
-    """Raise an `ExtraError` if no page, with or without plots, can be written: before anything runs."""
+def require_extra() -> None:
+    """Raise an `ExtraError` if no page can be written: before anything runs."""
     _load_templates()
-    if plots:
-        script()
 
 
 def _load_templates() -> Environment:
-    jinja2 = extra("jinja2", "report", PURPOSE)
+    jinja2 = extra("jinja2", "report", "A report as a page (Markdown and figures do without)")
     from markupsafe import Markup
 
     made: Environment = jinja2.Environment(
@@ -87,10 +69,6 @@ def _load_templates() -> Environment:
     }
     made.filters.update(filters)
     return made
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"
 
 
 def _anchors(texts: list[str]) -> list[str]:

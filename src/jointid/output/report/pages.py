@@ -19,8 +19,6 @@ from jointid.common.document import Block, Code, Paragraph, Picture
 from jointid.common.errors import RecordError
 from jointid.common.files import open_file
 from jointid.common.matplotlib_backend import svg
-from jointid.common.parallel import Aside
-from jointid.output.figures.bokeh_backend import plot
 
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
 _BLOCK = 1 << 20  # bytes that are read at once
@@ -141,22 +139,17 @@ def pictures_of(
 ) -> Callable[[str], list[Block]]:
     """Return a function from the name of a picture to its blocks.
 
-    Each is drawn twice, at the same time: by one library for the screen, by the other for paper.
-
     Args:
         charts: by name.
         absent: says why a picture of that name is not there.
     """
-    drawing = Aside(lambda: {name: svg(chart) for name, chart in charts.items()})
-    plots = {name: plot(chart) for name, chart in charts.items()}
-    draw = {name: partial(bytes, image) for name, image in drawing.result().items()}
 
     def picture(name: str) -> list[Block]:
         if name not in charts:
             return [Paragraph(absent(name))]
         chart = charts[name]
         narrow = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
-        return [Picture(f"{name}.svg", draw[name], chart.caption, plots[name], not narrow)]
+        return [Picture(f"{name}.svg", partial(svg, chart), chart.caption, not narrow)]
 
     return picture
 

@@ -42,7 +42,7 @@ def summary_blocks(
     yield Paragraph(str(answer), lead=True, tone=_TONES[Trust(answer.trust.code)])
     if resonances := resonance_sentence(estimate):
         yield Paragraph(resonances)
-    yield Picture("axis.svg", lambda: draw_axis(estimate).encode(), "The axis, with 2 sigma", wide=False, inline=True)
+    yield Picture("axis.svg", lambda: draw_axis(estimate).encode(), "The axis, with 2 sigma", wide=False)
     data, settings = estimate.data, estimate.settings
     channels = join([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
     title = method_of(settings.method).title
