@@ -196,18 +196,18 @@ def read_messages(file: Path) -> Iterator[tuple[Topic, int, bytes]]:
     place = Path(quote(str(file.absolute()), safe="/:\\")) if is_database else file
     storage = Reader.STORAGE_PLUGINS[".db3" if is_database else ".mcap"](place)
     storage.open()
-    links: list[Any] = list(storage.connections)
-    _require_few_topics(file, len(links))
-    known: dict[tuple[str, str], Mapping[str, Definition]] = {}
-    topics = {}
-    for link in links:
-        asked = (link.msgtype, str(link.msgdef.data) if link.msgdef.format.name == "MSG" else "")
-        if asked not in known:
-            known[asked] = message_types(*asked)
-        topics[link.id] = Topic(link.topic, link.msgtype, link.ext.serialization_format, known[asked])
-    for link, time, data in storage.messages(links):
-        yield topics[link.id], time, data
-    storage.close()
+    with closing(storage):
+        links: list[Any] = list(storage.connections)
+        _require_few_topics(file, len(links))
+        known: dict[tuple[str, str], Mapping[str, Definition]] = {}
+        topics = {}
+        for link in links:
+            asked = (link.msgtype, str(link.msgdef.data) if link.msgdef.format.name == "MSG" else "")
+            if asked not in known:
+                known[asked] = message_types(*asked)
+            topics[link.id] = Topic(link.topic, link.msgtype, link.ext.serialization_format, known[asked])
+        for link, time, data in storage.messages(links):
+            yield topics[link.id], time, data
 
 
 def _require_few_topics(file: Path, count: int) -> None:
