@@ -237,7 +237,7 @@ REFUSED: dict[str, tuple[str | bytes, list[str]]] = {
     "empty lines only": ("\n\n", ["no row of numbers"]),
     "bytes": (b"\x00\x01\x02\x03", ["no text", "UTF-8"]),
     "nothing": ("", ["empty (0 bytes)"]),
-    "an endless quoted cell": ('"' + "x" * 200_000, ["cannot be split into cells"]),
+    "an endless quoted cell": ('"' + "x" * 200_000, ["is damaged, cut off"]),
 }
 
 

@@ -265,18 +265,15 @@ class Csv:
             block = following
 
     def _layout(self, text: TextFile) -> Layout:
-        try:
-            fit = self._fit(text)
-            dialect, width = fit.dialect, fit.width
-            start = fit.first_row([line.text for line in text.lines])
-            rows = text.lines[start:]
-            # Where all rows end with the delimiter, their empty last cell is a column only if it has a name.
-            closed = dialect.delimiter != BLANKS and all(
-                row.text.rstrip(BLANKS).endswith(dialect.delimiter) for row in rows[:-1] or rows
-            )
-            header = self._names(text, start, fit, closed)
-        except csv.Error as error:
-            raise RecordError(f"{text.name} cannot be split into cells ({error}); is it delimited text?") from error
+        fit = self._fit(text)
+        dialect, width = fit.dialect, fit.width
+        start = fit.first_row([line.text for line in text.lines])
+        rows = text.lines[start:]
+        # Where all rows end with the delimiter, their empty last cell is a column only if it has a name.
+        closed = dialect.delimiter != BLANKS and all(
+            row.text.rstrip(BLANKS).endswith(dialect.delimiter) for row in rows[:-1] or rows
+        )
+        header = self._names(text, start, fit, closed)
         unnamed = closed and (header is None or len(header) < width or not header[-1])
         width -= unnamed
         names = [name or str(i) for i, name in enumerate(header or [""] * width, start=1)][:width]
