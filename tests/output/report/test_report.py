@@ -86,24 +86,6 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     assert repetition(joint, emps_path, {}).date == "2018-11-06"  # of its header, however it was copied
 
 
-def test_the_next_test_has_its_place() -> None:
-    told = reports.rigid()
-    assert "The next test" not in reports.marked(told)
-    estimate = told.estimate
-    loop = estimate.settings.loop
-    assert loop is not None
-    limits = ji.AxisLimits(stroke=0.2, speed=0.3, acceleration=2.0, torque=100.0)
-    asked = {"values": estimate.values, "noise": ji.Noise(log=0.5), "limits": limits, "search_time": 0.1}
-    found = ji.design(loop, duration=4.0, sample_time=1e-3, **asked)  # type: ignore[call-overload]
-    planned = replace(told, design=found)
-    text = reports.marked(planned)
-    assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")
-    assert found.description.split()[0] in text
-    assert json.loads(planned.answer())["design"]["schema"] == "jointid.design/2"
-    assert "What is to be played" in text
-    assert b"torque" in svg(planned.charts["test"])
-
-
 def test_the_three_frequencies_are_marked() -> None:
     told = reports.flexible()
     expected = ji.FlexibleJoint.frequencies(told.estimate.values)

@@ -27,7 +27,6 @@ from jointid.output.json.documents import REPORT_SCHEMA
 from jointid.output.report.page import page
 from jointid.output.report.pages import Repetition, repetition, require_page
 from jointid.output.report.sections import RobotReportData, report_blocks, robot_blocks, robot_charts, robot_contents
-from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 
 __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
@@ -35,10 +34,6 @@ __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
 _TUNING = (
     "The joint's response, the loop cut open at the torque, and its Nyquist plot; the bands are the estimate's "
     "interval, the circle about -1 the distance that was asked."
-)
-_TEST = (
-    "What is to be played, the torque that is predicted, and its spectrum beside the modes of the joint as it was "
-    "identified."
 )
 
 
@@ -51,14 +46,12 @@ class Report:
         name: of the joint; that of the record when empty.
         repetition: what it takes to do it again.
         tuned: what to set in the drive; None where that was not asked for.
-        design: the next test; likewise.
     """
 
     data: ReportData | RobotReportData
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
-    design: Design | None = None
 
     @classmethod
     def of(
@@ -130,8 +123,6 @@ class Report:
         drawn = robot_charts(given.diagnosis) if isinstance(given, RobotReportData) else report_charts(given)
         if self.tuned is not None:
             drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
-        if self.design is not None:
-            drawn["test"] = replace(self.design.chart(), caption=_TEST)
         return drawn
 
     @property
@@ -148,7 +139,7 @@ class Report:
     def _contents(self) -> dict[str, Any]:
         given = self.data
         if isinstance(given, RobotReportData):
-            return robot_contents(given) | ({} if self.design is None else {"design": self.design})
+            return robot_contents(given)
         return {
             "schema": REPORT_SCHEMA,
             "estimate": given.estimate,
@@ -159,15 +150,14 @@ class Report:
             "frequencies": {} if given.response is None else given.response.modes,
             "parabolic": given.parabolic,
             "tuning": None if self.tuned is None else _without_responses(plain(self.tuned)),
-            "design": self.design,
             "absent": given.absent,
         }
 
     def _blocks(self) -> Iterable[Block]:
-        given, charts, again, design = self.data, self.charts, self.repetition, self.design
+        given, charts, again = self.data, self.charts, self.repetition
         if isinstance(given, RobotReportData):
-            return robot_blocks(given, charts, again, design)
-        return report_blocks(given, charts, again, self.tuned, design)
+            return robot_blocks(given, charts, again)
+        return report_blocks(given, charts, again, self.tuned)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.title!r})"

@@ -38,8 +38,7 @@ from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_c
 from jointid.output.json.documents import ROBOT_REPORT_SCHEMA
 from jointid.output.report.data_sheet import data_sheets
 from jointid.output.report.pages import Repetition, pictures_of
-from jointid.output.report.summary import next_test, next_test_in_full, summary_blocks, verdicts_in_full
-from jointid.planning.designed import Design
+from jointid.output.report.summary import summary_blocks, verdicts_in_full
 from jointid.tuning.tuned import Tuned
 
 
@@ -48,7 +47,6 @@ def report_blocks(
     charts: dict[str, Chart],
     repetition: Repetition,
     tuned: Tuned | None,
-    design: Design | None,
 ) -> tuple[Block, ...]:
     """Return the whole report."""
     picture = pictures_of(charts, absent=partial(_explain_absence, given))
@@ -65,7 +63,7 @@ def report_blocks(
     if bounds is not None:
         found += [Heading("Lower bound of the stiffness"), bounds, *picture("bounds")]
     return (
-        *summary_blocks(given, tuned, design, picture),
+        *summary_blocks(given, tuned, picture),
         Heading("Appendix"),
         Paragraph("What stands behind the summary: every check, picture and setting, and how to repeat it."),
         Heading("Data sheet"),
@@ -80,7 +78,6 @@ def report_blocks(
         *_loop(given),
         *_tests(given),
         *tuning,
-        *next_test_in_full(design, picture),
         *_settings(given, repetition),
     )
 
@@ -270,7 +267,6 @@ def robot_blocks(
     given: RobotReportData,
     charts: dict[str, Chart],
     repetition: Repetition,
-    design: Design | None,
 ) -> Iterator[Block]:
     """Yield a robot's report, with a section of each joint."""
     found, picture = given.diagnosis, pictures_of(charts)
@@ -288,7 +284,6 @@ def robot_blocks(
     if given.validation is not None:
         yield Heading("A record that the estimate has not seen")
         yield from given.validation.to_document().blocks
-    yield from next_test(design, given.absent)
     yield Heading("Appendix")
     yield Paragraph("What stands behind that: what is left of the torques, the sums, and how to repeat it.")
     yield Heading("Residual")
@@ -298,7 +293,6 @@ def robot_blocks(
         yield from picture("spectra")
     yield Heading("Sums that the parameters stand for")
     yield from _sums(found)
-    yield from next_test_in_full(design, picture)
     yield Heading("Settings and data")
     yield from (block for block in given.estimate.to_document().blocks if isinstance(block, Facts))
     filtering = given.estimate.settings.filtering

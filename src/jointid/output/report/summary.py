@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 
-from jointid.common.document import Block, Heading, Listing, Paragraph, Picture, Table, Tone, Verdicts
+from jointid.common.document import Block, Heading, Listing, Paragraph, Picture, Tone, Verdicts
 from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
@@ -12,7 +12,6 @@ from jointid.estimation.result.answer import Trust, mark_of, told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import describe_positions, parameters_table
 from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
-from jointid.planning.designed import Design
 from jointid.tuning.tuned import Tuned
 
 _TONES: dict[Trust, Tone] = {
@@ -25,15 +24,12 @@ _TONES: dict[Trust, Tone] = {
 _CHANNELS = {"injected": "injected signal"}
 
 
-def summary_blocks(
-    given: ReportData, tuned: Tuned | None, design: Design | None, picture: Callable[[str], list[Block]]
-) -> Iterator[Block]:
+def summary_blocks(given: ReportData, tuned: Tuned | None, picture: Callable[[str], list[Block]]) -> Iterator[Block]:
     """Yield the summary.
 
     Args:
         given: what is reported.
         tuned: what to set in the drive; None where that is not known.
-        design: the next test; None where none was asked for.
         picture: returns the blocks of a picture by its name.
     """
     estimate = given.estimate
@@ -62,26 +58,6 @@ def summary_blocks(
         yield Heading("Tuning")
         yield Paragraph(tuned.sentence)
         yield from tuned.proposal()
-    yield from next_test(design, given.absent)
-
-
-def next_test(design: Design | None, absent: Mapping[str, str]) -> Iterator[Block]:
-    """Yield the next test in short, or why there is none."""
-    if (why := absent.get("design")) is not None:
-        yield Heading("The next test")
-        yield Paragraph(f"None was planned. {why}")
-    if design is not None:
-        yield Heading("The next test")
-        yield Paragraph(design.sentence)
-        yield next(block for block in design.to_document().blocks if isinstance(block, Table))
-
-
-def next_test_in_full(design: Design | None, picture: Callable[[str], list[Block]]) -> tuple[Block, ...]:
-    """Return the next test but for its intervals, with its picture."""
-    if design is None:
-        return ()
-    tables = (block for block in design.to_document().blocks if not isinstance(block, Paragraph))
-    return (Heading("The next test in full"), *[*tables][1:], *picture("test"))
 
 
 def _results(estimate: Estimate) -> Iterator[str]:
