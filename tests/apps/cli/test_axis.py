@@ -121,10 +121,9 @@ def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
     assert load(robot, changed, axis="base").method == ji.IDIM(estimator="ols")
     assert load(robot, changed).method == ji.IDIM()
     assert load(robot, axis="base", method="didim").method == ji.DIDIM()
-    foreign = r"joints\.1\.method\.frequency is for DIDIM of a flexible joint, but .* set joints\.1\.model = "
-    with pytest.raises(JointFileError, match=foreign):
+    with pytest.raises(JointFileError, match=r"joints\.1\.method\.frequency"):
         load(robot, ["method.frequency=30.0"], axis="base")
-    with pytest.raises(JointFileError, match=r"method\.fixed is for IDIM of a robot, but the joint is rigid: leave it"):
+    with pytest.raises(JointFileError, match=r"method\.fixed"):
         load(robot, ["method.fixed={a=1.0}"], axis="base")
 
 
