@@ -145,3 +145,23 @@ def test_a_reader_that_has_gone_costs_no_file(ending: str, tmp_path: Path) -> No
     ended = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, check=False)
     assert (ended.returncode, ended.stderr) == (0, b"")
     assert (tmp_path / "o.json").read_bytes().rstrip().endswith(b"}")
+
+
+def test_ctrl_c_that_a_callback_swallows_ends_the_program_all_the_same() -> None:
+    program = """
+import signal, time, weakref
+from jointid.apps.cli import app
+class Dropped: pass
+def work(words, debug):
+    dropped = Dropped()
+    kept = weakref.ref(dropped, lambda _: signal.raise_signal(signal.SIGINT))
+    del dropped
+    try:
+        time.sleep(30)
+    except KeyboardInterrupt:
+        return 130
+app._run = work
+app.run([], signals=True)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=25, check=False)
+    assert (ended.returncode, ended.stderr) == (130, "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import atexit
 import contextlib
 import errno
@@ -11,6 +12,7 @@ import os
 import platform
 import signal
 import sys
+import threading
 import traceback
 import warnings
 from collections.abc import Callable
@@ -36,6 +38,7 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import remove_rooms
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
+_MOMENT = 0.02  # s until an interrupt that a callback has swallowed is sent again
 _SIGNALLED = 128  # added to a signal's number it is the exit code
 
 _GONE = {
@@ -146,6 +149,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
         if signals:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             signal.signal(signal.SIGTERM, _leave)
+            sys.unraisablehook = _interrupt_again
         code = _finish(_run([word for word in words if word != "--debug"], debug))
     except KeyboardInterrupt:  # once more, while the first was being answered
         code = _interrupted(debug)
@@ -153,6 +157,19 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     remove_rooms()
     sys.exit(code)
+
+
+def _interrupt_again(swallowed: Any) -> None:
+    """Interrupt again a moment later where a callback has swallowed Ctrl-C; report other exceptions as usual."""
+    if not isinstance(swallowed.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(swallowed)
+        return
+    if hasattr(signal, "pthread_kill"):  # it wakes what waits, too
+        again = threading.Timer(_MOMENT, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+    else:
+        again = threading.Timer(_MOMENT, _thread.interrupt_main)
+    again.daemon = True
+    again.start()
 
 
 def _leave(number: int, _: object) -> NoReturn:
