@@ -12,8 +12,11 @@ from jointid.diagnostics.validation import validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.robots.idim import InverseModelRobot
+from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.robots.simulated import errors_of, problem_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
+from jointid.simulation.robot_numbers import RobotNumbers
 
 T = TypeVar("T", bound=EstimateParts)
 
@@ -30,7 +33,7 @@ def errors_of_bodies(estimate: Estimate, bodies: Robot, records: Sequence[Record
     """Return what a robot leaves of the records of another motion, in the place of the estimate's nominal one."""
     part = estimate.require_robot()
     if isinstance(part, InverseModelRobot):
-        other: Any = replace(part, nominal=part.base.with_friction(bodies))
-    else:
-        other = replace(part, setup=replace(part.setup, robot=bodies))  # type: ignore[arg-type]
-    return [axis.nominal_error for axis in validate(replace(estimate, robot=other), records).axes]
+        other = replace(part, nominal=part.base.with_friction(bodies))
+        return [axis.nominal_error for axis in validate(replace(estimate, robot=other), records).axes]
+    problem: Any = problem_of(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
+    return [*errors_of(problem, RobotNumbers.of(bodies))]
