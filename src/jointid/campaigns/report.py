@@ -31,7 +31,7 @@ _CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation outside which that is
 
 @dataclass(frozen=True)
 class CampaignReport(Documented):
-    """What the results of a campaign show.
+    """Report of the results of a campaign.
 
     Attributes:
         name: of the campaign.

@@ -61,7 +61,7 @@ _ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where 
 
 
 class LawCode(StrEnum):
-    """What a comparison of laws answers."""
+    """Outcomes of a comparison of laws."""
 
     NO_SPRING = "no_spring"
     AS_DECLARED = "as_declared"

@@ -114,7 +114,7 @@ def end(_):
 
 if sys.argv[1] == "loaded":
     from jointid.apps.cli import app
-    app._refuse_gone = end
+    app._refuse_deleted_command = end
 else:
     sys.addaudithook(lambda event, words: words[:1] == ("jointid.apps.cli.app",) and signal.raise_signal(signal.SIGINT))
 main()

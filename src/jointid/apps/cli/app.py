@@ -152,7 +152,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
             sys.unraisablehook = _interrupt_again
         code = _finish(_run([word for word in words if word != "--debug"], debug))
     except KeyboardInterrupt:  # once more, while the first was being answered
-        code = _interrupted(debug)
+        code = _end_interrupted(debug)
     if signals:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     remove_rooms()
@@ -179,7 +179,7 @@ def _leave(number: int, _: object) -> NoReturn:
 
 
 def _prepare_outputs() -> None:
-    """Have an output show what it can of a character that it lacks, and nowhere to print be no fault."""
+    """Replace characters that an output cannot show, and a closed output by the null device."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # it was closed before the program began
@@ -190,10 +190,10 @@ def _prepare_outputs() -> None:
 
 def _run(words: list[str], debug: bool) -> int:
     try:
-        _refuse_gone(words)
+        _refuse_deleted_command(words)
         code: int | None = app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except KeyboardInterrupt:
-        return _interrupted(debug)
+        return _end_interrupted(debug)
     except Exception as error:
         if debug and not isinstance(error, CycloptsError):
             traceback.print_exc()
@@ -203,7 +203,7 @@ def _run(words: list[str], debug: bool) -> int:
     return code or 0
 
 
-def _refuse_gone(words: list[str]) -> None:
+def _refuse_deleted_command(words: list[str]) -> None:
     """Refuse a command that this program no longer has.
 
     Raises:
@@ -230,7 +230,7 @@ def _explain(error: Exception) -> int:
     )
 
 
-def _interrupted(debug: bool) -> int:
+def _end_interrupted(debug: bool) -> int:
     """Print that Ctrl-C ends the program, and return the exit code."""
     if debug:
         traceback.print_exc()

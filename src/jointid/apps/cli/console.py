@@ -47,14 +47,14 @@ _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but co
 
 
 def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
-    """Refuse, before any work, an output that cannot be written, or that is a file which is read.
+    """Refuse outputs that cannot be written or would replace an input.
 
     Args:
         outputs: files; None is none.
         inputs: likewise; a folder stands for the files in it.
 
     Raises:
-        RecordError: one of them is.
+        RecordError: an output cannot be written, or is also an input.
     """
     named = [path for path in inputs if path is not None]
     read = [*named, *(path for folder in named if folder.is_dir() for path in folder.iterdir())]

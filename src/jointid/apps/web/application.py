@@ -182,7 +182,7 @@ _OWNER_ALONE = 0o077
 
 
 class _Protocol(H11Protocol):
-    """HTTP in which a request that turns out to be none ends its connection, whatever was answered of it."""
+    """HTTP protocol that closes the connection of a malformed request."""
 
     def send_400_response(self, msg: str) -> None:
         """Refuse what is no HTTP; for whoever already answers the beginning of it, the visitor has gone."""

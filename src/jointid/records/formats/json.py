@@ -70,7 +70,7 @@ def _parse(path: Path) -> Any:
 
 
 def _walk(path: Path, name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Yield what is no record by its path; a list of records is a record of lists."""
+    """Yield the values of a document with their paths; a list of records is a record of lists."""
     if depth > _DEEPEST:
         raise RecordError(
             f"{path.name} holds values within values, more than {_DEEPEST} deep; log records or columns of numbers."

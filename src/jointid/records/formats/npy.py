@@ -71,7 +71,7 @@ class Npy:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """The columns of a file, as views of what the system reads of it when it is asked for.
+    """Columns of a memory-mapped file.
 
     Attributes:
         views: (rows,) each, by name.
