@@ -70,7 +70,7 @@ def test_no_command_writes_over_what_it_reads(
     monkeypatch.setattr("jointid.config.contents.JointFile.record", lambda *_, **__: pytest.fail("the work has begun"))
     before = contents(place)
     assert run(*command.split()) == 2
-    assert "is a file that is read" in capsys.readouterr().err
+    assert "would be replaced" in capsys.readouterr().err
     assert contents(place) == before
 
 

@@ -104,7 +104,7 @@ def test_an_archive_holds_the_newest_answer(tmp_path: Path) -> None:
     """The first one may have been made of an answer whose loop was not checked yet, before there was a report."""
     run = Run(tmp_path)
     (tmp_path / "log.csv").write_text("1,2")
-    (tmp_path / "work.json").write_text('{"file": "log.csv"}')
+    (tmp_path / "work.json").write_text('{"file": "log.csv", "files": ["log.csv"]}')
     for answer in ("unchecked", "checked"):
         (tmp_path / "answer.json").write_text(answer)
         path, _ = _bundle(run)

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())]
-Several: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 """Keys of the joint file that are changed before it is checked; every setting can be reached."""
 
@@ -47,24 +46,28 @@ _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but co
 
 
 def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
-    """Refuse outputs that cannot be written or would replace an input.
+    """Refuse outputs that cannot be written, or would replace an input or each other.
 
     Args:
         outputs: files; None is none.
         inputs: likewise; a folder stands for the files in it.
 
     Raises:
-        RecordError: an output cannot be written, or is also an input.
+        RecordError: an output cannot be written, is also an input, or is named twice.
     """
     named = [path for path in inputs if path is not None]
-    read = [*named, *(path for folder in named if folder.is_dir() for path in folder.iterdir())]
+    taken = [*named, *(path for folder in named if folder.is_dir() for path in folder.iterdir())]
     for out in filter(None, outputs):
         if out.is_dir() or not out.absolute().parent.is_dir():
             what = "it is a folder" if out.is_dir() else f"there is no folder {out.parent}"
             raise RecordError(f"{out} cannot be written, because {what}; name another file.")
         require_room(out)
-        if out.is_file() and any(path.exists() and out.samefile(path) for path in read):
-            raise RecordError(f"{out} is a file that is read, and would be replaced; name another file.")
+        if any(
+            os.path.realpath(out) == os.path.realpath(path) or (out.is_file() and path.is_file() and out.samefile(path))
+            for path in taken
+        ):
+            raise RecordError(f"{out} is read or written already, and would be replaced; name another file.")
+        taken.append(out)
 
 
 @Parameter(name="*")

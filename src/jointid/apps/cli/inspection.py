@@ -56,8 +56,7 @@ def inspect(
     found = look(file, **{name: value for name, value in options.items() if value is not None})
     text = ""
     if write is not None:  # what it refuses comes before any file
-        place = os.path.relpath(file.absolute(), write.absolute().parent)
-        text = describe_log(found, Path(place).as_posix(), axis)
+        text = describe_log(found, Path(os.path.relpath(file.absolute(), write.absolute().parent)).as_posix(), axis)
     deliver(found, json, (figure, figures.draw))
     if write is not None:
         write_whole(write, text)

@@ -131,8 +131,5 @@ class _Pace(ProgressColumn):
     def render(self, task: Task) -> Text:
         if not task.fields["unit"]:
             return Text(describe_time(task.elapsed or 0.0))
-        return Text(
-            describe_pace(
-                task.completed, math.inf if task.total is None else task.total, task.fields["unit"], task.elapsed or 0.0
-            )
-        )
+        total = math.inf if task.total is None else task.total
+        return Text(describe_pace(task.completed, total, task.fields["unit"], task.elapsed or 0.0))
