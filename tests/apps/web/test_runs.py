@@ -245,13 +245,7 @@ def test_a_page_that_is_started_again_finds_everything_under_its_new_token(folde
         assert client.get(f"http://127.0.0.1:8765/{TOKEN}/").status_code == 403
 
 
-@pytest.mark.parametrize("module", ["none", "resource"])
-def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(
-    folder: Path, log: bytes, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Bounded by the system, and by the process's own watch as where the system has no bounds."""
-    (tmp_path / f"{module}.py").write_text("raise ImportError")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Path, log: bytes) -> None:
     small = build_application(folder, TOKEN, limits=Limits(memory=100 * 2**20))
     with TestClient(small, base_url=ADDRESS) as client:
         asker = Asker(client)
