@@ -19,7 +19,7 @@ T = TypeVar("T")
 DRAW = os.environ.get("JOINTID_DRAW", "")
 """What the draw is made from; empty if everything runs."""
 
-SHARES = {"slow": 1 / 40, "browser": 1 / 4, "docs": 1 / 6, "hostile": 1 / 8}
+SHARES = {"slow": 1 / 20, "browser": 1 / 4, "docs": 1 / 6, "hostile": 1 / 8}
 """The share of each layer that a draw keeps, rounded up and spread evenly over its files.
 
 A slow test has relatives among the quick ones, which a page of the documentation has not. A test of several layers is
