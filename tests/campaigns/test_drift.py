@@ -13,9 +13,7 @@ from jointid.campaigns.cases import Case, Found, Outcome, Row
 from jointid.campaigns.drift import Series, best_change, judge, series_of
 from jointid.campaigns.report import CampaignReport
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import Chart, Line, Panel
 from jointid.common.document import Picture
-from jointid.common.matplotlib_backend import svg
 
 STATED = {"stiffness": 0.008, "total_coulomb": 0.017, "total_viscous": 0.025}
 """Stated standard deviation as a share of the value, as the fleet of `examples/fleet` has them."""
@@ -211,9 +209,3 @@ def test_a_page_shows_what_changed_and_folds_quiet_rows() -> None:
     assert values.draw().startswith(b"<svg") and "<script>alert" not in text
     assert text.count("<details>") == 1, "the changes within scatter"
     assert not any(isinstance(block, Picture) for block in report(list(fleet(1, 12))).to_page().blocks)
-
-
-def test_no_label_of_a_chart_is_read_as_a_formula() -> None:
-    name = r"$\none$"
-    line = Line(np.arange(3.0), np.arange(3.0), "#000000", label=name)
-    assert svg(Chart("x", "", (Panel(name, name, (line,), name),), title=name)).startswith(b"<svg")

@@ -30,7 +30,7 @@ from jointid.output.json.estimates import Shape, as_percentage, by_name, take
 from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known
 from jointid.uncertainty.verdict import StiffnessBound
 
-ELSEWHERE = {"jointid.common.charts.Band", "jointid.records.drives.Profile"}
+ELSEWHERE = {"jointid.records.drives.Profile"}
 """Classes of the same name as one with a shape, of which no document has an object."""
 
 CASCADE = Cascade(position_gain=1.0, velocity_gain=1.0)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
+from jointid.common.charts import png
 from jointid.common.document import Table
-from jointid.common.matplotlib_backend import png
 from jointid.diagnostics.validation import Validation
 from jointid.output.figures import torque_chart
 from jointid.output.report.page import page as html

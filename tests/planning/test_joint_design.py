@@ -14,7 +14,6 @@ import pytest
 
 import jointid as ji
 from jointid.apps.cli import main
-from jointid.common.charts import Line
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.limits import AxisLimits, find_excess
 from jointid.output.json.documents import to_dict
@@ -110,7 +109,7 @@ def test_it_is_told_in_numbers_and_files(designed: Design, tmp_path: Path) -> No
     )
     assert table.reference is not None
     assert table.reference.values == pytest.approx(designed.proposed.reference, abs=1e-12)
-    assert len(designed.chart().panels) == 3
+    assert len(designed.plot().axes) == 3
 
 
 def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -333,8 +332,8 @@ def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) 
     assert told.proposed.std["motor_inertia"] == pytest.approx(same.proposed.std["motor_inertia"], rel=0.5)
     assert told.axes[0].reached["speed"] == pytest.approx(same.axes[0].reached["speed"], rel=0.2)
     assert not told.axes[0].limits.given  # those of the present test are not those of another
-    drawn = [line for panel in told.chart().panels[:2] for line in panel.items if isinstance(line, Line)]
-    assert [line.x[-1] for line in drawn] == pytest.approx([6.0, 6.0], abs=0.01)
+    drawn = [line for axes in told.plot().axes[:2] for line in axes.lines]
+    assert [line.get_xdata()[-1] for line in drawn] == pytest.approx([6.0, 6.0], abs=0.01)
     told.write(tmp_path)
     assert "a row every 4" in (tmp_path / "how-to-run.md").read_text()
     assert "torque" not in (tmp_path / "test.csv").read_text().splitlines()[0]  # there is none yet

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.campaigns.drift import Change, Loss, Series
-from jointid.common.charts import ERROR, MEASURED, SIMULATED, Chart, Item, Line, Mark, Panel
+from jointid.common.charts import ERROR, MEASURED, SIMULATED, Chart, label, line, mark, panels, svg
 from jointid.common.document import Picture
-from jointid.common.matplotlib_backend import svg
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _PANELS = 24  # that a page shows
 
@@ -23,33 +27,41 @@ def plot_changes(changes: Sequence[Change], series: Sequence[Series], losses: Se
         series: of all joints.
         losses: of joints and their quantities.
     """
-    panels = []
-    for change in changes:
-        of, at = change.series, change.series.labels.index(change.since)
-        days = of.days - of.days[0]
-        ends, level = (days[[0, -1]], [0, 1]) if change.kind == "trend" else (days[[0, at, at, -1]], [0, 0, 1, 1])
-        fitted = Line(ends, np.array([change.before, change.after])[level], SIMULATED, width=2.0)
-        panels.append(_panel(of, f"{change.change_percent:+.3g} % since {change.since}", float(days[at]), fitted))
-    for one in losses:
-        for of in series:
-            if (of.joint, of.changes) == (one.joint, one.changes) and one.quantity in ("", of.quantity):
-                panels.append(_panel(of, f"no value after {one.last}", float(of.days[-1] - of.days[0])))
+    shown: list[tuple[Series, str, str, Change | None]] = [
+        (one.series, f"{one.change_percent:+.3g} % since {one.since}", one.since, one) for one in changes
+    ]
+    shown += [
+        (of, f"no value after {one.last}", of.labels[-1], None)
+        for one in losses
+        for of in series
+        if (of.joint, of.changes) == (one.joint, one.changes) and one.quantity in ("", of.quantity)
+    ]
+
+    def draw() -> Figure:
+        figure, drawn = panels([220] * len(shown[:_PANELS]), 2)
+        for axes, one in zip(drawn, shown, strict=False):
+            _draw_series(axes, *one)
+        return figure
+
     words = "Values of each run with 2 sigma over the days; the orange line is the level before and after a change."
-    if len(panels) > _PANELS:
-        words += f" {_PANELS} of {len(panels)} are shown."
-    chart = Chart("fleet-changes", words, tuple(panels[:_PANELS]), columns=2)
-    return Picture("fleet-changes.svg", partial(svg, chart), words) if panels else None
+    if len(shown) > _PANELS:
+        words += f" {_PANELS} of {len(shown)} are shown."
+    chart = Chart("fleet-changes", words, draw)
+    return Picture("fleet-changes.svg", partial(svg, chart), words) if shown else None
 
 
-def _panel(of: Series, said: str, at: float, *more: Item) -> Panel:
-    """Return the panel of a series over the days from its first run, with a mark."""
-    days, gap = of.days - of.days[0], np.full(of.days.size, np.nan)
+def _draw_series(axes: Axes, of: Series, said: str, since: str, change: Change | None) -> None:
+    """Draw a series over the days from its first run, with a mark at a run."""
+    days, gap, at = of.days - of.days[0], np.full(of.days.size, np.nan), of.labels.index(since)
+    if change is not None:
+        steps, levels = ([0, -1], [0, 1]) if change.kind == "trend" else ([0, at, at, -1], [0, 0, 1, 1])
+        line(axes, days[steps], np.array([change.before, change.after])[levels], SIMULATED, width=2.0)
+    mark(axes, float(days[at]), "")
     bars = np.column_stack([days, days, gap]).ravel()
     ends = np.column_stack([of.values - 2 * of.stds, of.values + 2 * of.stds, gap]).ravel()
-    items = (
-        *more, Mark(at, ""), Line(bars, ends, MEASURED, width=1.6), Line(days, of.values, ERROR, width=0.3, dots=True)
-    )  # fmt: skip
-    return Panel(
-        f"days since {of.labels[0]}", of.unit or "value", items, f"{of.joint}, {of.quantity.replace('_', ' ')}: {said}",
-        height=220, x_range=(-0.5, float(days[-1]) + 0.5),
-    )  # fmt: skip
+    line(axes, bars, ends, MEASURED, width=1.6)
+    line(axes, days, of.values, ERROR, width=0.3, dots=True)
+    label(
+        axes, f"days since {of.labels[0]}", of.unit or "value", f"{of.joint}, {of.quantity.replace('_', ' ')}: {said}"
+    )
+    axes.set_xlim(-0.5, float(days[-1]) + 0.5)

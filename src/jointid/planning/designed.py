@@ -7,15 +7,14 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Line, Mark, Panel
+from jointid.common.charts import LOAD, MEASURED, SIMULATED, Charted, label, line, mark, panels
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table, common_facts
 from jointid.common.files import write_folder
-from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import in_words, join, number
 from jointid.common.transmission import Side, Transmission
 from jointid.models.limits import AxisLimits, describe_excess, units_of_limits
@@ -24,6 +23,9 @@ from jointid.planning.predict import PredictedTest
 from jointid.planning.trajectories import Trajectory
 from jointid.records.record import InjectionPoint, Record
 from jointid.records.writing import write_columns
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LINE = 0.6
 _KNOWN = 0.1  # of a value, that its deviation is less than
@@ -293,32 +295,32 @@ class Design(Charted, Documented):
         pairs += [(name, name.replace(".", ".link_", 1)) for name in names if "." in name]
         return [pair for pair in pairs if pair[1] in names]
 
-    def chart(self) -> Chart:
-        """Plot reference and predicted torque of each axis, and the spectra of the torques beside the modes."""
-        panels: list[Panel] = []
-        for axis in self.axes:
-            torque, T, u = axis.torque, axis.sample_time, axis.torque_unit
-            lines = [Line(_times(torque.size, T), torque, SIMULATED, "torque", width=_LINE)]
-            if axis.test.injected is not None:
-                added = axis.test.injected.channel
-                lines.append(
-                    Line(_times(len(added), added.sample_time), added.values, LOAD, "of it injected", width=_LINE)
-                )
+    def draw(self) -> Figure:
+        """Draw reference and predicted torque of each axis, and the spectra of the torques beside the modes."""
+        figure, drawn = panels([170] * (3 * len(self.axes)), title="the proposed test")
+        for k, axis in enumerate(self.axes):
+            position, force, frequency = drawn[3 * k : 3 * k + 3]
+            torque, T, shown = axis.torque, axis.sample_time, f"{axis.name}, " if axis.name else ""
             reference = axis.test.reference
             assert reference is not None
-            motion = Line(_times(len(reference), reference.sample_time), reference.values, MEASURED)
+            line(position, _times(len(reference), reference.sample_time), reference.values, MEASURED)
+            label(position, "time [s]", f"{shown}reference [{axis.position_unit}]")
+            line(force, _times(torque.size, T), torque, SIMULATED, "torque", _LINE)
+            if axis.test.injected is not None:
+                added = axis.test.injected.channel
+                line(force, _times(len(added), added.sample_time), added.values, LOAD, "of it injected", _LINE)
+            label(force, "time [s]", f"{shown}torque [{axis.torque_unit}]")
+            for timed in (position, force):
+                if timed is not drawn[0]:
+                    timed.sharex(drawn[0])
             hertz = np.asarray(np.fft.rfftfreq(torque.size, T)[1:], dtype=np.float64)
             size = np.abs(np.fft.rfft(torque - torque.mean()))[1:] * 2 / torque.size
             kept = hertz <= 4 * max([*axis.modes.values(), 25.0])
-            marks = (Mark(f, name.replace("_", " "), row) for row, (name, f) in enumerate(axis.modes.items()))
-            spectrum = Line(hertz[kept], size[kept], SIMULATED, width=_LINE)
-            shown = f"{axis.name}, " if axis.name else ""
-            panels += [
-                Panel("time [s]", f"{shown}reference [{axis.position_unit}]", (motion,), height=170, group="time"),
-                Panel("time [s]", f"{shown}torque [{u}]", tuple(lines), height=170, group="time"),
-                Panel("frequency [Hz]", f"{shown}torque [{u}]", (spectrum, *marks), height=170),
-            ]
-        return Chart("test", "", tuple(panels), title="the proposed test")
+            line(frequency, hertz[kept], size[kept], SIMULATED, width=_LINE)
+            for row, (name, mode) in enumerate(axis.modes.items()):
+                mark(frequency, mode, name.replace("_", " "), row)
+            label(frequency, "frequency [Hz]", f"{shown}torque [{axis.torque_unit}]")
+        return figure
 
     def records(self) -> tuple[Record, ...]:
         """Return the test as a record of each axis, with its reference and what is added to its torque."""

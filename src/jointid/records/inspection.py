@@ -9,19 +9,22 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, Band, Chart, Line, Panel
+from jointid.common.charts import MEASURED, Charted, band, label, line, panels
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
-from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import number, pluralise, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_table
 from jointid.records.formats.table import STAMP_NAME
 from jointid.records.recognition import Recognised, recognise
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _TIME = re.compile(rf"(?:.*[/._ ])?{STAMP_NAME.pattern}", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
@@ -106,15 +109,17 @@ class Inspection(Charted, Documented):
             blocks.append(Paragraph(show(self.recognised.sentence)))
         return Document(title, (*blocks, Listing(tuple(self.clocks()))))
 
-    def chart(self) -> Chart:
-        """Plot the range of each channel over time.
+    def draw(self) -> Figure:
+        """Draw the range of each channel over time.
 
         Only the first 90 channels are drawn, as the title says.
         """
         every = [channel for channel in self.channels if not channel.is_time] or list(self.channels)
         drawn = every[:_DRAWN]
-        panels = []
-        for channel in drawn:
+        count = f"{len(drawn)} of {len(every)} channels" if len(drawn) < len(every) else f"{len(drawn)} channels"
+        across = min(_ACROSS, max(len(drawn), 1))
+        figure, places = panels([170] * len(drawn), across, title=f"{show(self.file)}: {count}")
+        for axes, channel in zip(places, drawn, strict=True):
             outline = channel.outline
             rows = (np.arange(outline.low.size) + 0.5 * (outline.length > 1)) * outline.length
             seconds = (
@@ -123,15 +128,11 @@ class Inspection(Charted, Documented):
             place = np.asarray(rows * (seconds or 1.0), dtype=np.float64)
             name = show(channel.name)
             short = name if len(name) <= _TITLE else f"...{name[3 - _TITLE :]}"
-            items = (
-                Band(place, outline.low, outline.high, MEASURED),
-                Line(place, (outline.low + outline.high) / 2, MEASURED, "", 1.0),
-            )
+            band(axes, place, outline.low, outline.high, MEASURED)
+            line(axes, place, (outline.low + outline.high) / 2, MEASURED, "", 1.0)
             title = f"{short} [{show(channel.unit)}]" if channel.unit else short
-            panels.append(Panel("time [s]" if seconds else "row", "", items, title, height=170))
-        count = f"{len(drawn)} of {len(every)} channels" if len(drawn) < len(every) else f"{len(drawn)} channels"
-        title = f"{show(self.file)}: {count}"
-        return Chart("channels", "", tuple(panels), columns=min(_ACROSS, max(len(drawn), 1)), title=title)
+            label(axes, "time [s]" if seconds else "row", "", title)
+        return figure
 
     def clocks(self) -> list[str]:
         """Return a sentence on each clock."""

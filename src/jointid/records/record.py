@@ -15,15 +15,15 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, Chart, Line, Panel
+from jointid.common.charts import MEASURED, Charted, label, line, panels
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import RecordError, extra
-from jointid.common.matplotlib_backend import Charted
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.text import join, pluralise
 from jointid.common.transmission import Side, Transmission
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
 _DECIMALS = 13  # of a period in seconds: more are of a period that has no end
@@ -299,15 +299,14 @@ class Record(Charted, Documented):
         facts = (*common_facts(self.resampled, None), *(("remark", remark) for remark in self.remarks))
         return Document(f"Record {self.name}", (Table(header, rows, words=(0, 1, 6, 7)), Facts(facts)))
 
-    def chart(self) -> Chart:
-        """Return the channels over time, a panel each."""
-        panels = [
-            Panel("", f"{name.replace('_', ' ')} [{channel.unit}]", (Line(channel.time, channel.values, MEASURED),),
-                  height=170, group="time")
-            for name, channel in self.items()
-        ]  # fmt: skip
-        panels[-1] = replace(panels[-1], x_label="time [s]", height=195)
-        return Chart("record", "", tuple(panels), title=self.name)
+    def draw(self) -> Figure:
+        """Draw the channels over time, a panel each."""
+        channels = [*self.items()]
+        figure, drawn = panels((*(170,) * (len(channels) - 1), 195), title=self.name, share_x=True)
+        for axes, (name, channel) in zip(drawn, channels, strict=True):
+            line(axes, channel.time, channel.values, MEASURED)
+            label(axes, "time [s]" if axes is drawn[-1] else "", f"{name.replace('_', ' ')} [{channel.unit}]")
+        return figure
 
     def to_dataframe(self) -> DataFrame:
         """Return a pandas data frame; NaN where a slower channel has no sample.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,12 +15,12 @@ from jointid.common.charts import (
     MEASURED,
     OTHERS,
     SIMULATED,
-    Band,
-    Chart,
-    Item,
-    Level,
-    Line,
-    Panel,
+    Charted,
+    band,
+    label,
+    level,
+    line,
+    panels,
 )
 from jointid.common.document import (
     Block,
@@ -31,7 +32,6 @@ from jointid.common.document import (
     Table,
     common_facts,
 )
-from jointid.common.matplotlib_backend import Charted
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, Notch, in_torque
@@ -39,6 +39,10 @@ from jointid.models.controllers.drive_numbers import name_in_words
 from jointid.models.linear import ComplexArray
 from jointid.tuning.margins import Margins
 from jointid.tuning.proposals import FeedForward, Tuning
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _SMALLEST = 1e-3  # loop gain that is shown
 _REACH = 2.5  # of the Nyquist plot, about its origin
@@ -189,48 +193,38 @@ class Tuned(Charted, Documented):
         gains = (self._gains(),) if self.gains else ()
         return self._margins(), *gains, *(() if self.notch is None else (_notch(self.notch),))
 
-    def chart(self) -> Chart:
-        """Plot joint response, open loop and Nyquist diagram.
+    def draw(self) -> Figure:
+        """Draw joint response, open loop and Nyquist diagram.
 
         Bands show the interval of the estimate; the circle about -1 is the required distance.
         """
-        sizes: list[Item] = []
-        phases: list[Item] = []
-        curves: list[Item] = []
+        figure, (response, nyquist, gain, phase) = panels([325] * 4, 2)
+        _draw_size(response, self.joint, LOAD)
+        title = f"{self.record}: the {self.model} joint"
+        velocity = f"motor velocity per torque [{self.position_unit}/s per {self.torque_unit}]"
+        label(response, "frequency [Hz]", velocity, title, log="xy")
         loops = [("as it is", self.present, MEASURED)]
         loops += [("proposed", self.proposed, SIMULATED)] if self.proposed is not None else []
         for name, loop, colour in loops:
             found = loop.response
-            sizes += _sizes(found.hertz, np.abs(found.nominal), found.size, colour, name)
-            low, high = (np.degrees(one) for one in found.phase)
-            phase = np.unwrap(np.angle(found.nominal))
+            _draw_size(gain, found, colour, name)
+            turned = np.unwrap(np.angle(found.nominal))
             # As its band is: whole turns are no part of a phase.
-            turns = np.round((0.5 * (found.phase[0, 0] + found.phase[1, 0]) - phase[0]) / (2 * math.pi))
-            phase = np.degrees(phase + 2 * math.pi * turns)
-            phases += [Band(found.hertz, low, high, colour), Line(found.hertz, phase, colour)]
-            curves.append(Line(found.nominal.real, found.nominal.imag, colour))
-        angle, modulus = np.linspace(0, 2 * math.pi, 200), self.settings.modulus
-        circle = Line(-1 + modulus * np.cos(angle), modulus * np.sin(angle), OTHERS[-1], "", 1.0)
-        middle = Line(np.array([-1.0]), np.zeros(1), ERROR, f"-1, distance {modulus:g}", dots=True)
-        joint, unit = self.joint, f"{self.position_unit}/s per {self.torque_unit}"
-        frequency, reach = "frequency [Hz]", 0.5 * (_REACH + 1)
-        panels = (
-            Panel(
-                frequency, f"motor velocity per torque [{unit}]",
-                _sizes(joint.hertz, np.abs(joint.nominal), joint.size, LOAD, ""),
-                f"{self.record}: the {self.model} joint", log_x=True, log_y=True, height=325,
-            ),
-            Panel(
-                "real part of the loop [1]", "imaginary part of the loop [1]", (*curves, circle, middle), height=325,
-                x_range=(-_REACH, 1.0), y_range=(-reach, reach), equal=True,
-            ),
-            Panel(
-                frequency, "loop gain [1]", (*sizes, Level(1.0)), log_x=True, log_y=True, height=325,
-                y_range=(_SMALLEST, 2 * max(float(loop.response.size.max()) for _, loop, _ in loops)),
-            ),
-            Panel(frequency, "loop phase [degrees]", (*phases, Level(-180.0)), log_x=True, height=325),
-        )  # fmt: skip
-        return Chart("tuning", "", panels, columns=2)
+            turns = np.round((0.5 * (found.phase[0, 0] + found.phase[1, 0]) - turned[0]) / (2 * math.pi))
+            band(phase, found.hertz, *np.degrees(found.phase), colour)
+            line(phase, found.hertz, np.degrees(turned + 2 * math.pi * turns), colour)
+            line(nyquist, found.nominal.real, found.nominal.imag, colour)
+        angle, modulus, reach = np.linspace(0, 2 * math.pi, 200), self.settings.modulus, 0.5 * (_REACH + 1)
+        line(nyquist, -1 + modulus * np.cos(angle), modulus * np.sin(angle), OTHERS[-1], "", 1.0)
+        line(nyquist, np.array([-1.0]), np.zeros(1), ERROR, f"-1, distance {modulus:g}", dots=True)
+        label(nyquist, "real part of the loop [1]", "imaginary part of the loop [1]")
+        nyquist.set(xlim=(-_REACH, 1.0), ylim=(-reach, reach), aspect="equal")
+        level(gain, 1.0)
+        label(gain, "frequency [Hz]", "loop gain [1]", log="xy")
+        gain.set_ylim(_SMALLEST, 2 * max(float(loop.response.size.max()) for _, loop, _ in loops))
+        level(phase, -180.0)
+        label(phase, "frequency [Hz]", "loop phase [degrees]", log="x")
+        return figure
 
     def _margins(self) -> Table:
         header = ("margins", "gain", "dB", "reduction", "phase deg", "delay ms", "distance from -1", "crossover Hz")
@@ -279,8 +273,9 @@ class Tuned(Charted, Documented):
         return Table(header, tuple(rows), words=(0, 3, 7, 9))
 
 
-def _sizes(hertz: FloatArray, size: FloatArray, ends: FloatArray, colour: str, label: str) -> tuple[Item, ...]:
-    return Band(hertz, ends[0], ends[1], colour), Line(hertz, size, colour, label)
+def _draw_size(axes: Axes, found: ResponseBand, colour: str, name: str = "") -> None:
+    band(axes, found.hertz, *found.size, colour)
+    line(axes, found.hertz, np.abs(found.nominal), colour, name)
 
 
 def _row(name: str, margins: Margins, loop: LoopMargins | None = None) -> tuple[str, ...]:

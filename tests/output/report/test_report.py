@@ -7,17 +7,17 @@ import os
 import re
 import shlex
 import sys
-from dataclasses import replace
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import jointid as ji
-from jointid.common.charts import Chart, Line, Mark, Panel, decimate
+from jointid.common.charts import Chart, decimate, label, line, mark, panels, svg
 from jointid.common.document import inert
-from jointid.common.matplotlib_backend import svg
 from jointid.output.report import repetition
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
@@ -91,7 +91,7 @@ def test_the_three_frequencies_are_marked() -> None:
     expected = ji.FlexibleJoint.frequencies(told.estimate.values)
     assert told.data.response is not None
     assert told.data.response.modes == expected
-    marks = [item.label for item in told.charts["spectra"].panels[0].items if type(item).__name__ == "Mark"]
+    marks = [text.get_text() for text in told.charts["spectra"].plot().axes[0].texts]
     assert [f"{name} {hertz:.1f} Hz" for name, hertz in (
         ("load locked", expected["load_locked"]), ("motor locked", expected["motor_locked"]),
         ("free-free", expected["free_free"]))] == marks[:3]  # fmt: skip
@@ -137,12 +137,15 @@ def test_hostile_names_stay_names(rigid_page: str) -> None:
 
 
 def test_a_chart_makes_no_element_of_a_name() -> None:
-    line = Line(np.arange(3.0), np.arange(3.0), "#000000", label=reports.EVIL)
-    charts = [
-        Chart("x", "", (Panel(name, name, (replace(line, label=name), Mark(1.0, name)), name),), title=name)
-        for name in ("a name", reports.EVIL)
-    ]
-    friendly, hostile = ([tag for tag, _ in Elements(svg(chart).decode()).found] for chart in charts)
+    def draw(name: str) -> Figure:
+        figure, (axes,) = panels((200,), title=name)
+        line(axes, np.arange(3.0), np.arange(3.0), "#000000", name)
+        mark(axes, 1.0, name)
+        label(axes, name, name, name)
+        return figure
+
+    charts = [Chart("x", "", partial(draw, name)) for name in ("a name", reports.EVIL, r"$\none$")]
+    friendly, hostile, _ = ([tag for tag, _ in Elements(svg(chart).decode()).found] for chart in charts)
     assert set(hostile) == set(friendly)
     assert hostile.count("text") == friendly.count("text")
 

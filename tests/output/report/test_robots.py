@@ -48,8 +48,7 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     answer = json.loads(told.answer())
     assert answer["estimate"]["schema"] == "jointid.estimate/1" and answer["validation"] is None
     assert set(told.charts) == {"torque", "residual", "spectra"}
-    torque = told.charts["torque"].panels[0].items[0]
-    assert np.ptp(torque.y) > 0  # type: ignore[union-attr]
+    assert np.ptp(told.charts["torque"].plot().axes[0].lines[0].get_ydata()) > 0
 
 
 def test_the_data_sheet_says_in_which_sum_an_armature_is() -> None:
@@ -73,7 +72,7 @@ def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
     records = records_of(arm(3), 2, noise=0.2)
     chart = Report.of(identified(arm(3), records), records).charts["torque"]
     assert "Lines break where a motor rests or turns round" in chart.caption
-    for panel in chart.panels:
-        for line in panel.items:
-            hidden = np.isnan(line.y)  # type: ignore[union-attr]
+    for axes in chart.plot().axes:
+        for line in axes.lines:
+            hidden = np.isnan(np.asarray(line.get_ydata()))
             assert 0 < np.mean(hidden) < 0.5

@@ -125,7 +125,7 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
         seed: of the noise; the same seed gives the same bytes.
         quiet: say nothing of the progress.
     """
-    from jointid.common.matplotlib_backend import png
+    from jointid.common.charts import png
     from jointid.output.figures import torque_chart
     from jointid.output.report.page import require_extra, save
     from jointid.paper.reproduce import report_reproduction

@@ -216,8 +216,8 @@ def learn(folder: Path, work: dict[str, Any]) -> None:
 
 def plan(folder: Path) -> None:
     """Plan the next test of an axis that was identified, for the goal of `work.json`: tables, a figure, `plan.json`."""
+    from jointid.common.charts import png
     from jointid.common.document import Facts, Table
-    from jointid.common.matplotlib_backend import png
     from jointid.config import load_joint
     from jointid.output.test_layout import lay_out
     from jointid.planning.design import design
@@ -231,7 +231,7 @@ def plan(folder: Path) -> None:
     estimate = file.identify(record, _print_progress, checks=False)
     asked = {"goal": work["goal"], "search_time": work["seconds"], "limits": file.limits}
     found = lay_out(file, design(estimate, record, progress=_print_progress, **asked))
-    for name, content in {**found.files(), "test.png": png(found.chart())}.items():
+    for name, content in {**found.files(), "test.png": png(found)}.items():
         write_whole(folder / name, content)
     table, reached, _, facts = found.to_document().blocks
     assert isinstance(table, Table)

@@ -1,21 +1,19 @@
 """Figures of results, of matplotlib: the torque, what remains of it, and those of results that have their own.
 
-Each is described once, as a chart (`common.charts`). `save` writes one, the same bytes each time.
+`save` writes one, the same bytes each time.
 """
 
 from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.common.charts import Chart
+from jointid.common.charts import Chart, Charted
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
-from jointid.common.matplotlib_backend import Charted
-from jointid.common.matplotlib_backend import draw as draw_chart
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
@@ -41,12 +39,12 @@ def draw(result: Charted) -> Figure:
             f"A record, and what inspect, design or tune returns, is drawn so; received {type(result).__name__}: draw "
             "an estimate by estimate.plot, a validation by figures.torque."
         )
-    return draw_chart(result.chart())
+    return result.plot()
 
 
 def torque(answer: Estimate | Validation) -> Figure:
     """Return the measured and the predicted torque over time, and their difference."""
-    return draw_chart(torque_chart(answer))
+    return torque_chart(answer).plot()
 
 
 def torque_chart(answer: Estimate | Validation) -> Chart:
@@ -60,9 +58,9 @@ def torque_chart(answer: Estimate | Validation) -> Chart:
         title = f"{answer.record}: {answer.test} test"
         axis, *others = AxisSignals.of_validation(answer)
         if axis.name:
-            return replace(charts.torques_chart([axis, *others], "as they were logged"), title=title)
+            return charts.torques_chart([axis, *others], "as they were logged", title)
     title = f"{title}, error {100 * axis.relative_error:.2f} % of the raw {axis.quantity}"
-    return replace(charts.torque_chart(axis), title=title)
+    return charts.torque_chart(axis, title=title)
 
 
 def residual(validation: Validation) -> Figure:
@@ -131,7 +129,7 @@ class Plots:
 
 def _draw(chart: Chart | None) -> Figure:
     assert chart is not None  # it has its data
-    return draw_chart(chart)
+    return chart.plot()
 
 
 def save(figure: Figure, path: str | Path) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -17,28 +17,28 @@ from jointid.common.charts import (
     MEASURED,
     OTHERS,
     SIMULATED,
-    Band,
-    Cells,
     Chart,
-    Dots,
-    Item,
-    Level,
-    Line,
-    Mark,
-    Panel,
-    stride,
+    band,
+    label,
+    level,
+    line,
+    mark,
+    panels,
 )
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.validation import Validation
+from jointid.diagnostics.validation import ValidatedAxis, Validation
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.position_forces import Motion
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from jointid.diagnostics.diagnosis import Diagnosis
     from jointid.diagnostics.intervals import Intervals
     from jointid.diagnostics.report_data import FrequencyResponse, ReportData, Spectra
@@ -165,74 +165,80 @@ def torque_word(unit: str) -> str:
     return {"N": "force", "N m": "torque"}.get(unit, "motor signal")
 
 
-def torque_chart(axis: AxisSignals, motion_source: str = "") -> Chart:
+def torque_chart(axis: AxisSignals, motion_source: str = "", title: str = "") -> Chart:
     """Return the measured and the predicted signal of an axis, their difference, and the motion over time."""
-    t = axis.time
-    size = max(int(_ZOOM * axis.measured.size), min(axis.measured.size, 10))
-    starts = range(0, max(axis.measured.size - size, 1), max(size // 4, 1))
-    low = max(starts, key=lambda start: float(np.std(axis.measured[start : start + size])))
-    high = min(low + size, axis.measured.size)
-    near = axis.time[low:high]
-    panels = [
-        Panel(
-            "", axis.label,
-            (
-                Line(near, axis.measured[low:high], MEASURED, "measured", 1.6),
-                Line(near, axis.predicted[low:high], SIMULATED, axis.prediction, 1.6),
-            ),
-            f"its liveliest part, {near[0]:.1f} to {near[-1]:.1f} s", height=260,
-        ),
-        Panel(
-            "", axis.label, (
-                Line(t, axis.measured, MEASURED, "measured"),
-                Line(t, axis.predicted, SIMULATED, axis.prediction),
-            ),
-            "the whole record", height=280, group="time",
-        ),
-        Panel("", f"error [{axis.unit}]", (Line(t, axis.error, ERROR, "error", 0.8),), height=190, group="time"),
-    ]  # fmt: skip
-    if axis.velocity is not None:
-        label = f"velocity{axis.side} [{axis.length}/s]"
-        panels.append(Panel("", label, (Line(t, axis.velocity, "#777777"),), height=150, group="time"))
-    panels[-1] = _with_time(panels[-1])
+
+    def draw() -> Figure:
+        moves = axis.velocity is not None
+        figure, (near, whole, error, *motion) = panels(
+            (260, 280, 190 if moves else 215, *((175,) * moves)), title=title
+        )
+        size = max(int(_ZOOM * axis.measured.size), min(axis.measured.size, 10))
+        starts = range(0, max(axis.measured.size - size, 1), max(size // 4, 1))
+        low = max(starts, key=lambda start: float(np.std(axis.measured[start : start + size])))
+        part = slice(low, min(low + size, axis.measured.size))
+        _compare(near, axis, axis.time[part], axis.measured[part], axis.predicted[part], 1.6)
+        first, last = axis.time[part][[0, -1]]
+        label(near, "", axis.label, f"its liveliest part, {first:.1f} to {last:.1f} s")
+        _compare(whole, axis, axis.time, axis.measured, axis.predicted)
+        label(whole, "", axis.label, "the whole record")
+        line(error, axis.time, axis.error, ERROR, "error", 0.8)
+        label(error, "" if moves else "time [s]", f"error [{axis.unit}]")
+        for axes in motion:
+            assert axis.velocity is not None
+            line(axes, axis.time, axis.velocity, "#777777")
+            label(axes, "time [s]", f"velocity{axis.side} [{axis.length}/s]")
+        for axes in (error, *motion):
+            axes.sharex(whole)
+        return figure
+
     caption = (
         f"Measured and {axis.prediction} {axis.quantity} lie on each other where the model is right; below them their "
         f"difference, {100 * axis.relative_error:.2f} % of the measured, on a scale of its own"
         + ("" if axis.velocity is None else f", and the {motion_source} velocity of the motor")
         + "."
     )
-    return Chart("torque", caption, tuple(panels))
+    return Chart("torque", caption, draw)
 
 
-def torques_chart(axes: Sequence[AxisSignals], how: str = "filtered as they were compared") -> Chart:
+def torques_chart(
+    axes: Sequence[AxisSignals], how: str = "filtered as they were compared", title: str = ""
+) -> Chart:  # fmt: skip
     """Return the measured and the predicted signal of each of several axes, and their difference, over time."""
-    panels = []
-    for axis in axes:
-        measured, predicted, error = (  # what is not compared is 0, or scaled
-            np.where(axis.compared, signal, np.nan) for signal in (axis.measured, axis.predicted, axis.error)
-        )
-        lines = (
-            Line(axis.time, measured, MEASURED, "measured"),
-            Line(axis.time, predicted, SIMULATED, axis.prediction),
-            Line(axis.time, error, ERROR, "error", 0.8),
-        )
-        title = f"{axis.name}, {100 * axis.relative_error:.3g} % left"
-        panels.append(Panel("", axis.label, lines, title, height=230, group="time"))
-    panels[-1] = _with_time(panels[-1])
+
+    def draw() -> Figure:
+        heights = (*(230,) * (len(axes) - 1), 255)
+        figure, drawn = panels(heights, title=title, share_x=True)
+        for place, axis in zip(drawn, axes, strict=True):
+            measured, predicted, error = (  # what is not compared is 0, or scaled
+                np.where(axis.compared, signal, np.nan) for signal in (axis.measured, axis.predicted, axis.error)
+            )
+            _compare(place, axis, axis.time, measured, predicted)
+            line(place, axis.time, error, ERROR, "error", 0.8)
+            label(
+                place, "time [s]" if place is drawn[-1] else "", axis.label,
+                f"{axis.name}, {100 * axis.relative_error:.3g} % left",
+            )  # fmt: skip
+        return figure
+
     whole = all(axis.compared.all() for axis in axes)
     caption = (
         f"Measured and {axes[0].prediction} torque of each motor behind its gear, {how}, and "
         f"their difference on the same scale."
         + ("" if whole else " Lines break where a motor rests or turns round: friction takes what it must there.")
     )
-    return Chart("torque", caption, tuple(panels))
+    return Chart("torque", caption, draw)
 
 
-def _with_time(panel: Panel) -> Panel:
-    return replace(panel, x_label="time [s]", height=panel.height + 25)
+def _compare(
+    axes: Axes, axis: AxisSignals, x: FloatArray, measured: FloatArray, predicted: FloatArray, width: float = 1.2
+) -> None:
+    """Draw what was measured and what was predicted of an axis."""
+    line(axes, x, measured, MEASURED, "measured", width)
+    line(axes, x, predicted, SIMULATED, axis.prediction, width)
 
 
-def _heights(axes: Sequence[AxisSignals], alone: int = 280) -> int:
+def _height(axes: Sequence[AxisSignals], alone: int = 280) -> int:
     """Return the height of a panel, less for several axes."""
     return alone if len(axes) == 1 else 230
 
@@ -244,50 +250,69 @@ def residual_chart(
 
     The autocorrelation of a validation's error is a panel more.
     """
-    panels: list[Panel] = []
-    every, height = 1, _heights(axes)
-    for axis in axes:
-        if axis.velocity is None or axis.position is None:
-            return None
-        error, velocity, position = (s[axis.compared] for s in (axis.error, axis.velocity, axis.position))
-        least = _MOVES * float(np.max(np.abs(velocity), initial=0.0))
-        means = {"mean forwards": velocity > least, "mean backwards": velocity < -least}
-        label = f"{axis.name}, error [{axis.unit}]" if axis.name else f"error [{axis.unit}]"
-        of_speed = cloud(velocity, error, {"mean": np.ones(error.size, dtype=np.bool_)})
-        panels += [
-            Panel(f"velocity{axis.side} [{axis.length}/s]", label, of_speed, height=height),
-            Panel(f"position{axis.side} [{axis.length}]", label, cloud(position, error, means), height=height),
-        ]
-        every = max(every, -(-error.size // _POINTS))
-    drawn = "" if every == 1 else f" (one sample in {every})"
+    if any(axis.velocity is None or axis.position is None for axis in axes):
+        return None
+    columns = 2 + (validation is not None)
+
+    def draw() -> Figure:
+        figure, drawn = panels([_height(axes)] * (columns * len(axes)), columns)
+        for k, axis in enumerate(axes):
+            assert axis.velocity is not None and axis.position is not None
+            of_speed, of_position, *of_lag = drawn[columns * k : columns * (k + 1)]
+            error, velocity, position = (s[axis.compared] for s in (axis.error, axis.velocity, axis.position))
+            least = _MOVES * float(np.max(np.abs(velocity), initial=0.0))
+            means = {"mean forwards": velocity > least, "mean backwards": velocity < -least}
+            words = f"{axis.name}, error [{axis.unit}]" if axis.name else f"error [{axis.unit}]"
+            _draw_cloud(of_speed, velocity, error, {"mean": np.ones(error.size, dtype=np.bool_)})
+            label(of_speed, f"velocity{axis.side} [{axis.length}/s]", words)
+            _draw_cloud(of_position, position, error, means)
+            label(of_position, f"position{axis.side} [{axis.length}]", words)
+            for place in of_lag:
+                assert validation is not None
+                _draw_autocorrelation(place, validation.axes[k])
+        return figure
+
+    every = max(_stride(int(np.count_nonzero(axis.compared))) for axis in axes)
     caption = (
         f"The error{' of each joint' * (len(axes) > 1)} against the {motion_source} velocity and position of the "
-        f"motor{drawn}, with its mean over all samples. Noise alone has a mean of 0 everywhere: a mean that bends with "
-        "velocity is friction, one that waves with position is cogging, gravity or a screw's pitch."
+        f"motor{'' if every == 1 else f' (one sample in {every})'}, with its mean over all samples. Noise alone has a "
+        "mean of 0 everywhere: a mean that bends with velocity is friction, one that waves with position is cogging, "
+        "gravity or a screw's pitch."
     )
-    for place, found in enumerate(() if validation is None else validation.axes):
-        lags = np.arange(found.autocorrelation.size, dtype=np.float64)
-        white = np.full(lags.size, found.white_band)
-        items = (Band(lags, -white, white, "#999999", "white"), Line(lags, found.autocorrelation, ERROR, dots=True))
-        panel = Panel("lag [filtered samples]", "autocorrelation", items, height=height)
-        panels.insert(3 * place + 2, panel)
     if validation is not None:
         caption += " The last panel is the filtered error's autocorrelation, in the grey band if it were white."
-    return Chart("residual", caption, tuple(panels), columns=2 + (validation is not None))
+    return Chart("residual", caption, draw)
 
 
-def cloud(x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> tuple[Item, ...]:
-    """Return points, and their means over cells of x for each choice of samples.
+def _stride(samples: int) -> int:
+    """Return of how many samples a cloud has one."""
+    return max(-(-samples // _POINTS), 1)
+
+
+def _draw_autocorrelation(axes: Axes, found: ValidatedAxis) -> None:
+    lags = np.arange(found.autocorrelation.size, dtype=np.float64)
+    white = np.full(lags.size, found.white_band)
+    band(axes, lags, -white, white, "#999999", "white")
+    line(axes, lags, found.autocorrelation, ERROR, dots=True)
+    label(axes, "lag [filtered samples]", "autocorrelation")
+
+
+def _draw_cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> None:
+    """Draw points, and their means over cells of x for each choice of samples.
 
     Args:
+        axes: of the panel.
         x: (samples,) of the error.
         error: (samples,).
         of: which samples have a mean of their own, by its label, (samples,).
     """
-    large = 3.0 if x.size < _SPARSE else 1.0
-    items: list[Item] = [Dots(stride(x, _POINTS), stride(error, _POINTS), "#888888", size=large)]
+    size, every = 3.0 if x.size < _SPARSE else 1.0, _stride(x.size)
+    axes.plot(
+        x[::every], error[::every], ".", color="#888888", markersize=1.5 * size, alpha=0.35, markeredgewidth=0,
+        rasterized=True,
+    )  # fmt: skip
     cells = min(max(x.size // _PER_CELL, _LEAST_CELLS), _CELLS)
-    for (label, chosen), colour in zip(of.items(), (OTHERS[3], OTHERS[0]), strict=False):
+    for (name, chosen), colour in zip(of.items(), (OTHERS[3], OTHERS[0]), strict=False):
         if np.count_nonzero(chosen) < 2 * _FEW or np.ptp(x[chosen]) == 0:
             continue
         edges = np.linspace(x[chosen].min(), x[chosen].max(), cells + 1)
@@ -295,70 +320,64 @@ def cloud(x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]])
         count = np.bincount(cell, minlength=cells)
         mean = np.bincount(cell, error[chosen], cells) / np.maximum(count, 1)
         enough = count >= _FEW
-        items.append(Line((0.5 * (edges[:-1] + edges[1:]))[enough], mean[enough], colour, label, 2.0))
-    return tuple(items)
+        line(axes, (0.5 * (edges[:-1] + edges[1:]))[enough], mean[enough], colour, name, 2.0)
 
 
 def spectra_chart(
     axes: Sequence[AxisSignals], spectra: Sequence[Spectra | None], cutoff: float | None, modes: Mapping[str, float]
 ) -> Chart | None:
     """Return the spectra of each axis, with the end of the filter's band and the modes; None if one has no spectra."""
-    panels = []
-    resolution = 0.0
-    for axis, found in zip(axes, spectra, strict=True):
-        if found is None:
-            return None
-        marks = _marks(modes, float(found.frequency[-1]))
-        if cutoff is not None:
-            marks += (Mark(cutoff, f"fitted up to {cutoff:.3g} Hz", len(marks), "dotted"),)
-        items: tuple[Item, ...] = (
-            Line(found.frequency, found.measured, MEASURED, "measured"),
-            Line(found.frequency, found.predicted, SIMULATED, axis.prediction),
-            Line(found.frequency, found.error, ERROR, "error", 0.9),
-            *marks,
-        )
-        label = f"{axis.name or axis.quantity}{axis.side} [{axis.unit}/√Hz]"
-        panels.append(Panel("frequency [Hz]", label, items, log_x=True, log_y=True, height=_heights(axes, 360)))
-        resolution = found.resolution
+    known = [one for one in spectra if one is not None]
+    if len(known) < len(axes):
+        return None
+
+    def draw() -> Figure:
+        figure, drawn = panels([_height(axes, 360)] * len(axes), min(len(axes), 2))
+        for place, axis, found in zip(drawn, axes, known, strict=True):
+            _compare(place, axis, found.frequency, found.measured, found.predicted)
+            line(place, found.frequency, found.error, ERROR, "error", 0.9)
+            marked = _mark_modes(place, modes, float(found.frequency[-1]))
+            if cutoff is not None:
+                mark(place, cutoff, f"fitted up to {cutoff:.3g} Hz", marked, dotted=True)
+            words = f"{axis.name or axis.quantity}{axis.side} [{axis.unit}/√Hz]"
+            label(place, "frequency [Hz]", words, log="xy")
+        return figure
+
     said = ", ".join(f"{_MODES[name]} {hertz:.1f} Hz" for name, hertz in modes.items())
     where = f" The joint's three frequencies are marked, {said}." if modes else ""
     caption = (
-        f"Amplitude spectra, {resolution:.2g} Hz apart. Where the error lies well below the measured "
+        f"Amplitude spectra, {known[-1].resolution:.2g} Hz apart. Where the error lies well below the measured "
         f"{axes[0].quantity} the model explains it; where it reaches it, nothing is explained.{where}"
     )
-    return Chart("spectra", caption, tuple(panels), columns=min(len(axes), 2))
+    return Chart("spectra", caption, draw)
 
 
-def _marks(modes: Mapping[str, float], highest: float) -> tuple[Mark, ...]:
-    ordered = sorted(modes.items(), key=lambda item: item[1])
-    seen = [(name, hertz) for name, hertz in ordered if hertz < highest]
-    return tuple(Mark(hertz, f"{_MODES[name]} {hertz:.1f} Hz", row) for row, (name, hertz) in enumerate(seen))
+def _mark_modes(axes: Axes, modes: Mapping[str, float], highest: float) -> int:
+    """Mark the modes below a frequency, and return how many these are."""
+    seen = sorted((hertz, name) for name, hertz in modes.items() if hertz < highest)
+    for row, (hertz, name) in enumerate(seen):
+        mark(axes, hertz, f"{_MODES[name]} {hertz:.1f} Hz", row)
+    return len(seen)
 
 
 def response_chart(estimate: Estimate, found: FrequencyResponse | None) -> Chart | None:
     """Return the frequency response of the joint, magnitude over phase; None without one."""
     if found is None:
         return None
-    colours = {"motor": MEASURED, "load": LOAD}
-    sizes: list[Item] = []
-    phases: list[Item] = []
-    for curve in found.curves:
-        colour = colours[curve.side]
-        sizes += [
-            Band(found.frequency, curve.low, curve.high, colour),
-            Line(found.frequency, curve.magnitude, colour, f"{curve.side} side", 1.6),
-        ]
-        phases.append(Line(found.frequency, curve.phase, colour, "", 1.6, "solid"))
-    highest = float(found.frequency[-1])
-    marks = _marks(found.modes, highest)
-    axis, drive = AxisSignals.of(estimate), torque_word(estimate.data.torque_unit)
-    panels = (
-        Panel(
-            "", f"velocity per {drive}{axis.side} [{found.unit}]", (*sizes, *marks), log_x=True, log_y=True,
-            height=320, group="frequency",
-        ),
-        Panel("frequency [Hz]", "phase [°]", tuple(phases), log_x=True, height=200, group="frequency"),
-    )  # fmt: skip
+
+    def draw() -> Figure:
+        figure, (size, phase) = panels((320, 200), share_x=True)
+        for curve in found.curves:
+            colour = {"motor": MEASURED, "load": LOAD}[curve.side]
+            band(size, found.frequency, curve.low, curve.high, colour)
+            line(size, found.frequency, curve.magnitude, colour, f"{curve.side} side", 1.6)
+            line(phase, found.frequency, curve.phase, colour, "", 1.6)
+        _mark_modes(size, found.modes, float(found.frequency[-1]))
+        side, drive = AxisSignals.of(estimate).side, torque_word(estimate.data.torque_unit)
+        label(size, "", f"velocity per {drive}{side} [{found.unit}]", log="xy")
+        label(phase, "frequency [Hz]", "phase [°]", log="x")
+        return figure
+
     way = " of moving forwards" if estimate.settings.joint.friction.depends_on_direction("viscous") else ""
     caption = (
         f"What the identified joint answers to its motor's torque, viscous friction{way} and no Coulomb friction taken "
@@ -371,7 +390,7 @@ def response_chart(estimate: Estimate, found: FrequencyResponse | None) -> Chart
         )
     else:
         caption += " A rigid joint falls by 10 for each decade above its corner, and shows no mode."
-    return Chart("response", caption, panels)
+    return Chart("response", caption, draw)
 
 
 def correlation_chart(estimate: Estimate) -> Chart | None:
@@ -381,15 +400,30 @@ def correlation_chart(estimate: Estimate) -> Chart | None:
     if len(own) < 2 or any(free[i].value is None for i in own):
         return None
     values = estimate.params.correlation[np.ix_(own, own)]
-    names = tuple(free[i].symbol for i in own)
+    names = [free[i].symbol for i in own]
+
+    def draw() -> Figure:
+        figure, (axes,) = panels((min(140 + 42 * len(names), 560),), width=5.5)
+        label(axes, "", "")
+        axes.grid(visible=False)
+        axes.imshow(values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="equal")
+        axes.set_xticks(range(len(names)), names)
+        axes.set_yticks(range(len(names)), names)
+        axes.xaxis.tick_top()
+        for (row, column), value in np.ndenumerate(values):
+            axes.text(
+                column, row, f"{round(float(value), 2) + 0.0:.2f}",  # of 0 no negative
+                ha="center", va="center", fontsize=7, color="white" if abs(value) > 0.6 else "0.15",
+            )  # fmt: skip
+        return figure
+
     apart = np.abs(values - np.diag(np.diag(values)))
     i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
     caption = (
         f"Correlations of the errors. Where one is near 1 or -1 the record tells a sum or a difference of the two, not "
         f"each; the largest here is {values[i, j]:+.2f}, of {names[int(i)]} and {names[int(j)]}."
     )
-    panel = Panel("", "", (Cells(names, values),), height=min(140 + 42 * len(names), 560))
-    return Chart("correlation", caption, (panel,))
+    return Chart("correlation", caption, draw, wide=False)
 
 
 def profiles_chart(estimate: Estimate, found: Intervals | ReportData) -> Chart | None:
@@ -397,21 +431,25 @@ def profiles_chart(estimate: Estimate, found: Intervals | ReportData) -> Chart |
     shown = [one for one in found.profiles if one.points.size > 2]
     if not shown:
         return None
-    panels: list[Panel] = []
-    for one in shown:
-        risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
-        items: list[Item] = [Line(one.points, risen, MEASURED, "", 1.6, dots=True)]
-        known = next((p for p in estimate.params.rows if p.symbol == one.formula and p.stderr), None)
-        std = None if known is None else known.stderr
-        if one.name == "compliance" and estimate["stiffness"].stderr:
-            std = (estimate["stiffness"].stderr or 0.0) * one.estimate**2
-        if std:
-            inside = np.clip(one.points, one.estimate - 3 * std, one.estimate + 3 * std)
-            x = np.unique(np.array([inside.min(), one.estimate, inside.max()]))
-            items.append(Line(x, np.abs(x - one.estimate) / std, "#666666", "", 1.0, "dashed"))
-        items.append(Level(2.0, ""))
-        label = f"{one.formula} [{one.unit}]"
-        panels.append(Panel(label, "rise [sigma]", tuple(items), height=210, y_range=(0.0, 3.2)))
+
+    def draw() -> Figure:
+        figure, drawn = panels([210] * len(shown), 3)
+        for axes, one in zip(drawn, shown, strict=True):
+            risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
+            line(axes, one.points, risen, MEASURED, "", 1.6, dots=True)
+            known = next((p for p in estimate.params.rows if p.symbol == one.formula and p.stderr), None)
+            std = None if known is None else known.stderr
+            if one.name == "compliance" and estimate["stiffness"].stderr:
+                std = (estimate["stiffness"].stderr or 0.0) * one.estimate**2
+            if std:
+                inside = np.clip(one.points, one.estimate - 3 * std, one.estimate + 3 * std)
+                x = np.unique(np.array([inside.min(), one.estimate, inside.max()]))
+                line(axes, x, np.abs(x - one.estimate) / std, "#666666", "", 1.0, dashed=True)
+            level(axes, 2.0)
+            label(axes, f"{one.formula} [{one.unit}]", "rise [sigma]")
+            axes.set_ylim(0.0, 3.2)
+        return figure
+
     caption = (
         "Each quantity held away from its estimate, all others fitted again: how many standard deviations the "
         "criterion has risen. The interval ends where the line passes 2; the dashed line is what the table's interval, "
@@ -422,7 +460,7 @@ def profiles_chart(estimate: Estimate, found: Intervals | ReportData) -> Chart |
             " Rigid DIDIM ends where the simulated motion's regressor sees nothing more in the error, which is not "
             "quite where the squares are least: a profile may go below the estimate."
         )
-    return Chart("profiles", caption, tuple(panels), columns=3)
+    return Chart("profiles", caption, draw)
 
 
 def convergence_chart(estimate: Estimate) -> Chart | None:
@@ -430,23 +468,27 @@ def convergence_chart(estimate: Estimate) -> Chart | None:
     trace = estimate.fit.trace
     if len(trace) < 2:
         return None
-    numbers = np.array([line.number for line in trace], dtype=np.float64)
-    norms = np.array([line.residual_norm for line in trace])
-    panels = [
-        Panel(
-            "iteration", f"residual norm [{AxisSignals.of(estimate).unit}]", (Line(numbers, norms, ERROR, dots=True),),
-            log_y=bool(norms.min() > 0 and norms.max() > 10 * norms.min()), height=280,
-        )
-    ]  # fmt: skip
-    last, lines = trace[-1].values, []
-    stated = all(p.value is not None for p in estimate.params.rows)
-    own = {p.name: p.symbol for p in estimate.params.rows if p.of_joint and p.free} if stated else {}
-    for (name, symbol), colour in zip(own.items(), OTHERS * 2, strict=False):
-        ways = [line.values.get(name, math.nan) for line in trace]
-        if last.get(name) and all(map(math.isfinite, ways)):
-            lines.append(Line(numbers, np.array(ways) / last[name], colour, symbol, 1.4))
-    if lines:
-        panels.append(Panel("iteration", "parameter over its last value", tuple(lines), height=280))
+    numbers = np.array([step.number for step in trace], dtype=np.float64)
+    norms = np.array([step.residual_norm for step in trace])
+    last, ways = trace[-1].values, dict[str, FloatArray]()
+    if all(p.value is not None for p in estimate.params.rows):
+        for p in estimate.params.rows:
+            way = np.array([step.values.get(p.name, math.nan) for step in trace])
+            if p.of_joint and p.free and last.get(p.name) and np.all(np.isfinite(way)):
+                ways[p.symbol] = way / last[p.name]
+
+    def draw() -> Figure:
+        columns = 2 if ways else 1
+        figure, (axes, *others) = panels([280] * columns, columns)
+        line(axes, numbers, norms, ERROR, dots=True)
+        falls = norms.min() > 0 and norms.max() > 10 * norms.min()
+        label(axes, "iteration", f"residual norm [{AxisSignals.of(estimate).unit}]", log="y" * bool(falls))
+        for place in others:
+            for (symbol, way), colour in zip(ways.items(), OTHERS * 2, strict=False):
+                line(place, numbers, way, colour, symbol, 1.4)
+            label(place, "iteration", "parameter over its last value")
+        return figure
+
     caption = (
         f"How the search went: {estimate.fit.iterations} iterations, "
         f"{estimate.fit.simulations} simulations in "
@@ -457,9 +499,9 @@ def convergence_chart(estimate: Estimate) -> Chart | None:
             " Where it jumps up the search goes on with another problem or from other values: a wider band, other "
             "gains of the simulated loop, or a motor that may be moving at the first sample."
         )
-    if lines:
+    if ways:
         caption += " Every parameter ends at 1: one that still moves there is not settled."
-    return Chart("convergence", caption, tuple(panels), columns=len(panels))
+    return Chart("convergence", caption, draw)
 
 
 def bounds_chart(estimate: Estimate) -> Chart | None:
@@ -467,46 +509,35 @@ def bounds_chart(estimate: Estimate) -> Chart | None:
     known = [b for b in told_bounds(estimate) if b.stiffness is not None and b.frequency is not None]
     if not known:
         return None
-    share = np.array([b.share for b in known])
-    stiffness = np.array([b.stiffness for b in known], dtype=np.float64)
-    mode = np.array([b.frequency for b in known], dtype=np.float64)
-    unit = estimate["stiffness"].unit
-    panels = (
-        Panel(
-            "load's share of the inertia", f"stiffness [{unit}]",
-            (
-                Band(share, np.full(share.size, 0.5 * stiffness.min()), stiffness, OTHERS[3], "excluded"),
-                Line(share, stiffness, OTHERS[3], "", 1.6, dots=True),
-            ),
-            log_y=True, height=280,
-        ),
-        Panel(
-            "load's share of the inertia", "free-free mode [Hz]",
-            (Band(share, np.zeros(share.size), mode, OTHERS[3], "excluded"),
-             Line(share, mode, OTHERS[3], "", 1.6, dots=True)),
-            height=280,
-        ),
-    )  # fmt: skip
+
+    def draw() -> Figure:
+        figure, (soft, slow) = panels((280, 280), 2)
+        share = np.array([b.share for b in known])
+        stiffness, mode = np.array([(b.stiffness, b.frequency) for b in known], dtype=np.float64).T
+        for axes, least, floor in ((soft, stiffness, 0.5 * stiffness.min()), (slow, mode, 0.0)):
+            band(axes, share, np.full(share.size, floor), least, OTHERS[3], "excluded")
+            line(axes, share, least, OTHERS[3], "", 1.6, dots=True)
+        label(soft, "load's share of the inertia", f"stiffness [{estimate['stiffness'].unit}]", log="y")
+        label(slow, "load's share of the inertia", "free-free mode [Hz]")
+        return figure
+
     caption = (
         "The stiffness is refused, and this is what is known of it instead: what lies in the shaded part is excluded "
         "with 95 % confidence, for a mode damped by up to 15 %. The more of the inertia is behind the spring, the "
         "stiffer it must be."
     )
-    return Chart("bounds", caption, panels, columns=2)
+    return Chart("bounds", caption, draw)
 
 
-def report_charts(given: ReportData) -> dict[str, Chart]:
-    """Return the charts of a report that can be drawn, by name and in the order of the report."""
+def report_charts(given: ReportData) -> Iterator[Chart | None]:
+    """Yield the charts of a joint's report, in its order; None for those that cannot be drawn."""
     estimate, axis = given.estimate, AxisSignals.of(given.estimate, given.motion)
     modes = {} if given.response is None else given.response.modes
-    found = (
-        bounds_chart(estimate),
-        torque_chart(axis, given.motion_source),
-        residual_chart([axis], given.motion_source, given.validation),
-        spectra_chart([axis], [given.spectra], estimate.settings.filtering.cutoff, modes),
-        response_chart(estimate, given.response),
-        correlation_chart(estimate),
-        profiles_chart(estimate, given),
-        convergence_chart(estimate),
-    )
-    return {chart.name: chart for chart in found if chart is not None}
+    yield bounds_chart(estimate)
+    yield torque_chart(axis, given.motion_source)
+    yield residual_chart([axis], given.motion_source, given.validation)
+    yield spectra_chart([axis], [given.spectra], estimate.settings.filtering.cutoff, modes)
+    yield response_chart(estimate, given.response)
+    yield correlation_chart(estimate)
+    yield profiles_chart(estimate, given)
+    yield convergence_chart(estimate)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -121,9 +121,10 @@ class Report:
         """Its figures by name."""
         given = self.data
         drawn = robot_charts(given.diagnosis) if isinstance(given, RobotReportData) else report_charts(given)
+        found = {chart.name: chart for chart in drawn if chart is not None}
         if self.tuned is not None:
-            drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
-        return drawn
+            found["tuning"] = Chart("tuning", _TUNING, self.tuned.draw)
+        return found
 
     @property
     def title(self) -> str:

@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Literal
 
 from jointid import __version__
-from jointid.common.charts import Cells, Chart
+from jointid.common.charts import Chart, svg
 from jointid.common.document import Block, Code, Paragraph, Picture
 from jointid.common.errors import RecordError
 from jointid.common.files import open_file
-from jointid.common.matplotlib_backend import svg
 
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
 _BLOCK = 1 << 20  # bytes that are read at once
@@ -148,8 +147,7 @@ def pictures_of(
         if name not in charts:
             return [Paragraph(absent(name))]
         chart = charts[name]
-        narrow = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
-        return [Picture(f"{name}.svg", partial(svg, chart), chart.caption, not narrow)]
+        return [Picture(f"{name}.svg", partial(svg, chart), chart.caption, chart.wide)]
 
     return picture
 

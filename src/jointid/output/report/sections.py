@@ -344,8 +344,8 @@ def _sums(found: Diagnosis) -> Iterator[Block]:
     yield Listing(items) if items else Paragraph("Every parameter stands for itself.")
 
 
-def robot_charts(found: Diagnosis) -> dict[str, Chart]:
-    """Return the charts that can be drawn, by name."""
+def robot_charts(found: Diagnosis) -> Iterator[Chart | None]:
+    """Yield the charts; None for those that cannot be drawn."""
     axes, torques = AxisSignals.of_robot(found), found.torques
     spectra: list[Spectra | None] = []
     for axis in axes:
@@ -358,9 +358,6 @@ def robot_charts(found: Diagnosis) -> dict[str, Chart]:
         spectra.append(
             Spectra(one.frequency[seen], one.measured[seen], one.predicted[seen], one.error[seen], one.resolution)
         )
-    charts = (
-        torques_chart(axes),
-        residual_chart(axes, "measured" if found.method == "idim" else "simulated"),
-        spectra_chart(axes, spectra, torques.cutoff, {}),
-    )
-    return {chart.name: chart for chart in charts if chart is not None}
+    yield torques_chart(axes)
+    yield residual_chart(axes, "measured" if found.method == "idim" else "simulated")
+    yield spectra_chart(axes, spectra, torques.cutoff, {})
