@@ -21,7 +21,7 @@ from jointid.models.limits import AxisLimits, describe_excess, units_of_limits
 from jointid.planning.goals import Goal
 from jointid.planning.predict import PredictedTest
 from jointid.planning.trajectories import Trajectory
-from jointid.records.record import InjectionPoint, Record
+from jointid.records.record import InjectionPoint, Record, instants
 from jointid.records.writing import write_columns
 
 if TYPE_CHECKING:
@@ -303,12 +303,12 @@ class Design(Charted, Documented):
             torque, T, shown = axis.torque, axis.sample_time, f"{axis.name}, " if axis.name else ""
             reference = axis.test.reference
             assert reference is not None
-            line(position, _times(len(reference), reference.sample_time), reference.values, MEASURED)
+            line(position, reference.time, reference.values, MEASURED)
             label(position, "time [s]", f"{shown}reference [{axis.position_unit}]")
-            line(force, _times(torque.size, T), torque, SIMULATED, "torque", _LINE)
+            line(force, instants(torque.size, T), torque, SIMULATED, "torque", _LINE)
             if axis.test.injected is not None:
                 added = axis.test.injected.channel
-                line(force, _times(len(added), added.sample_time), added.values, LOAD, "of it injected", _LINE)
+                line(force, added.time, added.values, LOAD, "of it injected", _LINE)
             label(force, "time [s]", f"{shown}torque [{axis.torque_unit}]")
             for timed in (position, force):
                 if timed is not drawn[0]:
@@ -444,7 +444,3 @@ def _columns(axes: Sequence[DesignedAxis], records: Sequence[Record]) -> dict[st
 
 def _sigma(std: float) -> str:
     return number(2 * float(std), 2) if math.isfinite(std) else "not determined"
-
-
-def _times(samples: int, sample_time: float) -> FloatArray:
-    return np.asarray(np.arange(samples) * sample_time, dtype=np.float64)

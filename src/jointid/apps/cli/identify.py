@@ -170,7 +170,7 @@ def tune(
     file = options.load_joint(joint, options.json, figure, what="Tuning", method="didim")
     _, estimate = options.identify(file)
     tuned = run(estimate, settings, drive=file.drive, shown=file.declared_numbers, progress=options.progress)
-    deliver(tuned, options.json, (figure, figures.draw))
+    deliver(tuned, options.json, (figure, lambda one: one.plot()))
 
 
 def payload(

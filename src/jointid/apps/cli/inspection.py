@@ -57,7 +57,7 @@ def inspect(
     text = ""
     if write is not None:  # what it refuses comes before any file
         text = describe_log(found, Path(os.path.relpath(file.absolute(), write.absolute().parent)).as_posix(), axis)
-    deliver(found, json, (figure, figures.draw))
+    deliver(found, json, (figure, lambda one: one.plot()))
     if write is not None:
         write_whole(write, text)
         show(f"Written: {write}")

@@ -84,7 +84,7 @@ def design(
         asked |= {"limits": file.limits}
         found = _plan_robot(file, options, asked, None if motion is None else file.driving(motion))
     found = lay_out(file, found)
-    deliver(found, options.json, (figure, figures.draw))
+    deliver(found, options.json, (figure, lambda one: one.plot()))
     if out is not None:
         paths = found.write(out)
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")

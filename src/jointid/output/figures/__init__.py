@@ -1,4 +1,4 @@
-"""Figures of results, of matplotlib: the torque, what remains of it, and those of results that have their own.
+"""Figures of estimates and validations, of matplotlib: the torque, what remains of it, and more.
 
 `save` writes one, the same bytes each time.
 """
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.common.charts import Chart, Charted
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.charts import Chart
+from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.validation import Validation, validate
@@ -26,20 +26,6 @@ if TYPE_CHECKING:
 
 FORMATS = (".png", ".svg", ".pdf")
 """The formats of a saved figure."""
-
-
-def draw(result: Charted) -> Figure:
-    """Return the figure of a result that has one: of `tune`, the responses; of `inspect`, all channels of the file.
-
-    Raises:
-        MethodError: the result has none.
-    """
-    if not isinstance(result, Charted):
-        raise MethodError(
-            f"A record, and what inspect, design or tune returns, is drawn so; received {type(result).__name__}: draw "
-            "an estimate by estimate.plot, a validation by figures.torque."
-        )
-    return result.plot()
 
 
 def torque(answer: Estimate | Validation) -> Figure:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,11 +29,12 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.validation import ValidatedAxis, Validation
+from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.position_forces import Motion
+from jointid.records.record import instants
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +48,6 @@ _MODES = {
     "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
     "second_free_free": "second free-free",
 }  # fmt: skip
-_PREDICTIONS = {"idim": "inverse model"}  # other methods simulate
 _JUMP = 1.01  # times the residual before: a step of a search goes down
 _POINTS = 4_000  # of a cloud
 _CELLS = 40  # of the mean over velocity or position
@@ -64,22 +64,21 @@ class AxisSignals:
 
     Attributes:
         name: of the axis; empty if there is only one.
-        quantity, unit: of the signal.
-        length: unit of the position.
-        prediction: "simulated" or "inverse model".
-        side: of the transmission, as ", load side"; empty without one.
+        unit, length: of the signal, and of the position.
+        method: that predicts it.
+        gear: on whose side the signal is.
         time, measured, predicted: (samples,).
         compared: (samples,) False at samples that are not compared.
         relative_error: norm of the error over that of the measured signal.
         position, velocity: (samples,) of the motor; None if they are unknown.
+        computed: of what the signal is computed, as " computed from the position"; empty of a logged one.
     """
 
     name: str
-    quantity: str
     unit: str
     length: str
-    prediction: str
-    side: str
+    method: str
+    gear: Transmission | None
     time: FloatArray
     measured: FloatArray
     predicted: FloatArray
@@ -87,53 +86,35 @@ class AxisSignals:
     relative_error: float
     position: FloatArray | None = None
     velocity: FloatArray | None = None
+    computed: str = ""
 
     @classmethod
     def of(cls, estimate: Estimate, motion: Motion | None = None) -> AxisSignals:
         """Return the signals of an estimate, whose record has the motion."""
-        fit, settings = estimate.fit, estimate.settings
+        fit, settings, size = estimate.fit, estimate.settings, estimate.fit.measured.size
         if estimate.data.windows is not None:
             raise MethodError(IN_WINDOWS)
-        compared = np.zeros(fit.measured.size, dtype=np.bool_)
-        compared[fit.borders[0] : compared.size - fit.borders[1]] = True
-        words = "", estimate.data.torque_unit, POSITION_UNIT[settings.joint.kind]
-        found = cls._of(
-            words, settings.method, settings.joint.transmission, estimate.data.sample_time,
-            (fit.measured, fit.predicted), compared, fit.relative_error, motion,
+        compared = np.zeros(size, dtype=np.bool_)
+        compared[fit.borders[0] : size - fit.borders[1]] = True
+        position, velocity = (None, None) if motion is None else (motion.position[:size], motion.velocity[:size])
+        return cls(
+            "", estimate.data.torque_unit, POSITION_UNIT[settings.joint.kind], settings.method,
+            settings.joint.transmission, instants(size, estimate.data.sample_time), fit.measured, fit.predicted,
+            compared, fit.relative_error, position, velocity, estimate.signal.removeprefix("torque"),
         )  # fmt: skip
-        return replace(found, quantity=f"{found.quantity}{estimate.signal.removeprefix('torque')}")
 
     @classmethod
     def of_validation(cls, found: Validation) -> list[AxisSignals]:
         """Return the signals of each axis of a validation."""
+        size = found.axes[0].measured.size
         return [
-            cls._of(
-                (axis.name, axis.unit, axis.position_unit), found.method, axis.transmission, found.sample_time,
-                (axis.measured, axis.predicted), axis.compared > 0.0, axis.relative_error, axis.motor,
+            cls(
+                axis.name, axis.unit, axis.position_unit, found.method, axis.transmission,
+                instants(size, found.sample_time), axis.measured, axis.predicted, axis.compared > 0.0,
+                axis.relative_error, axis.motor.position[:size], axis.motor.velocity[:size],
             )
             for axis in found.axes
         ]  # fmt: skip
-
-    @classmethod
-    def _of(
-        cls,
-        words: tuple[str, str, str],
-        method: str,
-        gear: Transmission | None,
-        sample_time: float,
-        signals: tuple[FloatArray, FloatArray],
-        compared: NDArray[np.bool_],
-        error: float,
-        motion: Motion | None,
-    ) -> AxisSignals:
-        name, unit, length = words
-        size = compared.size
-        return cls(
-            name, "position" if unit == length else torque_word(unit), unit, length,
-            _PREDICTIONS.get(method, "simulated"), "" if gear is None else f", {gear.side} side",
-            np.asarray(np.arange(size) * sample_time, dtype=np.float64), *signals, compared, error,
-            None if motion is None else motion.position[:size], None if motion is None else motion.velocity[:size],
-        )  # fmt: skip
 
     @classmethod
     def of_robot(cls, found: Diagnosis) -> list[AxisSignals]:
@@ -141,13 +122,26 @@ class AxisSignals:
         torques = found.torques
         return [
             cls(
-                axis.name, torque_word(axis.torque_unit), axis.torque_unit, axis.position_unit,
-                _PREDICTIONS.get(found.method, "simulated"), "", torques.time,
-                torques.measured[k], torques.predicted[k], torques.seen[k], axis.left, torques.position[k],
-                torques.velocity[k],
+                axis.name, axis.torque_unit, axis.position_unit, found.method, None, torques.time, torques.measured[k],
+                torques.predicted[k], torques.seen[k], axis.left, torques.position[k], torques.velocity[k],
             )
             for k, axis in enumerate(found.axes)
         ]  # fmt: skip
+
+    @property
+    def quantity(self) -> str:
+        """Name of the signal."""
+        return ("position" if self.unit == self.length else torque_word(self.unit)) + self.computed
+
+    @property
+    def prediction(self) -> str:
+        """How the signal is predicted, "simulated" or "inverse model"."""
+        return "inverse model" if self.method == "idim" else "simulated"
+
+    @property
+    def side(self) -> str:
+        """Side of the transmission, as ", load side"; empty without one."""
+        return "" if self.gear is None else f", {self.gear.side} side"
 
     @property
     def error(self) -> FloatArray:
@@ -239,7 +233,6 @@ def _compare(
 
 
 def _height(axes: Sequence[AxisSignals], alone: int = 280) -> int:
-    """Return the height of a panel, less for several axes."""
     return alone if len(axes) == 1 else 230
 
 
@@ -258,7 +251,7 @@ def residual_chart(
         figure, drawn = panels([_height(axes)] * (columns * len(axes)), columns)
         for k, axis in enumerate(axes):
             assert axis.velocity is not None and axis.position is not None
-            of_speed, of_position, *of_lag = drawn[columns * k : columns * (k + 1)]
+            of_speed, of_position = drawn[columns * k : columns * k + 2]
             error, velocity, position = (s[axis.compared] for s in (axis.error, axis.velocity, axis.position))
             least = _MOVES * float(np.max(np.abs(velocity), initial=0.0))
             means = {"mean forwards": velocity > least, "mean backwards": velocity < -least}
@@ -267,9 +260,13 @@ def residual_chart(
             label(of_speed, f"velocity{axis.side} [{axis.length}/s]", words)
             _draw_cloud(of_position, position, error, means)
             label(of_position, f"position{axis.side} [{axis.length}]", words)
-            for place in of_lag:
-                assert validation is not None
-                _draw_autocorrelation(place, validation.axes[k])
+            if validation is not None:
+                found, place = validation.axes[k], drawn[columns * k + 2]
+                lags = np.arange(found.autocorrelation.size, dtype=np.float64)
+                white = np.full(lags.size, found.white_band)
+                band(place, lags, -white, white, "#999999", "white")
+                line(place, lags, found.autocorrelation, ERROR, dots=True)
+                label(place, "lag [filtered samples]", "autocorrelation")
         return figure
 
     every = max(_stride(int(np.count_nonzero(axis.compared))) for axis in axes)
@@ -287,14 +284,6 @@ def residual_chart(
 def _stride(samples: int) -> int:
     """Return of how many samples a cloud has one."""
     return max(-(-samples // _POINTS), 1)
-
-
-def _draw_autocorrelation(axes: Axes, found: ValidatedAxis) -> None:
-    lags = np.arange(found.autocorrelation.size, dtype=np.float64)
-    white = np.full(lags.size, found.white_band)
-    band(axes, lags, -white, white, "#999999", "white")
-    line(axes, lags, found.autocorrelation, ERROR, dots=True)
-    label(axes, "lag [filtered samples]", "autocorrelation")
 
 
 def _draw_cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> None:
