@@ -214,8 +214,9 @@ def _lay_out(chart: Charted) -> Figure:
     figure = chart.plot()
     for axes in figure.axes:
         for drawn in axes.lines:
-            if len(drawn.get_xdata(orig=False)) > _POINTS and drawn.get_linestyle() != "None":
-                drawn.set_data(*decimate(drawn.get_xdata(orig=False), drawn.get_ydata(orig=False), most=_POINTS))
+            if drawn.get_linestyle() != "None":
+                x, y = (np.asarray(one, dtype=np.float64) for one in drawn.get_data(orig=False))
+                drawn.set_data(*decimate(x, y, most=_POINTS))
     engine = figure.get_layout_engine()
     assert engine is not None
     engine.execute(figure)

@@ -211,7 +211,8 @@ class Tuned(Charted, Documented):
             turned = np.unwrap(np.angle(found.nominal))
             # As its band is: whole turns are no part of a phase.
             turns = np.round((0.5 * (found.phase[0, 0] + found.phase[1, 0]) - turned[0]) / (2 * math.pi))
-            band(phase, found.hertz, *np.degrees(found.phase), colour)
+            low, high = np.degrees(found.phase)
+            band(phase, found.hertz, low, high, colour)
             line(phase, found.hertz, np.degrees(turned + 2 * math.pi * turns), colour)
             line(nyquist, found.nominal.real, found.nominal.imag, colour)
         angle, modulus, reach = np.linspace(0, 2 * math.pi, 200), self.settings.modulus, 0.5 * (_REACH + 1)
@@ -274,7 +275,7 @@ class Tuned(Charted, Documented):
 
 
 def _draw_size(axes: Axes, found: ResponseBand, colour: str, name: str = "") -> None:
-    band(axes, found.hertz, *found.size, colour)
+    band(axes, found.hertz, found.size[0], found.size[1], colour)
     line(axes, found.hertz, np.abs(found.nominal), colour, name)
 
 
