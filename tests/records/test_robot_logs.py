@@ -107,7 +107,7 @@ def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
     alone = read_table(tmp_path / "set" / "data" / "chunk-000" / "file-000.parquet")
     np.testing.assert_array_equal(alone.columns["action[1]"], table.columns["action.knee.pos"])
     (tmp_path / "set" / "meta" / "info.json").write_text("[]")
-    with pytest.raises(RecordError, match=r"info\.json describes no features"):
+    with pytest.raises(RecordError):
         read_table(tmp_path / "set")
 
 

@@ -18,8 +18,8 @@ from jointid.config.table import Flag, Table, Text, accept_by, keys_from, refusa
 from jointid.records.clock import CLOCK_TOLERANCE
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
-from jointid.records.formats import Csv, format_of, read_table
 from jointid.records.formats import Table as RecordedTable
+from jointid.records.formats import check_options, format_of, read_table
 from jointid.records.joining import choose_resampling, join_files
 from jointid.records.record import Channel, Injection
 from jointid.records.resampling import Resampling
@@ -27,7 +27,7 @@ from jointid.records.resampling import Resampling
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""
 
-Delimiter = Annotated[Text, accept_by(lambda mark: Csv(delimiter=mark))]
+Delimiter = Annotated[Text, accept_by(lambda mark: check_options(delimiter=mark))]
 
 
 @add_settings_to_docstring

@@ -14,7 +14,7 @@ from jointid.common.transmission import Side
 from jointid.config.contents import File, JointFile
 from jointid.planning.designed import Design, PlayedAxis
 from jointid.records.columns import Column, unit_of_column
-from jointid.records.formats import Csv, format_of
+from jointid.records.formats import format_of
 from jointid.records.record import Channel, Record, Timing
 
 _SMALL = 1e-3  # of a position and a torque, whose columns say the factors: no column wraps there
@@ -37,7 +37,7 @@ class FileLayout:
     def options(self) -> Mapping[str, Any]:
         """Options of a text file, where the record is one."""
         source = self.files[0].source
-        text = source.file is not None and isinstance(format_of(source.file), Csv)
+        text = source.file is not None and format_of(source.file).name == "CSV"
         return source.options if text else {}
 
     @property

@@ -161,7 +161,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
 
     Args:
         path: the file, or the folder of a ROS 2 bag.
-        options: of the format's reader; see `jointid.records.formats.Csv`.
+        options: of the format's reader; see `jointid.records.formats.check_options`.
 
     Raises:
         RecordError: the file is missing or cannot be read.

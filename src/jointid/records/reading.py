@@ -93,7 +93,7 @@ def read(
         stop: last one.
         part: which part between jumps of the clock to read, counted from 1; 0 takes the longest.
         resample: rules for a uniform clock; every channel then needs stamps.
-        options: of the format's reader; see `jointid.records.formats.Csv`.
+        options: of the format's reader; see `jointid.records.formats.check_options`.
 
     Raises:
         RecordError: the file cannot be read, or contradicts its declaration; `faults` has a sentence for each fault.

@@ -49,7 +49,7 @@ def write(
         sample_time: time between samples for reading [s].
         kind: "revolute" or "prismatic".
         transmission: between motor and load; every channel is written on its own side.
-        options: of the format's reader; see `jointid.records.formats.Csv`.
+        options: of the format's reader; see `jointid.records.formats.check_options`.
 
     Raises:
         RecordError: the channels differ in rate or have one sample, two share a column, or the file would not be

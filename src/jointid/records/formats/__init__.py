@@ -1,94 +1,125 @@
-"""File formats: to add one, write its `Format` and name it in `FORMATS`."""
+"""File formats: to add one, write a function that reads its `Table`, and a row of `FORMATS`."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import beside
-from jointid.records.formats.csv import Csv
-from jointid.records.formats.folder import Folder
-from jointid.records.formats.hdf5 import Hdf5
-from jointid.records.formats.json import Json
-from jointid.records.formats.matlab import Matlab
-from jointid.records.formats.npy import Npy
-from jointid.records.formats.npz import Npz
-from jointid.records.formats.parquet import Parquet
-from jointid.records.formats.rosbag import RosBag
-from jointid.records.formats.table import (
-    Block,
-    Format,
-    Streamed,
-    Table,
-    Written,
-    require_file,
-)
-from jointid.records.formats.tdms import Tdms
-from jointid.records.formats.text import is_gzip
+from jointid.records.formats import arrays, bags, columnar, folder, json, text
+from jointid.records.formats.table import Block, Table, require_file
 
 __all__ = [
-    "FORMATS", "Block", "Csv", "Folder", "Format", "Hdf5", "Json", "Matlab", "Npy", "Npz", "Parquet", "RosBag",
-    "Streamed", "Table", "Tdms", "format_of", "read_blocks", "read_table", "write_table",
-]  # fmt: skip
+    "FORMATS",
+    "Block",
+    "Format",
+    "Table",
+    "check_options",
+    "format_of",
+    "read_blocks",
+    "read_table",
+    "write_table",
+]
 
-FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Npz(), Json(), Hdf5(), Parquet(), Tdms(), Folder(), RosBag())
+check_options = text.check_options
+"""Refuse options of delimited text that cannot be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A file format and its functions.
+
+    Attributes:
+        suffixes: the endings of its files, in lower case, with the dot.
+        read: the function that reads a whole file.
+        blocks: that reads it in chunks, where a format has consecutive rows.
+        write: that writes a table, so that `read` restores it.
+        is_text: whether it is read packed by gzip, too.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    read: Callable[..., Table]
+    blocks: Callable[..., Iterator[Block]] | None = None
+    write: Callable[..., None] | None = None
+    is_text: bool = False
+
+
+_TEXT = Format("CSV", (".csv", ".txt", ".tsv", ".dat"), text.read_text, text.read_text_blocks, text.write_text, True)
+_FOLDER = Format("folder of files", (), folder.read_folder)
+_BAG = Format("ROS 2 bag", bags.SUFFIXES, bags.read_bag)
+
+FORMATS: tuple[Format, ...] = (
+    _TEXT,
+    Format("MAT", (".mat",), arrays.read_mat, None, arrays.write_mat),
+    Format("NPY", (".npy",), arrays.read_npy, arrays.read_npy_blocks, arrays.write_npy),
+    Format("NPZ", (".npz",), arrays.read_npz),
+    Format("JSON", (".json", ".jsonl", ".ndjson"), json.read_json, is_text=True),
+    Format("HDF5", (".h5", ".hdf5", ".hdf"), arrays.read_hdf5),
+    Format("Parquet", (".parquet", ".pq"), columnar.read_parquet, columnar.read_parquet_blocks, columnar.write_parquet),
+    Format("TDMS", (".tdms",), columnar.read_tdms),
+    _FOLDER,
+    _BAG,
+)
 """Every format there is."""
 
+_OPTIONS = ("delimiter", "decimal", "header")
 _PICKLES = (".pt", ".pth", ".pkl", ".pickle")
-_TEXTS = (Csv, Json)  # that are read packed, too
 
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
-    """Return the format for a suffix, with reader options; a folder is a ROS 2 bag, or holds several files.
+    """Return the format for a suffix; a folder is a ROS 2 bag, or holds several files.
 
     Raises:
-        RecordError: unknown suffix or option.
+        RecordError: unknown suffix, or an option that the format does not have.
     """
+    found = _find_format(path)
+    known = _OPTIONS if found is _TEXT else ()
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        listed = ", ".join(known) or "none"
+        raise RecordError(f"Reading {found.name} has no option {', '.join(unknown)}; it has: {listed}.")
+    check_options(**options)  # type: ignore[arg-type]
+    return found
+
+
+def _find_format(path: str | os.PathLike[str]) -> Format:
     is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
-    packed = is_gzip(path) and not is_folder
-    suffix = path.suffixes[-2] if packed and len(path.suffixes) > 1 else path.suffix
-    if suffix.lower() in _PICKLES and not is_folder:
+    if is_folder or not path.suffix:
+        return _FOLDER if is_folder and folder.is_record(path) else _BAG
+    packed = path.suffix.lower() == ".gz"
+    suffix = Path(path.stem).suffix if packed and Path(path.stem).suffix else path.suffix
+    if suffix.lower() in _PICKLES:
         raise RecordError(
             f"{path.name} is a pickle, which runs code when it is loaded, and is not read; convert it where it comes "
             "from, by numpy.savez."
         )
-    for entry in FORMATS:
-        if isinstance(entry, Folder) and is_folder and entry.fits(path):
-            break
-        if suffix.lower() in entry.suffixes and not is_folder and (not packed or isinstance(entry, _TEXTS)):
-            break
-        if isinstance(entry, RosBag) and (is_folder or not path.suffix):
-            break
-    else:
+    found = next((one for one in FORMATS if suffix.lower() in one.suffixes and (one.is_text or not packed)), None)
+    if found is None:
         known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
         fact = f'has the suffix "{path.suffix}", which names no known format ({known})'
         if packed and suffix != path.suffix:
             fact = f'is packed by gzip, which is unpacked for texts alone; unpack it to "{path.stem}"'
         raise RecordError(f"{path.name} {fact}.")
-    known = ", ".join(option.name for option in fields(entry)) or "none"
-    unknown = set(options) - {option.name for option in fields(entry)}
-    if unknown:
-        raise RecordError(f"Reading {entry.name} has no option {', '.join(sorted(unknown))}; it has: {known}.")
-    return replace(entry, **options)
+    return found
 
 
 def read_table(path: str | os.PathLike[str], **options: object) -> Table:
-    """Read all numbers of a file; `options` are the format's, see `Csv`.
+    """Read all numbers of a file; `options` are those of text, see `check_options`.
 
     Raises:
         RecordError: the file is missing or cannot be read.
     """
-    path = Path(path)
-    reader = format_of(path, **options)
+    path, reader = Path(path), format_of(path, **options)
     with _explain_failure(path, reader):
         require_file(path)
-        return reader.read(path)
+        return reader.read(path, **options)
 
 
 def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Block]:
@@ -97,10 +128,9 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
     Raises:
         RecordError: see `read_table`; or the format has no consecutive rows.
     """
-    path = Path(path)
-    reader = format_of(path, **options)
-    if not isinstance(reader, Streamed):
-        streamed = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Streamed))
+    path, reader = Path(path), format_of(path, **options)
+    if reader.blocks is None:
+        streamed = ", ".join(entry.name for entry in FORMATS if entry.blocks is not None)
         raise RecordError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
 
     def read(block: Block, count: int) -> Table:
@@ -110,7 +140,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
 
     with _explain_failure(path, reader):
         require_file(path)
-        for block in reader.blocks(path, rows):
+        for block in reader.blocks(path, rows, **options):
             yield Block(block.rows, partial(read, block))
 
 
@@ -141,10 +171,9 @@ def write_table(path: str | os.PathLike[str], table: Table, **options: object) -
     Raises:
         RecordError: a suffix of no such format, a table that the format cannot hold, or an error of the system.
     """
-    path = Path(path)
-    writer = format_of(path, **options)
-    if not isinstance(writer, Written) or is_gzip(path):
-        written = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Written))
+    path, writer = Path(path), format_of(path, **options)
+    if writer.write is None or path.suffix.lower() == ".gz":
+        written = ", ".join(entry.name for entry in FORMATS if entry.write is not None)
         raise RecordError(f"{path.name} is of a format that is read alone; write one of {written}.")
     with beside(path) as fresh:
-        writer.write(fresh, table)
+        writer.write(fresh, table, **options)

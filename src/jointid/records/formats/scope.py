@@ -6,17 +6,22 @@ View manual, "Export to CSV".
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import short
-from jointid.records.formats.table import Table
-from jointid.records.formats.text import Line, TextFile, point_rows
+from jointid.records.formats.table import Found, Table
+
+if TYPE_CHECKING:
+    from jointid.records.formats.text import Line
 
 _ROWS = frozenset({
     "Name", "SymbolComment", "Data-Type", "SampleTime[ms]", "VariableSize", "SymbolBased", "IndexGroup", "IndexOffset",
@@ -25,7 +30,6 @@ _ROWS = frozenset({
 })  # fmt: skip
 _OF_EXPORT = ("Starttime of export", "StartRecord", "SampleTime[ms]", "SymbolName", "Data-Type")
 _LOOK = 200  # lines within which the channels are named
-_LENGTHS = 32  # different ones of groups: all rows are gone through for each
 _TICKS = 10_000  # of a FILETIME (100 ns) in 1 ms
 _FILETIME = (17, 18)  # digits of one: the years 1917 to 4769; what has less is ms since the start
 _OFF = 0.1  # of the sample time, that the time column's step may differ from it
@@ -58,86 +62,71 @@ class Scope:
         return cells[column] if column < len(cells) else default
 
 
-def find_scope(text: TextFile) -> Scope | None:
+def find_scope(lines: Sequence[str]) -> Scope | None:
     """Parse the header of an export; None for other text."""
-    lines = text.lines[:_LOOK]
-    if not lines or not lines[0].text.startswith("Name") or len(lines[0].text) < len("Name_"):
+    if not lines or not lines[0].startswith("Name") or len(lines[0]) < len("Name_"):
         return None
-    mark = lines[0].text[len("Name")]
-    split = [[cell.strip() for cell in line.text.split(mark)] for line in lines]
+    mark = lines[0][len("Name")]
+    split = [[cell.strip() for cell in line.split(mark)] for line in lines[:_LOOK]]
     keys = [cells[0] for cells in split]
     if mark.isalnum() or not any(key in _OF_EXPORT for key in keys):
         return None
     top = max(i for i, key in enumerate(keys) if key == "Name")
     first = next((i for i in range(top, len(keys)) if keys[i] not in _ROWS), len(keys))
     rows = {keys[i]: split[i] for i in range(top, first)}
-    named = rows["Name"]
-    starts = [c for c, cell in enumerate(named) if cell == "Name"]
+    starts = [c for c, cell in enumerate(rows["Name"]) if cell == "Name"]
     # Beside a full header a channel may be called "Name" too: its other rows are then not their keys.
     starts = [c for c in starts if all(len(cells) <= c or cells[c] == key for key, cells in rows.items())]
     return Scope(mark, rows, tuple(starts), first)
 
 
-def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Table:
+def read_scope(path: Path, scope: Scope, lines: Sequence[Line], decimal: str | None = None) -> Table:
     """Read an export, each column with its own clock.
 
     Times are in ms, FILETIMEs relative to the first. `Offset` is for display only. None detects the decimal mark.
     """
-    names, rows = _channel_names(text.name, scope), _number_rows(text, scope)
-    point = decimal or ("," if scope.delimiter != "," and any("," in row.text for row in rows) else ".")
-    numbers = _Numbers(text.name, rows, scope, point)
-    values: dict[int, FloatArray] = {}
-    for count, columns in _sort_by_length(numbers, scope).items():
-        values |= numbers.columns(columns, count)
-    made: dict[str, FloatArray] = {}
-    clocks: dict[str, str] = {}
-    alike = len({values[start].tobytes() for start in scope.starts}) == 1
-    for group in scope.groups():
-        repeated = np.all([np.diff(values[column]) == 0 for column in group], axis=0)  # the export's padding
-        kept = np.concatenate([[True], ~repeated])
-        time, channels = values[group.start][kept], {names[c]: values[c][kept] for c in group[1:]}
-        first = names[group[1]]
-        _check_step(text.name, time, scope.cell("SampleTime[ms]", group[1]), first)
-        clock = "time [ms]" if alike else f"time of {first.partition(' [')[0]} [ms]"
-        made |= {clock: time, **channels}
-        clocks |= {} if alike else dict.fromkeys(channels, clock)
-    return Table(made, source=text.name, clocks=clocks)
-
-
-def _sort_by_length(numbers: _Numbers, scope: Scope) -> dict[int, list[int]]:
-    """Group columns by row count, to be read together."""
-    found: dict[int, list[int]] = {}
-    for group in scope.groups():
-        found.setdefault(numbers.count(group.start), []).extend(group)
-        if len(found) > _LENGTHS:
-            raise RecordError(
-                f"{numbers.file} has more than {_LENGTHS} groups of channels of different lengths; export fewer "
-                "channels at once."
-            )
-    return found
-
-
-def _number_rows(text: TextFile, scope: Scope) -> list[Line]:
-    if scope.delimiter == " ":
-        raise RecordError(
-            f"{text.name} was exported with blanks between its columns, which also stand for what is missing; export "
-            "it with tabs or semicolons."
-        )
-    if not scope.starts or any(len(group) < 2 for group in scope.groups()):
-        raise RecordError(
-            f'{text.name} has a time column without channels in its row "Name"; export it with a time column for each '
-            "channel, or for each sample time."
-        )
-    rows = text.lines[scope.first :]
+    file, names = path.name, _name_channels(path.name, scope)
+    rows = lines[scope.first :]
     if rows and rows[-1].text.rstrip(f" {scope.delimiter}") == "EOF":
         rows = rows[:-1]
     if not rows:
-        raise RecordError(f"{text.name} has no row of numbers below its channels; export it again.")
-    return rows
+        raise RecordError(f"{file} has no row of numbers below its channels; export it again.")
+    point = decimal or ("," if scope.delimiter != "," and any("," in row.text for row in rows) else ".")
+    values = _parse(file, scope, rows, point)
+    clocks = {group.start: values[~np.isnan(values[:, group.start]), group.start] for group in scope.groups()}
+    alike = len({clock.tobytes() for clock in clocks.values()}) == 1
+    found = Found(path)
+    for group in scope.groups():
+        numbers = values[: clocks[group.start].size, group.start : group.stop]
+        if not numbers.size or np.isnan(numbers).any():
+            raise RecordError(
+                f'{file} has a row without a number of the channel "{scope.cell("Name", group[1])}" or of its time; '
+                "leave the channel out of the export."
+            )
+        # Rows that repeat the one before are the export's padding.
+        kept = np.concatenate([[True], np.any(np.diff(numbers, axis=0) != 0, axis=1)])
+        first = names[group[1]]
+        _check_step(file, numbers[kept, 0], scope.cell("SampleTime[ms]", group[1]), first)
+        clock = "time [ms]" if alike else f"time of {first.partition(' [')[0]} [ms]"
+        if clock not in found.columns:
+            found.add(clock, numbers[kept, 0])
+        for index, column in enumerate(group[1:], start=1):
+            found.add(names[column], numbers[kept, index], clock="" if alike else clock)
+    return found.table()
 
 
-def _channel_names(file: str, scope: Scope) -> dict[int, str]:
+def _name_channels(file: str, scope: Scope) -> dict[int, str]:
     """Channel names by column, with units in brackets."""
+    if scope.delimiter == " ":
+        raise RecordError(
+            f"{file} was exported with blanks between its columns, which also stand for what is missing; export it "
+            "with tabs or semicolons."
+        )
+    if not scope.starts or any(len(group) < 2 for group in scope.groups()):
+        raise RecordError(
+            f'{file} has a time column without channels in its row "Name"; export it with a time column for each '
+            "channel, or for each sample time."
+        )
     channels = [column for group in scope.groups() for column in group[1:]]
     for said in ("Name", "SymbolName"):
         names = {column: scope.cell(said, column) for column in channels}
@@ -160,6 +149,40 @@ def _bracket_unit(scope: Scope, column: int) -> str:
     return f" [{symbol}]" if symbol else ""
 
 
+def _parse(file: str, scope: Scope, rows: Sequence[Line], point: str) -> FloatArray:
+    """Return the numbers of all columns, (rows, columns), NaN where a cell is empty."""
+    width, mark = len(scope.rows["Name"]), scope.delimiter
+    firsts = rows[0].text.split(mark)
+    stamps = [firsts[start].strip() for start in scope.starts if start < len(firsts)]
+    origin = min((int(cell) for cell in stamps if cell.isdecimal() and len(cell) in _FILETIME), default=0)
+    # A FILETIME has 18 digits, and a float 16: the difference is taken before.
+    readers: list[Callable[[str], float]] = [
+        partial(_ticks, origin) if origin and column in scope.starts else partial(_number, point)
+        for column in range(width)
+    ]
+    values = np.full((len(rows), width), math.nan)
+    for index, row in enumerate(rows):
+        for column, (read, cell) in enumerate(zip(readers, row.text.split(mark), strict=False)):
+            try:
+                values[index, column] = read(cell)
+            except (ValueError, OverflowError):
+                raise RecordError(
+                    f'{file}: line {row.number}, cell {column + 1} holds "{short(cell)}", where a number with the '
+                    f'decimal mark "{point}" was expected; export it again, or delete that line.'
+                ) from None
+    return values
+
+
+def _ticks(origin: int, cell: str) -> float:
+    return (int(cell) - origin) / _TICKS if cell and not cell.isspace() else math.nan
+
+
+def _number(point: str, cell: str) -> float:
+    if not cell or cell.isspace():
+        return math.nan
+    return float(cell if point == "." else cell.replace(".", "?").replace(",", "."))
+
+
 def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
     try:
         expected = float(stated.replace(",", "."))
@@ -171,63 +194,3 @@ def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
             f'{file}: the channel "{name}" has a sample every {expected:g} ms, and the column before it steps by '
             f"{step:g}; export it with a time column for each channel, or for each sample time."
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _Numbers:
-    """Rows of an export as text, with cells cached once split."""
-
-    file: str
-    rows: Sequence[Line]
-    scope: Scope
-    point: str
-    cells: dict[int, list[str]] = field(default_factory=dict)
-
-    def count(self, column: int) -> int:
-        """Number of leading rows of a group that have a time."""
-        return bisect_left(range(len(self.rows)), True, key=lambda row: not self._cell(row, column))
-
-    def columns(self, wanted: Sequence[int], count: int) -> dict[int, FloatArray]:
-        """Return the numbers of some columns, shape (count,) each."""
-        if count == 0:
-            channel = self.scope.cell("Name", wanted[1])
-            raise RecordError(f'{self.file} has no number of the channel "{channel}"; leave it out of the export.')
-        plain, mark = point_rows(self.rows[:count], self.point), self.scope.delimiter
-        try:
-            values = np.loadtxt(plain, delimiter=mark, usecols=wanted, comments=None, ndmin=2)
-            found = dict(zip(wanted, values.T, strict=True))
-            starts = sorted(set(self.scope.starts) & set(wanted)) if (origin := self._origin) else []
-            if starts:
-                # A FILETIME has 18 digits, and a float 16: the difference is taken before.
-                ticks = np.loadtxt(plain, dtype=np.int64, delimiter=mark, usecols=starts, comments=None, ndmin=2)
-                found |= dict(zip(starts, ((ticks - origin) / _TICKS).T, strict=True))
-        except (ValueError, IndexError, OverflowError):
-            raise RecordError(self._damage(wanted, count)) from None
-        return found
-
-    @property
-    def _origin(self) -> int:
-        """First FILETIME; 0 for times in ms."""
-        firsts = [cell for start in self.scope.starts if (cell := self._cell(0, start)).isdecimal()]
-        return min([int(cell) for cell in firsts if len(cell) in _FILETIME], default=0)
-
-    def _cell(self, row: int, column: int) -> str:
-        if row not in self.cells:
-            self.cells[row] = self.rows[row].text.split(self.scope.delimiter)
-        cells = self.cells[row]
-        return cells[column].strip() if column < len(cells) else ""
-
-    def _damage(self, wanted: Sequence[int], count: int) -> str:
-        """Describe the first cell without a number."""
-        for row in range(count):
-            for column in wanted:
-                cell = self._cell(row, column)
-                try:
-                    float(cell.replace(".", "?").replace(",", ".") if self.point == "," else cell)
-                except ValueError:
-                    holds = f'"{short(cell)}"' if cell else "nothing"
-                    return (
-                        f"{self.file}: line {self.rows[row].number}, cell {column + 1} holds {holds}, where a number "
-                        f'with the decimal mark "{self.point}" was expected; export it again, or delete that line.'
-                    )
-        return f"{self.file} has rows that are no numbers; export it again."

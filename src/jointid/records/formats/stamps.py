@@ -19,20 +19,20 @@ _DATE = (
     r"|(?P<a>\d{1,2})[-/.](?P<b>\d{1,2})[-/.](?P<c>\d{4}))"
 )
 _CLOCK = (
-    r"(?:(?P<H>\d{1,3}):(?P<M>[0-5]?\d):(?P<S>[0-5]?\d|60)(?:[.,](?P<F>\d{1,12})|:(?P<K>\d{3}))?"
-    r"|(?P<N>[0-5]?\d):(?P<T>[0-5]?\d)[.,](?P<G>\d{1,12})|(?P<P>\d{6})(?:[.,](?P<Q>\d{1,12}))?)"
+    r"\d{1,3}:[0-5]?\d:(?:[0-5]?\d|60)(?:[.,]\d{1,12}|:\d{3})?|[0-5]?\d:[0-5]?\d[.,]\d{1,12}|\d{6}(?:[.,]\d{1,12})?"
 )
-_HALF = r"(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
-_ZONE = r"\s*(?P<zone>[Zz]|UTC|[+-]\d\d(?::?\d\d)?)?"
-_STAMP = re.compile(rf"(?:{_DATE}(?:[Tt]|[\s,_;-]\s*))?{_CLOCK}{_HALF}{_ZONE}", re.ASCII)
+_STAMP = re.compile(
+    rf"(?:{_DATE}(?:[Tt]|[\s,_;-]\s*))?(?P<clock>{_CLOCK})(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
+    r"\s*(?P<zone>[Zz]|UTC|[+-]\d\d(?::?\d\d)?)?",
+    re.ASCII,
+)
 _DAY_ALONE = re.compile(_DATE, re.ASCII)
 _SECOND, _DAY, _HOUR = 10**9, 86400 * 10**9, 3600 * 10**9
 
 
 def is_stamp(cell: str) -> bool:
     """Test for an instant: a date with a time, or a time of day."""
-    found = _STAMP.fullmatch(cell) if ":" in cell or "T" in cell else None
-    return bool(found and (found["P"] is None or found["y"]) and (found["N"] is None or not found["c"]))
+    return _match(cell) is not None
 
 
 def is_date(cell: str) -> bool:
@@ -62,19 +62,17 @@ class Stamps:
         Raises:
             ValueError: a cell is no instant.
         """
-        best: tuple[int, Stamps] | None = None
+        spans: list[tuple[int, Stamps]] = []
         for day_first in (True, False):
-            made = cls(0, _period(next(filter(None, cells))), day_first)
             try:
+                made = cls(0, _read(next(filter(None, cells)), day_first)[1], day_first)
                 counts = [count for count in made._counts(cells) if count is not None]
-            except ValueError:
+            except ValueError:  # there is no such month
                 continue
-            span = max(counts) - min(counts)
-            if best is None or span < best[0]:
-                best = span, replace(made, origin=counts[0])
-        if best is None:
+            spans.append((max(counts) - min(counts), replace(made, origin=counts[0])))
+        if not spans:
             raise ValueError
-        return best[1]
+        return min(spans, key=lambda one: one[0])[1]
 
     def seconds(self, cells: Sequence[str]) -> FloatArray:
         """Return the seconds since the origin, shape (cells,); NaN for empty cells.
@@ -85,13 +83,6 @@ class Stamps:
         counts = self._counts(cells)
         return np.array([np.nan if count is None else (count - self.origin) / _SECOND for count in counts])
 
-    def after(self, cell: str, start: float) -> Stamps:
-        """Return the column for rows from this cell on, no earlier than `start` [s]."""
-        count = _count(cell, self.day_first) - self.origin
-        late = round(start * _SECOND) - count
-        periods = -(-late // self.period) if self.period and late > 0 else 0
-        return replace(self, origin=self.origin - periods * self.period)
-
     def _counts(self, cells: Sequence[str]) -> list[int | None]:
         counts: list[int | None] = []
         added, last = 0, None
@@ -99,46 +90,42 @@ class Stamps:
             if not cell:
                 counts.append(None)
                 continue
-            if _period(cell) != self.period:
+            count, period = _read(cell, self.day_first)
+            if period != self.period:
                 raise ValueError(cell)
-            count = _count(cell, self.day_first) + added
-            if last is not None and self.period and count < last - self.period // 2:
-                added, count = added + self.period, count + self.period
-            counts.append(count)
-            last = count
+            if period and count + added < (self.origin if last is None else last - period // 2):
+                added += period
+            last = count + added
+            counts.append(last)
         return counts
 
 
-def _period(cell: str) -> int:
-    found = _STAMP.fullmatch(cell)
-    if found is None:
-        raise ValueError(cell)
-    if found["y"] or found["c"]:
-        return 0
-    return _HOUR if found["N"] else _DAY
+def _match(cell: str) -> re.Match[str] | None:
+    found = _STAMP.fullmatch(cell) if ":" in cell or "T" in cell else None
+    if found is None or (":" not in found["clock"] and not found["y"]):  # six digits are a time behind a date alone
+        return None
+    return None if found["clock"].count(":") == 1 and (found["y"] or found["c"]) else found
 
 
-def _count(cell: str, day_first: bool) -> int:
-    """Nanoseconds of an instant, from midnight or from the year 1."""
-    found = _STAMP.fullmatch(cell)
+def _read(cell: str, day_first: bool) -> tuple[int, int]:
+    """Return the nanoseconds of an instant, from midnight or from the year 1, and its period."""
+    found = _match(cell)
     if found is None:
         raise ValueError(cell)
-    if found["P"]:
-        hour, minute, second = int(found["P"][:2]), int(found["P"][2:4]), int(found["P"][4:])
-    elif found["N"]:
-        hour, minute, second = 0, int(found["N"]), int(found["T"])
-    else:
-        hour, minute, second = int(found["H"]), int(found["M"]), int(found["S"])
-    if found["half"]:
-        hour = hour % 12 + 12 * (found["half"] in "pP")
-    fraction = found["F"] or found["K"] or found["G"] or found["Q"] or ""
-    count = (hour * 3600 + minute * 60 + second) * _SECOND + int(fraction[:9].ljust(9, "0"))
+    clock = found["clock"]
+    is_minutes = clock.count(":") == 1
+    if ":" not in clock:
+        clock = f"{clock[:2]}:{clock[2:4]}:{clock[4:]}"
+    hour, minute, second, *fraction = re.split("[:.,]", f"0:{clock}" if is_minutes else clock)
+    hours = int(hour) % 12 + 12 * (found["half"] in "pP") if found["half"] else int(hour)
+    count = (hours * 3600 + int(minute) * 60 + int(second)) * _SECOND
+    count += int((fraction[0] if fraction else "")[:9].ljust(9, "0"))
     if (zone := found["zone"]) and zone[0] in "+-":
         digits = zone[1:].replace(":", "").ljust(4, "0")
         count -= (1 if zone[0] == "+" else -1) * (int(digits[:2]) * 3600 + int(digits[2:]) * 60) * _SECOND
     if found["y"]:
-        return count + date(int(found["y"]), int(found["m"]), int(found["d"])).toordinal() * _DAY
+        return count + date(int(found["y"]), int(found["m"]), int(found["d"])).toordinal() * _DAY, 0
     if found["c"]:
         day, month = (found["a"], found["b"]) if day_first else (found["b"], found["a"])
-        return count + date(int(found["c"]), int(month), int(day)).toordinal() * _DAY
-    return count
+        return count + date(int(found["c"]), int(month), int(day)).toordinal() * _DAY, 0
+    return count, _HOUR if is_minutes else _DAY

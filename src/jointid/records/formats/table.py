@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import Field, dataclass, field, replace
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,10 +19,7 @@ WHOLE = 2**30
 """Bytes of numbers that are read at once, 1 GiB: 13 columns of 10 million rows; reading them may take twice that."""
 
 WIDEST = 10_000
-"""Columns that are read of a text or a matrix: no drive logs so many, and each is an array of its own."""
-
-PIECES = 2**40
-"""Bytes of numbers that are read in chunks, 1 TiB: more than a year of 4 columns at 1 kHz."""
+"""Columns that are read of a file: no drive logs so many, and each is an array of its own."""
 
 TIME_NAME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 """Name by which a column is taken for the time without being named as such."""
@@ -31,11 +27,12 @@ TIME_NAME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 STAMP_NAME = re.compile(r"(?:t|time|timestamps?|stamps?|zeit)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 """Name by which a column of a log is recognised as its time, in a file of several or where a file is looked over."""
 
-_NUMBER = 8  # bytes of a number in memory
 _FEW = 3  # things passed over that a sentence names
-_STEPS = ("KiB", "MiB", "GiB", "TiB", "PiB")
 _QUOTED = 100  # characters of a name
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
+_WIDEST_MATRIX = 1000  # columns of a matrix; one that is wider is a picture
+_REAL, _INSTANTS = "fiub", "mM"  # kinds of NumPy's types that become numbers
+_KINDS = {"S": "text", "U": "text", "O": "objects", "c": "complex numbers", "V": "records"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,11 +69,9 @@ class Table:
                 raise RecordError(f'Column "{name}" has shape {column.shape}; give a non-empty array of one dimension.')
             column.flags.writeable = False
             columns[name] = column
-        scalars = {name: float(value) for name, value in self.scalars.items()}
         object.__setattr__(self, "columns", MappingProxyType(columns))
-        object.__setattr__(self, "scalars", MappingProxyType(scalars))
-        units = {name: unit for name, unit in self.units.items() if name in columns}
-        object.__setattr__(self, "units", MappingProxyType(units))
+        object.__setattr__(self, "scalars", MappingProxyType({n: float(value) for n, value in self.scalars.items()}))
+        object.__setattr__(self, "units", MappingProxyType({n: u for n, u in self.units.items() if n in columns}))
         object.__setattr__(self, "passed", MappingProxyType(dict(self.passed)))
 
     def list_columns(self) -> str:
@@ -95,71 +90,8 @@ class Table:
         """Count of rows: the length of the longest column."""
         return max((values.size for values in self.columns.values()), default=0)
 
-    def cut(self, first: int, last: int) -> Table:
-        """Return the rows from the first up to the last."""
-        return replace(self, columns={name: values[first:last] for name, values in self.columns.items()})
 
-
-def join_tables(tables: Sequence[Table]) -> Table:
-    """Concatenate tables; a column missing in a later one ends there."""
-    first = tables[0]
-    if len(tables) == 1:
-        return first
-    parts = {name: [table.columns[name] for table in tables if name in table.columns] for name in first.columns}
-    joined = {name: np.concatenate(values) for name, values in parts.items()}
-    for values in joined.values():
-        values.flags.writeable = False  # nobody else has them
-    return replace(first, columns=joined)
-
-
-def require_no_scalars(table: Table, target: str) -> None:
-    """Refuse scalars, which `target` cannot hold."""
-    if table.scalars:
-        raise RecordError(f"{target} has no place for the scalars {', '.join(table.scalars)}; write a .mat file.")
-
-
-def require_one_length(table: Table, target: str) -> None:
-    """Refuse unequal columns, which `target` cannot hold."""
-    if len({values.size for values in table.columns.values()}) != 1:
-        lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
-        raise RecordError(f"{target} has columns of one length; got {lengths or 'no column'}.")
-
-
-class Format(Protocol):
-    """A file format: a frozen dataclass of reader options.
-
-    Attributes:
-        suffixes: the endings of its files, in lower case, with the dot.
-    """
-
-    name: ClassVar[str]
-    suffixes: ClassVar[tuple[str, ...]]
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-    def read(self, path: Path) -> Table:
-        """Read the whole file.
-
-        Raises:
-            RecordError: the file is not of this format, or is damaged.
-            OSError: the file cannot be opened.
-        """
-
-
-@runtime_checkable
-class Written(Protocol):
-    """A format that tables are written in."""
-
-    def write(self, path: Path, table: Table) -> None:
-        """Write `table` so that `read` restores it exactly, except unsupported units.
-
-        Raises:
-            RecordError: the format cannot hold this table.
-            OSError: the file cannot be written.
-        """
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
+class Block(NamedTuple):
     """Consecutive rows of a file, read on demand.
 
     Attributes:
@@ -179,28 +111,117 @@ class Block:
         return self.read(self.rows if rows is None else min(rows, self.rows))
 
 
-def split_rows(total: int, rows: int, read: Callable[[int, int], Table]) -> Iterator[Block]:
-    """Yield blocks of `rows` rows of a file with random access.
+def join_tables(tables: Sequence[Table]) -> Table:
+    """Concatenate tables; a column missing in a later one ends there."""
+    first = tables[0]
+    if len(tables) == 1:
+        return first
+    parts = {name: [table.columns[name] for table in tables if name in table.columns] for name in first.columns}
+    return replace(first, columns={name: freeze(np.concatenate(values)) for name, values in parts.items()})
 
-    `read` takes the first row and the count.
-    """
-    for first in range(0, total, rows):
-        yield Block(min(rows, total - first), partial(read, first))
 
+@dataclass(slots=True)
+class Found:
+    """What is found in a file, by name; `numbers` counts those of the columns, the others are as of `Table`."""
 
-@runtime_checkable
-class Streamed(Protocol):
-    """A format that can be read in bounded memory."""
+    path: Path
+    columns: dict[str, FloatArray] = field(default_factory=dict)
+    scalars: dict[str, float] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    passed: dict[str, str] = field(default_factory=dict)
+    clocks: dict[str, str] = field(default_factory=dict)
+    numbers: int = 0
 
-    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
-        """Yield blocks of `rows` rows, each read before the next.
+    def take(self, name: str, array: np.ndarray[Any, Any], unit: str = "") -> None:
+        """Add an array: its columns, its one number, or why it is passed over."""
+        if array.size == 1 and array.dtype.kind in _REAL:
+            self._require_new(name)
+            self.scalars[name] = float(array.item())
+            return
+        for column, view in find_columns(name, array, self.passed).items():
+            self.add(column, to_numbers(view), unit)
 
-        Short columns are absent from blocks behind their end.
+    def add(self, name: str, values: FloatArray, unit: str = "", clock: str = "") -> None:
+        """Add a column that nobody else has."""
+        self._require_new(name)
+        self.columns[name] = freeze(values)
+        self.numbers += values.size
+        require_width(self.path, len(self.columns))
+        require_size(self.path, self.numbers)
+        self.units |= {name: unit} if unit else {}
+        self.clocks |= {name: clock} if clock else {}
+
+    def _require_new(self, name: str) -> None:
+        if name in self.columns or name in self.scalars:
+            raise RecordError(f"{self.path.name} has more than one column called {name!r}; rename them.")
+
+    def table(self) -> Table:
+        """Return the table.
 
         Raises:
-            RecordError: the file is not of this format, or has no consecutive rows.
-            OSError: the file cannot be opened.
+            RecordError: there is no number.
         """
+        if not (self.columns or self.scalars):
+            listed = "; ".join(f"{name!r}: {why}" for name, why in list(self.passed.items())[:_FEW])
+            said = f" ({listed})" if listed else ""
+            raise RecordError(f"{self.path.name} holds no numbers{said}; log the signals as columns of numbers.")
+        return Table(self.columns, self.scalars, self.path.name, self.units, self.passed, self.clocks)
+
+
+def find_columns(
+    name: str, array: np.ndarray[Any, Any], passed: dict[str, str], *, square_turned: bool = False
+) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the columns of an array as views, by name, or note why it is passed over.
+
+    The samples run along the longest side. Sides of one number do not count: an array 1 x 1 x N is a column. Of a
+    square matrix the samples run along the first side, unless `square_turned`. A record array gives "name.field". The
+    columns of a matrix without a name are called "1", "2", ...
+    """
+    if array.dtype.names:
+        parts = ((f"{name}.{part}" if name else part, array[part]) for part in array.dtype.names)
+        return {column: view for part in parts for column, view in find_columns(*part, passed).items()}
+    sides = [size for size in array.shape if size != 1]
+    why = None if array.dtype.kind in _REAL + _INSTANTS else f"it holds {_KINDS.get(array.dtype.kind, 'no numbers')}"
+    if why is None and 0 in sides:
+        why = "it is empty"
+    if why is None and len(sides) > 2:
+        why = f"it has {len(sides)} dimensions"
+    if why is None and len(sides) == 2 and min(sides) > (_WIDEST_MATRIX if name else WIDEST):
+        why = f"it is a matrix of {sides[0]} x {sides[1]}"
+    if why is not None:
+        passed[name or "the array"] = why
+        return {}
+    if len(sides) < 2:
+        return {name or "1": array.reshape(-1)}
+    matrix = array.reshape(sides)
+    turned = sides[1] > sides[0] or (square_turned and sides[0] == sides[1])
+    channels = matrix if turned else matrix.T
+    return {f"{name}[{k}]" if name else str(k + 1): channel for k, channel in enumerate(channels)}
+
+
+def to_numbers(values: np.ndarray[Any, Any], first: np.ndarray[Any, Any] | None = None) -> FloatArray:
+    """Return values as numbers; instants as seconds since the `first` one, durations as seconds."""
+    if values.dtype.kind not in _INSTANTS:
+        return values.astype(np.float64)
+    if values.dtype.kind == "M":
+        known = values[~np.isnat(values)] if first is None else first
+        values = values - (known.ravel()[0] if known.size else np.datetime64(0, "s"))
+    return np.asarray(values / np.timedelta64(1, "s"), dtype=np.float64)
+
+
+def freeze(values: FloatArray) -> FloatArray:
+    """Make values read-only, so that a table need not copy them."""
+    values.flags.writeable = False
+    return values
+
+
+def require_columns(table: Table, target: str) -> None:
+    """Refuse what no written format holds: scalars, and columns of unequal length."""
+    if table.scalars:
+        raise RecordError(f"{target} has no place for the scalars {', '.join(table.scalars)}; leave them out.")
+    if len({values.size for values in table.columns.values()}) != 1:
+        lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
+        raise RecordError(f"{target} has columns of one length; got {lengths or 'no column'}.")
 
 
 def require_file(path: Path) -> None:
@@ -216,40 +237,19 @@ def require_file(path: Path) -> None:
         raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
 
 
-def require_size(path: Path, numbers: int, limit: int = WHOLE) -> None:
-    """Refuse a file that declares too many numbers."""
-    if numbers * _NUMBER > limit:
-        advice = (
-            "log fewer channels, or read it in chunks with jointid identify --window"
-            if limit == WHOLE
-            else "cut it into shorter files"
-        )
+def require_size(path: Path, numbers: int) -> None:
+    """Refuse a file that declares too many numbers to be read at once."""
+    if 8 * numbers > WHOLE:
         raise RecordError(
-            f"{path.name} declares {format_size(numbers * _NUMBER)} of numbers, and at most {format_size(limit)} are "
-            f"read; {advice}."
+            f"{path.name} declares {8 * numbers / 2**30:.3g} GiB of numbers, and at most 1 GiB are read; log fewer "
+            "channels, or read it in chunks with jointid identify --window."
         )
 
 
-def format_size(count: int) -> str:
-    """Return a number of bytes in words."""
-    if count < 1024:
-        return f"{count} bytes"
-    value, step = float(count), -1
-    while value >= 1024 and step < len(_STEPS) - 1:
-        value, step = value / 1024, step + 1
-    return f"{value:.3g} {_STEPS[step]}" if value < 1000 else f"{value:.0f} {_STEPS[step]}"
-
-
-def require_unique_names(path: Path, names: list[str]) -> None:
-    """Refuse duplicate column names."""
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise RecordError(f"{path.name} has more than one column called {name!r}; rename them.")
-        seen.add(name)
-
-
-def describe_skips(passed: Mapping[str, str]) -> str:
-    """List skipped items with reasons, in brackets."""
-    listed = "; ".join(f"{name!r}: {why}" for name, why in list(passed.items())[:_FEW])
-    return f" ({listed})" if listed else ""
+def require_width(path: Path, columns: int) -> None:
+    """Refuse a file of too many columns."""
+    if columns > WIDEST:
+        raise RecordError(
+            f"{path.name} has {columns} columns (at most {WIDEST} are read); log fewer channels, or write a row for "
+            "each sample."
+        )

@@ -1,4 +1,8 @@
-"""Text as numbered content lines, and detection of delimiter and decimal mark."""
+"""Delimited text: any delimiter and decimal mark, names, comments or preamble.
+
+Every dialect is tried on the last lines of the file. The one that parses most of them as rows of one width is chosen.
+Ambiguous files are refused with the option that resolves it.
+"""
 
 from __future__ import annotations
 
@@ -8,40 +12,59 @@ import gzip
 import io
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO, NamedTuple
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.records.formats.stamps import is_date, is_stamp
+from jointid.common.text import pluralise, short
+from jointid.common.units import UnitError, normalise_unit, unit
+from jointid.records.formats.scope import find_scope, read_scope
+from jointid.records.formats.stamps import Stamps, is_date, is_stamp
+from jointid.records.formats.table import (
+    TIME_NAME,
+    Block,
+    Table,
+    join_tables,
+    require_columns,
+    require_size,
+    require_width,
+)
 
-_COMMENTS = ("#", "%", "//")
-_HEAD = 65536  # bytes
+_BLANKS = " "  # the delimiter that stands for any run of blanks
+_COMMA_BLANK = ", "  # the delimiter beside decimal commas that is a comma with a blank behind it
+_DELIMITERS = (";", "\t", "|", ",", _BLANKS)  # of dialects that read a file alike, the first is taken
+_DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, of a name, of a line end
+_REMARKS = ("#", "%", "//", "sep=")  # "sep=;" is a note from one spreadsheet program to another
+_HEAD, _BEGINNING = 2**25, 2**20  # characters that tell how a file is written, which is read whole or in blocks
+_CELLS = 2**21  # that are read together
 _LONGEST = 2_500_000  # characters of a line: more than the widest table has
-_SPREADSHEET = "sep="  # "sep=;" is a note from one spreadsheet program to another
-
-BLANKS = " "
-"""The delimiter that stands for any run of blanks."""
-
-COMMA_BLANK = ", "
-"""The delimiter beside decimal commas that is a comma with a blank behind it."""
-
-_DELIMITERS = (";", "\t", "|", ",", BLANKS)  # of dialects that read a file alike, the first is taken
-_SAMPLE = 200  # lines that decide, from the end of the file, where the data is
-_COMMA_AND_BLANK = re.compile(r",[ \t]+")
-_LIST = re.compile(r'(?:^|(?<=[,;\t|]))("?)\[([-+\d.eEnaifNAIF,;\s]+)\]\1(?=$|[,;\t|])')  # a cell
-_SEPARATOR = re.compile(r"\s*,\s*|\s+")
-_SPLIT_NUMBER = re.compile(r"[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)  # a cell cut at the wrong mark
+_SAMPLE, _SAMPLE_SIZE = 200, 2**20  # lines, and their characters, that decide, from the end, where the data is
 _EXPONENT_OR_WORD = r"(?:e[+-]?\d+)?|nan|inf|infinity)"
 _NUMBERS = {
     ".": re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
     # Digits must follow a decimal comma, so that "1, 2" is never a number and a blank.
     ",": re.compile(r"[+-]?(?:\d+(?:,\d+)?" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
 }
+_SPLIT_NUMBER = re.compile(r"[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)  # a cell cut at the wrong mark
+# What numbers alone, but for NaN, do not contain; an exponent is behind a digit or a point.
+_WORDY = re.compile(r"[A-DF-Za-df-z_:/#\[]|(?<![\d.])[Ee]|\d-\d|\.\d*\.")
+_SEPARATOR = re.compile(r"\s*,\s*|\s+")  # of the numbers of a list in a cell
+_BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
+_NO_UNIT = ("", "-")
+_OTHER_UNITS = frozenset({
+    "V", "mV", "µV", "uV", "kV", "mA", "µA", "uA", "kA", "W", "kW", "VA", "Hz", "kHz", "MHz", "°C", "degC", "C", "K",
+    "bar", "Pa", "J", "g", "kg", "dB", "ppm", "m/s²", "m/s^2", "m/s2", "rad/s²", "rad/s2",
+    "LU", "Inkr", "Inkr.", "Arms", "Aeff", "A_eff", "A rms", "Apk", "Vrms",
+})  # fmt: skip
+_RUN = ("=", "+", "-", "@")  # with these a cell begins that a spreadsheet program takes for a formula
+_KINDS = {"t": "instants", "d": "dates without a time", "w": "words"}
 
 
 class Line(NamedTuple):
@@ -50,312 +73,507 @@ class Line(NamedTuple):
     number: int
     text: str
 
-
-@dataclass(frozen=True, slots=True)
-class TextFile:
-    """The content lines of a text, and the comment directly above."""
-
-    name: str
-    lines: list[Line]
-    comment: Line | None
-
-    def above(self, index: int) -> Line | None:
-        """Return the line above `lines[index]`; above the first, the comment."""
-        return self.lines[index - 1] if index else self.comment
-
-
-def is_gzip(path: Path) -> bool:
-    """Test for a text packed by gzip."""
-    return path.suffix.lower() == ".gz"
-
-
-def open_text(path: Path) -> IO[bytes]:
-    """Open the bytes of a text, unpacked."""
-    return gzip.open(path) if is_gzip(path) else path.open("rb")  # type: ignore[return-value]
-
-
-def is_remark(text: str) -> bool:
-    """Test for a comment."""
-    return text.lstrip().startswith((*_COMMENTS, _SPREADSHEET))
-
-
-def exceeds(path: Path, size: int) -> bool:
-    """Test for a text of more than `size` bytes, unpacked."""
-    if not is_gzip(path):
-        return path.stat().st_size > size
-    with open_text(path) as file:
-        left = size
-        while left >= 0 and (part := file.read(2**20)):
-            left -= len(part)
-    return left < 0
-
-
-def read_bytes(path: Path, most: int) -> bytes:
-    """Read the bytes of a text, unpacked; refuse more than `most`."""
-    with open_text(path) as file:
-        raw = file.read(most + 1)
-    if len(raw) > most:
-        raise RecordError(f"{path.name} has more than {most} bytes of text; cut it into shorter files.")
-    return raw
-
-
-def read_lines(path: Path) -> TextFile:
-    """Read a file in UTF-8, UTF-16 with byte order mark, or Latin-1."""
-    with open_text(path) as file:
-        raw = file.read()
-    text = decode(path, raw)
-    # str.splitlines would also split at form feeds and other marks that occur inside names.
-    every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    filled = ((number, line) for number, line in enumerate(every, start=1) if line and not line.isspace())
-    return build_text(path.name, list(open_lists(_line(path, number, line) for number, line in filled)))
-
-
-def decode(path: Path, raw: bytes) -> str:
-    """Decode UTF-8, UTF-16 with byte order mark, or Latin-1."""
-    try:
-        wide = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-        text = raw.decode("utf-16" if wide else "utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    if "\0" in text:
-        raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
-    return text
-
-
-def open_lists(lines: Iterable[Line]) -> Iterator[Line]:
-    """Yield lines with lists of numbers in cells opened: "[1, 2]" below "q" becomes two cells below q[0] and q[1].
-
-    Loggers write so where a row holds the values of all joints. The line above the first such row names the columns.
-    """
-    above, listed, opened = None, False, False
-    for line in lines:
-        mark, lists = _find_lists(line.text)
-        if lists:
-            if above is not None and not (listed or opened):
-                bare = _LIST.sub("", line.text)
-                places = [_LIST.sub("", line.text[: match.start()]).count(mark) for match in _LIST.finditer(line.text)]
-                names = above.text.split(mark)
-                if len(names) == bare.count(mark) + 1:
-                    for place, cells in zip(places, lists, strict=True):
-                        names[place] = mark.join(f"{names[place].strip()}[{k}]" for k in range(len(cells)))
-                    above, opened = Line(above.number, mark.join(names)), True
-            each = iter(lists)
-            line = Line(line.number, _LIST.sub(lambda _, mark=mark: mark.join(next(each)), line.text))  # type: ignore[misc]  # noqa: B023, PLW2901
-        if above is not None:
-            yield above
-        above, listed = line, bool(lists)
-    if above is not None:
-        yield above
-
-
-def _find_lists(text: str) -> tuple[str, list[list[str]]]:
-    """Return the delimiter of a line and the numbers in each of its lists; none where something else is in brackets."""
-    found = list(_LIST.finditer(text)) if "[" in text else []
-    if not found:
-        return ",", []
-    first = found[0]
-    mark = (text[first.start() - 1] if first.start() else text[first.end() : first.end() + 1]) or ","
-    lists = [_SEPARATOR.split(match[2].strip()) for match in found]
-    return mark, lists if all(is_number(cell) and mark not in cell for cells in lists for cell in cells) else []
-
-
-def build_text(name: str, filled: list[Line]) -> TextFile:
-    """Build a text from non-empty lines."""
-    lines = [line for line in filled if not is_remark(line.text)]
-    above = [line for line in filled if not lines or line.number < lines[0].number][-1:]
-    comments = [Line(n, line.lstrip(" \t#%/")) for n, line in above if not line.startswith(_SPREADSHEET)]
-    return TextFile(name, lines, comments[0] if comments else None)
-
-
-def stream_lines(path: Path) -> Iterator[Line]:
-    """Yield the non-empty lines of a file of any length, including comments.
-
-    The beginning determines the encoding.
-    """
-    with open_text(path) as raw:
-        head = raw.read(_HEAD)
-    encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
-    try:
-        beginning = codecs.getincrementaldecoder(encoding)().decode(head)
-    except UnicodeDecodeError:
-        encoding, beginning = "latin-1", head.decode("latin-1")
-    if "\0" in beginning:
-        raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
-    with (
-        open_text(path) as raw,
-        io.TextIOWrapper(raw, encoding=encoding, errors="replace") as file,
-    ):
-        # Not by iteration: a file may be one line that does not fit into memory.
-        for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
-            text = line.rstrip("\n")
-            if text and not text.isspace():
-                yield _line(path, number, text)
-
-
-def _line(path: Path, number: int, text: str) -> Line:
-    """Return a line; refuse one too long for a table."""
-    if len(text) > _LONGEST:
-        raise RecordError(
-            f"{path.name}: line {number} has more than {_LONGEST} characters; expected a row for each sample: is it a "
-            "matrix that lies on its side, or no text?"
-        )
-    return Line(number, text)
-
-
-def point_rows(rows: Sequence[Line], decimal: str) -> list[str]:
-    """Convert decimal commas to points; a point beside them invalidates the number."""
-    if decimal == ".":
-        return [row.text for row in rows]
-    return [row.text.replace(".", "?").replace(",", ".") for row in rows]
-
-
-def is_number(cell: str) -> bool:
-    """Test for one number, with point or comma, NaN or infinity."""
-    return any(pattern.fullmatch(cell) for pattern in _NUMBERS.values())
-
-
-class Kind(Enum):
-    """Kind of the cells of a column."""
-
-    NUMBER = "numbers"
-    STAMP = "instants"
-    DATE = "dates without a time"
-    WORD = "words"
+    @property
+    def is_remark(self) -> bool:
+        """Whether it is a comment."""
+        return self.text.lstrip().startswith(_REMARKS)
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """Delimiter, a character or `BLANKS`, and decimal mark."""
+    """Delimiter, a character, `_BLANKS` or `_COMMA_BLANK`, and decimal mark."""
 
     delimiter: str
     decimal: str
 
     def split(self, line: str) -> list[str]:
         """Split a line into cells, without blanks and quotes."""
-        if self.delimiter == COMMA_BLANK:
-            return [cell.strip(' \t"') for cell in _COMMA_AND_BLANK.split(line)]
+        if self.delimiter == _COMMA_BLANK:
+            return [cell.strip(' \t"') for cell in re.split(r",[ \t]+", line)]
         if '"' in line:
             reader = csv.reader([line.strip(" ")], delimiter=self.delimiter, skipinitialspace=True)
             return [cell.strip() for cell in next(reader)]
-        if self.delimiter == BLANKS:
-            return line.split()
-        return [cell.strip() for cell in line.split(self.delimiter)]
+        return line.split() if self.delimiter == _BLANKS else [cell.strip() for cell in line.split(self.delimiter)]
+
+    def kind(self, cell: str) -> str:
+        """Return a letter for a cell: empty, number, list of numbers, instant, date or word."""
+        if not cell:
+            return "e"
+        if _NUMBERS[self.decimal].fullmatch(cell):
+            return "n"
+        if cell[0] == "[" and cell[-1] == "]":
+            return "l" if all(map(_NUMBERS["."].fullmatch, _SEPARATOR.split(cell[1:-1].strip()))) else "w"
+        return "t" if is_stamp(cell) else "d" if is_date(cell) else "w"
+
+    def kinds(self, line: str) -> str:
+        """Return the letters of a line's cells."""
+        if self.delimiter == self.decimal and '"' not in line:
+            return "w"  # only quotes keep a decimal comma and a delimiting comma apart
+        return "".join(map(self.kind, self.split(line)))
 
     def number(self, cell: str) -> float:
         """Parse a cell, NaN if empty."""
-        if not cell:
-            return np.nan
-        if not _NUMBERS[self.decimal].fullmatch(cell):
+        if cell and not _NUMBERS[self.decimal].fullmatch(cell):
             raise ValueError(cell)
-        return float(cell.replace(self.decimal, "."))
+        return float(cell.replace(self.decimal, ".")) if cell else np.nan
 
-    def kind_of(self, cell: str) -> Kind:
-        """Return the kind of a filled cell."""
-        if _NUMBERS[self.decimal].fullmatch(cell):
-            return Kind.NUMBER
-        return Kind.STAMP if is_stamp(cell) else Kind.DATE if is_date(cell) else Kind.WORD
-
-    def width(self, line: str) -> int:
-        """Number of cells in a row of numbers; 0 for other lines."""
-        if self.delimiter == self.decimal and '"' not in line:
-            return 0  # only quotes keep a decimal comma and a delimiting comma apart
-        cells = self.split(line)
-        is_row = any(cells) and all(not cell or _NUMBERS[self.decimal].fullmatch(cell) for cell in cells)
-        return len(cells) if is_row else 0
+    def plain(self, text: str) -> str:
+        """Convert decimal commas to points; a point beside them invalidates the number."""
+        return text if self.decimal == "." else text.replace(".", "?").replace(",", ".")
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Rows under a dialect, and their commonest width.
-
-    Attributes:
-        kinds: of the columns, where not all of them hold numbers.
-    """
+    """How many lines are rows under a dialect, and the kinds of their columns."""
 
     dialect: Dialect
+    kinds: str
     rows: int
-    width: int
-    kinds: tuple[Kind, ...] | None = None
 
-    def first_row(self, lines: Sequence[str]) -> int:
-        """Return the index of the first row of this width."""
-        return next(i for i, line in enumerate(lines) if self.is_row(line))
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return len(self.kinds)
 
     def is_row(self, line: str) -> bool:
         """Test for a row: its cells hold what their columns do, or nothing."""
-        if self.kinds is None:
-            return self.dialect.width(line) == self.width
-        cells = self.dialect.split(line)
-        known = [(c, k) for c, k in zip(cells, self.kinds, strict=False) if k is not Kind.WORD and c]
-        return len(cells) == self.width and bool(known) and all(self.dialect.kind_of(c) is k for c, k in known)
+        return _is_row(self.dialect.kinds(line), self.kinds)
 
 
-def sniff(lines: Sequence[str], delimiter: str | None, decimal: str | None) -> list[Fit]:
-    """Return the best dialects for `lines`; two if ambiguous, none without numbers.
+def _is_row(found: str, kinds: str) -> bool:
+    known = [(one, kind) for one, kind in zip(found, kinds, strict=False) if kind not in "we" and one != "e"]
+    return len(found) == len(kinds) and bool(known) and all(one == kind for one, kind in known)
 
-    "1,5" is ambiguous: two integers, or a decimal comma (second). The last lines decide.
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Layout of a file's rows.
+
+    Attributes:
+        closed: whether the rows end with a delimiter.
+        kinds: of the columns, a letter each.
+        stamps: the columns that hold instants, by place.
+        passed: see `Table`.
     """
-    fits: list[Fit] = []
+
+    file: str
+    dialect: Dialect
+    names: Sequence[str]
+    closed: bool
+    kinds: str
+    stamps: Mapping[int, Stamps] = field(default_factory=dict)
+    passed: Mapping[str, str] = field(default_factory=dict)
+
+    def read(self, lines: Sequence[Line], ends: bool, count: int) -> Table:
+        """Parse the first `count` lines, which may include the end of the file."""
+        rows = [self.open_row(line) for line in lines[:count]]
+        columns: dict[str, FloatArray] = {}
+        if not self.kinds.strip("n"):
+            mark = None if self.dialect.delimiter == _BLANKS else self.dialect.delimiter
+            plain = [self.dialect.plain(row.text) for row in rows]
+            try:
+                values = np.loadtxt(plain, delimiter=mark, comments=None, ndmin=2)
+                columns = dict(zip(self.names, values.T, strict=True))
+            except (ValueError, TypeError):  # quotes, an empty cell or a fault: only the slow way can tell
+                columns = {}
+        if not columns:
+            cells = [self._split_row(row, ends and row is rows[-1]) for row in rows]
+            for place, kind in enumerate(self.kinds):
+                if kind in "ntl":
+                    columns |= self._parse(place, kind, rows, [row[place] for row in cells])
+        clock = [self.names[place] for place in self.stamps]
+        # A single column of instants is the clock, whatever its name.
+        is_clock = len(clock) == 1 and not any(map(TIME_NAME.fullmatch, columns))
+        return Table(
+            columns,
+            source=self.file,
+            units=dict.fromkeys(clock, "s"),
+            passed=self.passed,
+            clocks=dict.fromkeys((name for name in columns if name not in clock), clock[0]) if is_clock else {},
+        )
+
+    def _split_row(self, line: Line, last: bool) -> list[str]:
+        try:
+            cells = self.dialect.split(line.text)
+        except csv.Error as error:
+            raise RecordError(
+                f"{self.file}: line {line.number} cannot be split into cells ({error}); mend or delete that line."
+            ) from None
+        if len(cells) != len(self.names):
+            place = f"line {line.number}, the last," if last else f"line {line.number}"
+            remedy = "the file was cut off or ends in a remark; delete" if last else "mend or delete"
+            raise RecordError(
+                f"{self.file}: {place} has {pluralise(len(cells), 'cell')} for {pluralise(len(self.names), 'column')}; "
+                f"{remedy} that line."
+            )
+        return cells
+
+    def _parse(self, place: int, kind: str, rows: Sequence[Line], cells: Sequence[str]) -> dict[str, FloatArray]:
+        """Return the column of some cells; of lists of numbers "name[0]", "name[1]", ..."""
+        name = self.names[place]
+        if kind == "t":
+            try:
+                return {name: self.stamps[place].seconds(cells)}
+            except ValueError:
+                raise self._fault(place, rows, cells, is_stamp, "an instant as in the rows above") from None
+        try:
+            if kind == "n":
+                return {name: np.array([self.dialect.number(cell) for cell in cells])}
+            lists = [_SEPARATOR.split(cell[1:-1].strip()) for cell in cells]
+            return {f"{name}[{k}]": column for k, column in enumerate(np.array(lists, dtype=np.float64).T)}
+        except ValueError:
+            expected = "a number" if kind == "n" else "a list of numbers as long as in the other rows"
+            raise self._fault(
+                place, rows, cells, lambda cell: self.dialect.kind(cell) in f"e{kind}", expected
+            ) from None
+
+    def _fault(
+        self, place: int, rows: Sequence[Line], cells: Sequence[str], is_right: Callable[[str], object], expected: str
+    ) -> RecordError:
+        """Name the first cell at fault."""
+        row, cell = next(((r, c) for r, c in zip(rows, cells, strict=True) if not is_right(c)), (rows[-1], cells[-1]))
+        return RecordError(
+            f'{self.file}: line {row.number}, column "{self.names[place]}" holds "{short(cell)}", which is not '
+            f"{expected}; mend it or leave the cell empty."
+        )
+
+    def open_row(self, row: Line) -> Line:
+        """Leave out the delimiter at the end of a row."""
+        if not self.closed:
+            return row
+        return Line(row.number, row.text.rstrip(_BLANKS).removesuffix(self.dialect.delimiter))
+
+
+def check_options(delimiter: str | None = None, decimal: str | None = None, header: bool | None = None) -> None:
+    """Refuse options of text that cannot be.
+
+    Args:
+        delimiter: one character, " " for any run of blanks; None finds it.
+        decimal: "." or ","; None finds it.
+        header: True if the line above the first row holds names; None takes it as names if it has one cell
+            per column and none of them is a number.
+    """
+    if delimiter is not None and not (isinstance(delimiter, str) and _DELIMITER.fullmatch(delimiter)):
+        raise RecordError(f'The delimiter is one character, such as ";"; got {delimiter!r}.')
+    if decimal not in (None, ".", ","):
+        raise RecordError(f'The decimal mark is "." or ","; got {decimal!r}.')
+    if header not in (None, True, False):
+        raise RecordError(f"header is true or false; got {header!r}.")
+
+
+def read_text(
+    path: Path, delimiter: str | None = None, decimal: str | None = None, header: bool | None = None
+) -> Table:
+    """Read delimited text (CSV, TSV and their kin) in UTF-8, in UTF-16 with a byte order mark, or in Latin-1.
+
+    The line above the first row of numbers names the columns, be it a comment; a line of units between them
+    is joined to the names ("torque [N m]"). A column without a name is called by its number, from "1".
+    Empty cells are NaN. The first 32 MiB determine the dialect. An export of TwinCAT Scope is known by its header.
+    Options: see `check_options`.
+    """
+    lines = stream_lines(path, _HEAD)
+    beginning = list(_take(lines, _HEAD))
+    scope = None if header is False else find_scope([line.text for line in beginning if not line.is_remark])
+    if scope is not None:
+        return read_scope(path, scope, [line for line in chain(beginning, lines) if not line.is_remark], decimal)
+    tables, size = list[Table](), 0
+    for block in _split_blocks(path, beginning, lines, None, (delimiter, decimal, header)):
+        tables.append(block.table())
+        size += sum(values.size for values in tables[-1].columns.values())
+        require_size(path, size)
+    return join_tables(tables)
+
+
+def read_text_blocks(
+    path: Path, rows: int, delimiter: str | None = None, decimal: str | None = None, header: bool | None = None
+) -> Iterator[Block]:
+    """Yield blocks of `rows` rows; the first lines determine the dialect."""
+    lines = stream_lines(path, _BEGINNING)
+    beginning = list(_take(lines, _BEGINNING))
+    if find_scope([line.text for line in beginning if not line.is_remark]) is not None:
+        raise RecordError(
+            f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in chunks; "
+            "convert it to NPY."
+        )
+    yield from _split_blocks(path, beginning, lines, rows, (delimiter, decimal, header))
+
+
+def _split_blocks(
+    path: Path,
+    beginning: list[Line],
+    lines: Iterator[Line],
+    rows: int | None,
+    options: tuple[str | None, str | None, bool | None],
+) -> Iterator[Block]:
+    layout, start = _find_layout(path.name, beginning, *options)
+    found = chain(beginning[start:], lines)
+    content = (line for line in found if not line.is_remark)
+    rows = rows or max(_CELLS // len(layout.names), 1)
+    block = list(islice(content, rows))
+    while block:
+        following = list(islice(content, rows))
+        yield Block(len(block), partial(layout.read, block, not following))
+        block = following
+
+
+def open_text(path: Path) -> IO[bytes]:
+    """Open the bytes of a text, which may be packed by gzip."""
+    return gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb")  # type: ignore[return-value]
+
+
+def find_encoding(path: Path, head: bytes) -> str:
+    """Return the encoding of a text that begins so: UTF-8, UTF-16 with byte order mark, or Latin-1."""
+    encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    try:
+        text = codecs.getincrementaldecoder(encoding)().decode(head)
+    except UnicodeDecodeError:
+        encoding, text = "latin-1", head.decode("latin-1")
+    if "\0" in text:
+        raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
+    return encoding
+
+
+def stream_lines(path: Path, head: int) -> Iterator[Line]:
+    """Yield the non-empty lines of a file of any length, comments too; so many bytes determine the encoding."""
+    with open_text(path) as raw:
+        encoding = find_encoding(path, raw.read(head))
+    with open_text(path) as raw, io.TextIOWrapper(raw, encoding=encoding, errors="replace") as file:
+        # Not by iteration: a file may be one line that does not fit into memory.
+        for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
+            if len(line) > _LONGEST:
+                raise RecordError(
+                    f"{path.name}: line {number} has more than {_LONGEST} characters; expected a row for each sample: "
+                    "is it a matrix that lies on its side, or no text?"
+                )
+            if not line.isspace():
+                yield Line(number, line.rstrip("\n"))
+
+
+def _take(lines: Iterator[Line], characters: int) -> Iterator[Line]:
+    """Yield lines of so many characters."""
+    for line in lines:
+        yield line
+        characters -= len(line.text)
+        if characters < 0:
+            return
+
+
+def _find_layout(
+    file: str, beginning: Sequence[Line], delimiter: str | None, decimal: str | None, header: bool | None
+) -> tuple[Layout, int]:
+    """Return the layout of a file, and the place of its first row."""
+    content = [(place, line) for place, line in enumerate(beginning) if not line.is_remark]
+    lines = [line for _, line in content]
+    fit = _find_fit(file, lines, delimiter, decimal)
+    first = next(index for index, line in enumerate(lines) if fit.is_row(line.text))
+    start = content[first][0]
+    dialect, width, rows = fit.dialect, fit.width, lines[first:]
+    # Where all rows end with the delimiter, their empty last cell is a column only if it has a name.
+    closed = dialect.delimiter != _BLANKS and all(
+        row.text.rstrip(_BLANKS).endswith(dialect.delimiter) for row in rows[:-1] or rows
+    )
+    remark = None if start == 0 or beginning[start - 1].text.startswith("sep=") else beginning[start - 1]
+    above = lines[first - 1] if first else remark and Line(remark.number, remark.text.lstrip(" \t#%/"))
+    over = lines[first - 2].text if first > 1 else None
+    named = _find_names(file, above, over, fit, closed, header, is_remark=first == 0)
+    unnamed = closed and (named is None or len(named) < width or not named[-1])
+    width -= unnamed
+    names = [name or str(i) for i, name in enumerate(named or [""] * width, start=1)][:width]
+    require_width(Path(file), width)
+    count = Counter(names)
+    passed = {name: f"the name of {several} columns" for name, several in count.items() if several > 1}
+    names = [f"column {i}: {name}" if name in passed else name for i, name in enumerate(names, start=1)]
+    return _sort_columns(Layout(file, dialect, names, unnamed, "n" * width, passed=passed), rows), start
+
+
+def _find_fit(file: str, lines: Sequence[Line], delimiter: str | None, decimal: str | None) -> Fit:
+    """Choose the dialect, by the line of names if ambiguous.
+
+    "1,5" is ambiguous: two integers, or a decimal comma. The last lines decide.
+    """
+    sample = list(_take(reversed(lines[-_SAMPLE:]), _SAMPLE_SIZE))[::-1]
     dialects = [Dialect(m, p) for m in ((delimiter,) if delimiter else _DELIMITERS) for p in (decimal or ".,")]
     if delimiter is None and decimal != ".":
-        dialects.append(Dialect(COMMA_BLANK, ","))
-    for dialect in dialects:
-        widths = Counter(width for line in lines[-_SAMPLE:] if (width := dialect.width(line)))
-        fits.extend(Fit(dialect, rows, width) for width, rows in widths.most_common(1))
-    best = _prefer_blanks(fits, max(fits, key=lambda fit: (fit.rows, fit.width > 1), default=None))
-    if best is None or 2 * best.rows < len(lines[-_SAMPLE:]):
-        mixed = [fit for dialect in dialects for fit in _fit_cells(lines[-_SAMPLE:], dialect)]
-        chosen = _prefer_blanks(mixed, max(mixed, key=_count_read, default=None))
+        dialects.append(Dialect(_COMMA_BLANK, ","))
+    fits = [fit for dialect in dialects for fit in _fit(dialect, sample)]
+    plain = [fit for fit in fits if not fit.kinds.strip("n")]
+    best = _prefer_blanks(plain, max(plain, key=lambda fit: (fit.rows, fit.width > 1), default=None))
+    if best is None or 2 * best.rows < len(sample):
+        mixed = [fit for fit in fits if fit not in plain]
+        chosen = _prefer_blanks(mixed, max(mixed, key=lambda f: f.rows * len(f.kinds.strip("dwe")), default=None))
         if chosen is not None and (best is None or chosen.rows > 2 * best.rows):
-            return [chosen]
+            return chosen
     if best is None:
-        return []
-    if best.dialect.delimiter == COMMA_BLANK:
-        return [best]
-    pairs = [fit for fit in fits if fit.width == 2 and fit.dialect.delimiter == ","]
-    singles = [fit for fit in fits if fit.width == 1 and fit.dialect.decimal == ","]
-    if pairs and singles and best.rows == singles[0].rows:
-        return [pairs[0], singles[0]]
+        raise RecordError(
+            f"{file} has no row of numbers; expected columns of numbers with a decimal point or a decimal comma, "
+            "without thousands separators."
+        )
+    if best.dialect.delimiter == _COMMA_BLANK:
+        return best
+    pair = next((fit for fit in plain if fit.width == 2 and fit.dialect.delimiter == ","), None)
+    single = next((fit for fit in plain if fit.width == 1 and fit.dialect.decimal == ","), None)
+    if pair and single and best.rows == single.rows:
+        first = next(index for index, line in enumerate(lines) if single.is_row(line.text))
+        if first:
+            return pair if len(_split_names(lines[first - 1].text, pair)) == pair.width else single
+        raise RecordError(
+            f'{file} can be read in two ways: "{lines[0].text}" is one number with a decimal comma, or two whole '
+            'numbers; give decimal = "," or delimiter = ",".'
+        )
     # A drive that stands still at the end logs whole numbers there: the decimal mark shows further up.
-    twins = [f for f in fits if f.rows == best.rows and f.dialect.delimiter == best.dialect.delimiter]
-    marked = [line for line in lines if "." in line or "," in line] if len(twins) > 1 else []
-    return [max(twins, key=lambda fit: sum(fit.dialect.width(line) == fit.width for line in marked))]
+    twins = [f for f in plain if f.rows == best.rows and f.dialect.delimiter == best.dialect.delimiter]
+    marked = [line.text for line in lines if "." in line.text or "," in line.text] if len(twins) > 1 else []
+    return max(twins, key=lambda fit: sum(map(fit.is_row, marked)))
+
+
+def _fit(dialect: Dialect, lines: Sequence[Line]) -> Iterator[Fit]:
+    """Yield how a dialect reads lines: as rows of numbers alone, and as rows that also hold something else."""
+    try:
+        every = [dialect.kinds(line.text) for line in lines]
+    except csv.Error:
+        return
+    numbers = Counter(len(kinds) for kinds in every if "n" in kinds and not kinds.strip("ne"))
+    for width, rows in numbers.most_common(1):
+        yield Fit(dialect, "n" * width, rows)
+    width = Counter(map(len, every)).most_common(1)[0][0] if every else 0
+    kinds = _commonest([found for found in every if len(found) == width], width)
+    rows = sum(_is_row(found, kinds) for found in every)
+    if width < 2 or "n" not in kinds or not kinds.strip("n") or not rows:
+        return
+    alike = (dialect.split(line.text) for line, found in zip(lines, every, strict=True) if len(found) == width)
+    words = {cell for cells in alike for cell, kind in zip(cells, kinds, strict=True) if kind == "w"}
+    if not any(_SPLIT_NUMBER.fullmatch(cell) and dialect.kind(cell) == "w" for cell in words):
+        yield Fit(dialect, kinds, rows)
+
+
+def _commonest(rows: Sequence[str], width: int) -> str:
+    """Return the commonest kind of each column's filled cells; numbers for an empty column."""
+    found = (Counter(kinds[place] for kinds in rows) for place in range(width))
+    return "".join(max("nltdw", key=lambda kind, count=count: count[kind]) for count in found)  # type: ignore[misc]
 
 
 def _prefer_blanks(fits: Sequence[Fit], best: Fit | None) -> Fit | None:
     """Prefer fewer columns between ", ": the commas without a blank behind them are decimal marks."""
-    spaced = next((fit for fit in fits if fit.dialect.delimiter == COMMA_BLANK), None)
+    spaced = next((fit for fit in fits if fit.dialect.delimiter == _COMMA_BLANK), None)
     return spaced if spaced and best and spaced.rows == best.rows and 1 < spaced.width < best.width else best
 
 
-def _count_read(fit: Fit) -> int:
-    return fit.rows * sum(kind in (Kind.NUMBER, Kind.STAMP) for kind in fit.kinds or ())
+def _find_names(
+    file: str, above: Line | None, over: str | None, fit: Fit, closed: bool, header: bool | None, *, is_remark: bool
+) -> list[str] | None:
+    """Cells of the line above the rows, joined to those of the line over it; None without names."""
+    if above is None or header is False:
+        if header:
+            raise RecordError(f"{file} has no line above the numbers; leave header = true out.")
+        return None
+    names = _split_names(above.text, fit)
+    fits = len(names) == fit.width or (closed and len(names) == fit.width - 1)
+    number = next((name for name in names if any(one.fullmatch(name) for one in _NUMBERS.values())), None)
+    if header is None:
+        if is_remark and (number or not fits):
+            return None
+        if number:
+            raise RecordError(
+                f'{file}: line {above.number} ("{short(above.text)}") stands above the first row and holds the number '
+                f'"{number}"; mend it if it is a row, give header = true if it holds names, header = false if it is a '
+                "remark."
+            )
+        if len(names) == 1 and not fits:
+            return None  # the last line of a preamble
+    if not fits:
+        raise RecordError(
+            f"{file}: line {above.number} has {pluralise(len(names), 'name')} for {pluralise(fit.width, 'column')}; "
+            "export it with a decimal point, mend it, or give header = false to call the columns by their numbers."
+        )
+    return names if over is None else _add_units(fit.dialect.split(over), names)
 
 
-def _fit_cells(lines: Sequence[str], dialect: Dialect) -> Iterator[Fit]:
-    """Yield the fit of rows that also hold instants or words."""
-    if dialect.delimiter == dialect.decimal or not lines:
-        return
+def _split_names(text: str, fit: Fit) -> list[str]:
+    """Split a line of names; a delimiter at its end is none."""
+    spaced = fit.dialect.delimiter == _COMMA_BLANK
+    names = (replace(fit.dialect, delimiter=",") if spaced else fit.dialect).split(text)
+    while len(names) > fit.width and not names[-1]:
+        names.pop()
+    return names
+
+
+def _add_units(over: list[str], names: list[str]) -> list[str]:
+    """Join a line of units to the names above it."""
+    units = [match[1] or match[2] if (match := _BRACKETED.fullmatch(cell)) else cell for cell in names]
+    bare = [cell for cell in names if cell not in _NO_UNIT and not _BRACKETED.fullmatch(cell)]
+    if len(over) != len(names) or not any(units) or not all(map(_is_unit, bare)):
+        return names
+    if len(names) == 1 and bare:
+        return names  # under a remark, "m" alone is as well a name
+    return [name if u in _NO_UNIT else f"{name} [{u}]" for name, u in zip(over, units, strict=True)]
+
+
+def _is_unit(text: str) -> bool:
     try:
-        split = [dialect.split(line) for line in lines]
+        unit(normalise_unit(text))
+    except UnitError:
+        return text in _OTHER_UNITS
+    return True
+
+
+def _sort_columns(layout: Layout, rows: Sequence[Line]) -> Layout:
+    """Find the columns of instants, of lists, and those of words, which are passed over."""
+    if not any(_WORDY.search(row.text) for row in rows):
+        return layout
+    width, dialect = len(layout.names), layout.dialect
+    try:
+        split = [(row, dialect.split(layout.open_row(row).text)) for row in rows]
     except csv.Error:
-        return
-    width, _ = Counter(map(len, split)).most_common(1)[0]
-    alike = [cells for cells in split if len(cells) == width]
-    kinds = kinds_of(dialect, alike, width)
-    words = {cell for cells in alike for cell, kind in zip(cells, kinds, strict=True) if kind is Kind.WORD}
-    cut = any(_SPLIT_NUMBER.fullmatch(cell) and dialect.kind_of(cell) is Kind.WORD for cell in words)
-    if width < 2 or Kind.NUMBER not in kinds or cut:
-        return
-    fit = Fit(dialect, 0, width, kinds)
-    if rows := sum(map(fit.is_row, lines)):
-        yield replace(fit, rows=rows)
+        return layout  # the row at fault is named when it is read
+    alike = [(row, cells, "".join(map(dialect.kind, cells))) for row, cells in split if len(cells) == width]
+    kinds = _commonest([found for _, _, found in alike], width)
+    passed, stamps = dict(layout.passed), dict[int, Stamps]()
+    for place, kind in enumerate(kinds):
+        own = ((row.number, cells[place]) for row, cells, found in alike if found[place] == kind)
+        if kind == "t":
+            try:
+                stamps[place] = Stamps.of([cell for _, cell in own])
+            except ValueError:
+                passed[layout.names[place]] = "its instants are not written alike"
+        elif kind in "dw":
+            line, cell = next(own)
+            passed[layout.names[place]] = f'it holds {_KINDS[kind]}, such as "{short(cell)}" in line {line}'
+    kinds = "".join("w" if k == "t" and place not in stamps else k for place, k in enumerate(kinds))
+    return replace(layout, kinds=kinds, stamps=stamps, passed=passed)
 
 
-def kinds_of(dialect: Dialect, rows: Sequence[Sequence[str]], width: int) -> tuple[Kind, ...]:
-    """Return the commonest kind of each column's filled cells; numbers for an empty column."""
-    kinds = []
-    for column in range(width):
-        found = Counter(dialect.kind_of(cells[column]) for cells in rows if cells[column])
-        kinds.append(max(Kind, key=lambda kind: found[kind]))
-    return tuple(kinds)
+def write_text(path: Path, table: Table, delimiter: str | None = None, decimal: str | None = None, **_: object) -> None:
+    """Write delimited UTF-8 with round-trip precision.
+
+    Default delimiter and decimal mark are comma and point, or semicolon beside a decimal comma. Numbered columns
+    have no header. Names that would read as numbers or spreadsheet formulas are refused.
+    """
+    require_columns(table, "Delimited text")
+    mark, point = delimiter or (";" if decimal == "," else ","), decimal or "."
+    if mark == point:
+        raise RecordError('A comma cannot be both delimiter and decimal mark of what is written; give delimiter = ";".')
+    cells = ([repr(value).replace(".", point) for value in values.tolist()] for values in table.columns.values())
+    rows = map(mark.join, zip(*cells, strict=True))
+    path.write_text("\n".join([*_write_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
+
+
+def _write_header(table: Table, delimiter: str) -> list[str]:
+    """Header lines; empty for numbered columns."""
+    names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
+    if not any(names):
+        return []
+    for name in names:
+        if name.startswith(_RUN):
+            raise RecordError(
+                f"The column name {name!r} begins with a mark by which spreadsheet programs know a formula, which they "
+                "would run when they open the file; rename the column, or write a .npy or .mat file."
+            )
+        if not name.isprintable() or name != name.strip() or any(one.fullmatch(name) for one in _NUMBERS.values()):
+            raise RecordError(
+                f"The column name {name!r} would not be read back from delimited text: a name is printable, is no "
+                "number and does not begin or end with a blank; rename the column."
+            )
+    special = re.compile(rf'[,;|"\t{re.escape(delimiter)}]')
+    quoted = [special.search(name) or name.startswith(_REMARKS) for name in names]
+    doubled = [name.replace('"', '""') for name in names]
+    return [delimiter.join(f'"{name}"' if q else name for name, q in zip(doubled, quoted, strict=True))]

@@ -1,0 +1,328 @@
+"""ROS 2 bags, a folder or a file (MCAP or SQLite), with one clock per topic.
+
+The library rosbags reads the files and parses the definitions of messages. It would compile these to Python code and
+run it, so messages (CDR version 1 of the Object Management Group) are decoded here, by interpretation. Every length is
+checked against the available bytes and a budget.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import struct
+from array import array
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+from urllib.parse import quote
+
+import numpy as np
+
+from jointid.common.errors import RecordError, extra
+from jointid.records.formats.table import Found, Table, require_size
+
+SUFFIXES = (".mcap", ".db3")
+"""Endings of the files of a bag."""
+
+_NUMBERS = {
+    "bool": "B", "byte": "B", "octet": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
+    "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
+}  # fmt: skip
+_TIME = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_NAMING = ("name", "names", "joint_names", "interface_names")
+_OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
+_BUDGET, _DEEPEST = 20_000, 16  # values and parts of one message, messages within messages
+_MOTORS = 64  # messages of an array without names; more are no motors of a robot
+_WIDEST_ARRAY, _WIDEST_TOPIC = 256, 1000  # columns of an array without names (a longer one is a picture), of a topic
+_TOPICS = 2000  # of a file; the library compares each with all
+_DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before counts from some beginning
+_SQLITE = b"SQLite format 3\0"
+_HIDDEN = (2, 3)  # how a table says that a column is generated
+_DIGITS = re.compile(r"(\d+)")
+
+Value: TypeAlias = Any
+"""A number, an array, a text, a message (a dictionary) or a list of messages or texts."""
+
+
+class SkippedTopicError(ValueError):
+    """A valid message without columns of numbers; the text says why."""
+
+
+class Instant(int):
+    """A time or a duration in nanoseconds."""
+
+
+class Field(NamedTuple):
+    """A message field: type, name and length (None: one value, -1: any number)."""
+
+    type: str
+    name: str
+    length: int | None
+
+
+Types: TypeAlias = Mapping[str, tuple[Field, ...]]
+"""Fields of messages, by the names of their types."""
+
+
+def read_bag(path: Path) -> Table:
+    """Read every topic of numbers: columns, and the clock "/topic/time".
+
+    Joint states are "/topic/joint/position", likewise velocity and effort; single numbers "/topic", arrays "/topic[0]",
+    other fields their path, if the bag has the definition. The clock is the header stamp or else the log time, in
+    seconds; dates count from the first of the bag. Missing numbers are NaN.
+    """
+    extra("rosbags", "logs", "Reading ROS 2 bags")
+    found, topics, count = Found(path), dict[str, _Topic](), 0
+    for file in list_files(path):
+        for name, kind, types, logged, data in _read_messages(file):
+            if name in found.passed:
+                continue
+            topic = topics.setdefault(name, _Topic(name, kind))
+            try:
+                if topic.kind != kind:
+                    raise SkippedTopicError("its messages are of more than one kind")
+                count += topic.take(types, logged, data)
+            except KeyError:
+                found.passed[name] = f"the bag has no definition of {kind}"
+            except SkippedTopicError as error:
+                found.passed[name] = str(error)
+            require_size(path, count)
+    read = {name: topic.columns() for name, topic in topics.items() if name not in found.passed}
+    dates = [stamps.min() for stamps, columns in read.values() if columns and stamps.min() >= _DATE]
+    for name, (stamps, columns) in read.items():
+        if columns:
+            zero = min(dates) if stamps.min() >= _DATE else 0
+            found.add(f"{name}/time", (stamps - zero) / 1e9, "s")
+        for column, values in columns.items():
+            found.add(column, values, clock=f"{name}/time")
+    return found.table()
+
+
+def list_files(path: Path) -> list[Path]:
+    """Files of a bag in order."""
+    if not path.is_dir():
+        return [path]
+    found = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+    if not found:
+        packed = any(file.name.endswith(".zstd") for file in path.iterdir())
+        remedy = "unpack its .zstd files first" if packed else "name the folder of a bag, or a file"
+        raise RecordError(f"{path.name} is a folder without an .mcap or .db3 file; {remedy}.")
+    return sorted(found, key=lambda file: [int(p) if p.isdigit() else p for p in _DIGITS.split(file.name)])
+
+
+@dataclass(slots=True)
+class _Topic:
+    """The messages of one topic, as growing columns."""
+
+    name: str
+    kind: str
+    logged: array[int] = field(default_factory=lambda: array("q"))
+    stamped: array[int] = field(default_factory=lambda: array("q"))
+    numbers: dict[str, array[float]] = field(default_factory=dict)
+
+    def take(self, types: Types, time: int, data: bytes) -> int:
+        """Add a message, and return how many numbers it may have.
+
+        Raises:
+            KeyError: an unknown type.
+            SkippedTopicError: too many parts, or duplicate names.
+        """
+        fields, row = decode_message(self.kind, data, types), len(self.logged)
+        self.logged.append(time)
+        header = fields.get("header")
+        stamp = header.get("stamp") if isinstance(header, dict) else None
+        if isinstance(stamp, Instant) and stamp:
+            self.stamped.append(stamp)
+        for path, value in _flatten(fields, self.name):
+            column = self.numbers.setdefault(path, array("d"))
+            column.extend([np.nan] * (row - len(column)))  # of the messages before, which had no such number
+            if len(column) > row:
+                raise SkippedTopicError(f"a message of it has two numbers called {path!r}")
+            column.append(value)
+        if len(self.numbers) > _WIDEST_TOPIC:
+            raise SkippedTopicError(f"it has more than {_WIDEST_TOPIC} numbers")
+        return len(self.numbers) + 1
+
+    def columns(self) -> tuple[np.ndarray[Any, np.dtype[np.int64]], dict[str, np.ndarray[Any, np.dtype[np.float64]]]]:
+        """Return the stamps in nanoseconds, in their order, and the columns."""
+        stamps = np.array(self.stamped if len(self.stamped) == len(self.logged) else self.logged, dtype=np.int64)
+        order = np.argsort(np.array(self.logged, dtype=np.int64), kind="stable")
+        columns = {}
+        for name, values in self.numbers.items():
+            values.extend([np.nan] * (len(self.logged) - len(values)))
+            columns[name] = np.array(values, dtype=np.float64)[order]
+        return stamps[order], {name: values for name, values in columns.items() if not np.isnan(values).all()}
+
+
+def decode_message(name: str, data: bytes, types: Types) -> dict[str, Value]:
+    """Decode a message of type `name`, "package/msg/Type".
+
+    Raises:
+        ValueError: invalid bytes.
+        SkippedTopicError: too many parts.
+        KeyError: an unknown type.
+    """
+    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+        raise ValueError("the message is not plain CDR")
+    return _Decoder(types, data[4:], "<" if data[1] else ">").message(name, 0)
+
+
+class _Decoder:
+    """The bytes of one message, read from front to back, aligned from the end of its header."""
+
+    def __init__(self, types: Types, data: bytes, order: str) -> None:
+        self.types, self.data, self.order = types, data, order
+        self.at, self.budget = 0, _BUDGET
+
+    def message(self, name: str, deep: int) -> dict[str, Value]:
+        if deep > _DEEPEST:
+            raise ValueError("messages within messages without end")
+        fields = self.types[name]
+        if not fields:
+            self.take("B", 1)  # a message without fields is a byte long
+        return {field.name: self.member(field, deep) for field in fields}
+
+    def member(self, field: Field, deep: int) -> Value:
+        if field.length is None:
+            return self.value(field.type, deep)
+        count = int(self.number("I")) if field.length < 0 else field.length
+        if field.type in _NUMBERS:
+            code = _NUMBERS[field.type]
+            start = self.take(code, count) if count else self.at
+            return np.frombuffer(self.data, self.order + code, count, start)
+        if count > len(self.data) - self.at:  # each is a byte long at least
+            raise ValueError("the message is shorter than it says")
+        self.spend(count)
+        return [self.value(field.type, deep) for _ in range(count)]
+
+    def value(self, kind: str, deep: int) -> Value:
+        self.spend(1)
+        if kind in _NUMBERS:
+            return float(self.number(_NUMBERS[kind]))
+        if kind == "string":
+            count = int(self.number("I"))
+            start = self.take("B", count)
+            return self.data[start : start + max(count - 1, 0)].decode("utf-8", "replace")
+        if kind in _TIME:
+            return Instant(int(self.number("i")) * 10**9 + int(self.number("I")))
+        return self.message(kind, deep + 1)
+
+    def number(self, code: str) -> Any:
+        return struct.unpack_from(self.order + code, self.data, self.take(code, 1))[0]
+
+    def take(self, code: str, count: int) -> int:
+        """Skip alignment and `count` items; return their offset."""
+        size = struct.calcsize("=" + code)
+        start = self.at + -self.at % size
+        if start + count * size > len(self.data):
+            raise ValueError("the message is shorter than it says")
+        self.at = start + count * size
+        return start
+
+    def spend(self, count: int) -> None:
+        self.budget -= count
+        if self.budget < 0:
+            raise SkippedTopicError(f"a message of it has more than {_BUDGET} parts")
+
+
+def _flatten(message: Mapping[str, Value], path: str, names: list[str] | None = None) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a message by path.
+
+    Arrays as long as the list of joint names beside or above them use these, "path/joint/field"; others use indices,
+    "path/field[0]", as do arrays of messages, "path/field[0]/inner". Bytes, long arrays and text are skipped.
+    """
+    own = (value for key in _NAMING if isinstance(value := message.get(key), list) and value)
+    names = next((value for value in own if isinstance(value[0], str)), names)
+    for key, value in message.items():
+        inner = "" if key in _OF_ITS_OWN else f"/{key}"
+        if isinstance(value, Instant):
+            yield f"{path}{inner}", value / 1e9
+        elif isinstance(value, float):
+            yield f"{path}{inner}", value
+        elif isinstance(value, dict) and key not in ("header", "layout"):
+            yield from _flatten(value, f"{path}{inner}", names)
+        elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1 and value.size <= _WIDEST_ARRAY:
+            named = names if names is not None and len(names) == value.size else None
+            for index, one in enumerate(value.tolist()):
+                yield f"{path}{inner}[{index}]" if named is None else f"{path}/{named[index]}{inner}", one
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            if names and len(value) == len(names):
+                for name, part in zip(names, value, strict=True):
+                    yield from _flatten(part, f"{path}/{name}")
+            elif len(value) <= _MOTORS:
+                for index, part in enumerate(value):
+                    yield from _flatten(part, f"{path}{inner}[{index}]")
+
+
+def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
+    """Yield topic, type, definitions, log time in nanoseconds and bytes of each message in CDR."""
+    from rosbags.rosbag2 import Reader
+
+    with file.open("rb") as raw:
+        is_database = raw.read(len(_SQLITE)) == _SQLITE
+    if is_database:
+        _require_plain_tables(file)
+    # The library puts the path of a database into an address as it is.
+    place = Path(quote(str(file.absolute()), safe="/:\\")) if is_database else file
+    storage = Reader.STORAGE_PLUGINS[".db3" if is_database else ".mcap"](place)
+    storage.open()
+    with closing(storage):
+        every: list[Any] = list(storage.connections)
+        links = [link for link in every if link.ext.serialization_format == "cdr"]
+        _require_few_topics(file, len(links))
+        asked = {link.id: (link.msgtype, str(link.msgdef.data) * (link.msgdef.format.name == "MSG")) for link in links}
+        known = {one: message_types(*one) for one in set(asked.values())}
+        for link, time, data in storage.messages(links):
+            yield link.topic, link.msgtype, known[asked[link.id]], time, data
+
+
+def _require_few_topics(file: Path, count: int) -> None:
+    if count > _TOPICS:
+        raise RecordError(
+            f"{file.name} has {count} topics (at most {_TOPICS} are read); record only the topics of the joint."
+        )
+
+
+def _require_plain_tables(file: Path) -> None:
+    """Refuse a database with computed tables or too many topics."""
+    place = f"file:{quote(str(file.absolute()), safe='/:')}?mode=ro&immutable=1"
+    with closing(sqlite3.connect(place, uri=True)) as base:
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**26)
+        for kind, name in base.execute("SELECT type, name FROM sqlite_master"):
+            described = base.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,)) if kind == "table" else ()
+            if kind in ("view", "trigger") or any(hidden in _HIDDEN for (hidden,) in described):
+                raise RecordError(
+                    f"{file.name} has a {kind} {name!r} whose content is computed, which no bag has; record it again."
+                )
+        (count,) = base.execute("SELECT count(*) FROM (SELECT 1 FROM topics LIMIT 1000000)").fetchone()
+        _require_few_topics(file, count)
+
+
+def message_types(name: str, text: str) -> Types:
+    """Definitions of a message type and its dependencies, if known; an empty text selects ROS's own definition."""
+    from rosbags.typesys import TypesysError, get_types_from_msg
+    from rosbags.typesys.stores.ros2_humble import FIELDDEFS
+
+    try:
+        own = get_types_from_msg(text, name) if text.strip() else {}
+    except TypesysError:
+        own = {}
+    found: dict[str, tuple[Field, ...]] = {}
+    wanted = [name]
+    while wanted:
+        kind = wanted.pop()
+        definition = own.get(kind) or FIELDDEFS.get(kind)
+        if definition is None or kind in found:
+            continue
+        found[kind] = tuple(_parse_member(key, *described) for key, described in definition[1])
+        wanted += [field.type for field in found[kind] if "/" in field.type]
+    return found
+
+
+def _parse_member(name: str, shape: Any, described: Any) -> Field:
+    if shape.name in ("BASE", "NAME"):
+        return Field(described[0] if shape.name == "BASE" else described, name, None)
+    (_, inner), length = described
+    return Field(inner if isinstance(inner, str) else inner[0], name, length if shape.name == "ARRAY" else -1)

@@ -1,0 +1,231 @@
+"""Apache Parquet and National Instruments' TDMS: columns with their units, and clocks of waveforms."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError, extra
+from jointid.records.formats.table import Block, Found, Table, require_columns, require_size, to_numbers
+
+_GROUP = 65536  # rows of Parquet that are written, and decoded, together
+_LONGEST_LIST = 1000  # columns of a column of lists
+_UNITS = (b"units", b"unit")
+_TEXT, _CONTAINER = 2**24, 2**20  # bytes and items of one entry of a file's description
+_RAGGED = "its lists are empty, too long or of several lengths"
+_NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
+_TDMS_UNITS = ("unit_string", "unit", "units", "Unit")
+_STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
+_UNSET = np.datetime64("1904-01-02")  # LabVIEW counts from the day before; an instant nobody set is that
+
+Arrow: TypeAlias = Any
+"""An object of pyarrow, which has no types."""
+
+Nptdms: TypeAlias = Any
+"""An object of npTDMS, which has no types."""
+
+
+def read_parquet(path: Path) -> Table:
+    """Read every column of numbers, booleans or instants; null is NaN, a list "name[0]", a member "name.member"."""
+    with _open_parquet(path) as file:
+        about = file.metadata
+        groups = [about.row_group(index) for index in range(about.num_row_groups)]
+        held = sum(group.column(index).num_values for group in groups for index in range(about.num_columns))
+        require_size(path, max(held, about.num_rows * about.num_columns))
+        return _decode(path, file, file.read(columns=_list_wanted(file), use_threads=False), {})
+
+
+def read_parquet_blocks(path: Path, rows: int) -> Iterator[Block]:
+    """Yield so many rows after so many; instants count from the file's first one."""
+    begins: dict[str, np.datetime64] = {}
+    with _open_parquet(path) as file:
+        for batch in file.iter_batches(rows, columns=_list_wanted(file), use_threads=False):
+            table = _decode(path, file, batch, begins)
+            yield Block(table.rows, partial(_cut, table))
+
+
+def _cut(table: Table, rows: int) -> Table:
+    columns = {name: values[:rows] for name, values in table.columns.items()}
+    return Table(columns, source=table.source, units=table.units, passed=table.passed)
+
+
+@contextmanager
+def _open_parquet(path: Path) -> Iterator[Arrow]:
+    parquet = extra("pyarrow.parquet", "logs", f"Reading {path.name}")
+    # Not mapped, and read as it is asked for: memory holds what is decoded, and little else.
+    with (
+        path.open("rb") as raw,
+        parquet.ParquetFile(
+            raw,
+            buffer_size=2**20,
+            pre_buffer=False,
+            thrift_string_size_limit=_TEXT,
+            thrift_container_size_limit=_CONTAINER,
+            page_checksum_verification=True,
+        ) as file,
+    ):
+        yield file
+
+
+def _list_wanted(file: Arrow) -> list[str]:
+    """Names of the columns that may be numbers; lists of several lengths, by the file's own count, are not decoded."""
+    about, sizes = file.metadata, dict[str, set[float]]()
+    for group in (about.row_group(index) for index in range(about.num_row_groups)):
+        for column in (group.column(index) for index in range(about.num_columns)):
+            name, inner, _ = str(column.path_in_schema).partition(".list.")
+            if inner and group.num_rows:
+                sizes.setdefault(name, set()).add(column.num_values / group.num_rows)
+    ragged = {name for name, found in sizes.items() if len(found) > 1 or max(found) > _LONGEST_LIST or max(found) % 1}
+    return [one.name for one in file.schema_arrow if _may_be_numbers(one.type) and one.name not in ragged]
+
+
+def _may_be_numbers(kind: Arrow) -> bool:
+    types = extra("pyarrow.types", "logs", "Reading Parquet")
+    if types.is_struct(kind):
+        return any(_may_be_numbers(kind.field(index).type) for index in range(kind.num_fields))
+    if types.is_dictionary(kind) or types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind):
+        return _may_be_numbers(kind.value_type)
+    return bool(types.is_primitive(kind) or types.is_decimal(kind))
+
+
+def _decode(path: Path, file: Arrow, batch: Arrow, begins: dict[str, np.datetime64]) -> Table:
+    """Return the rows of a batch; `begins` is the first instant of the first column of instants of all."""
+    found, schema = Found(path), file.schema_arrow
+    for index, name in enumerate(batch.schema.names):
+        array = batch.column(index)
+        _take_array(found, name, array.combine_chunks() if hasattr(array, "combine_chunks") else array, begins)
+    for entry in schema:
+        unit = next((entry.metadata[key] for key in _UNITS if key in (entry.metadata or {})), b"")
+        text = "s" if str(entry.type).startswith(("timestamp", "duration", "time")) else unit.decode("utf-8", "replace")
+        found.units |= {entry.name: text.strip()} if text.strip() else {}
+        if entry.name not in batch.schema.names:
+            held = str(entry.type).partition("<")[0]
+            found.passed[entry.name] = _RAGGED if "list" in held else f"it holds {held.replace('large_', '')}"
+    return found.table()
+
+
+def _take_array(found: Found, name: str, array: Arrow, begins: dict[str, np.datetime64]) -> None:
+    types, kind = extra("pyarrow.types", "logs", "Reading Parquet"), array.type
+    if types.is_dictionary(kind):
+        _take_array(found, name, array.dictionary_decode(), begins)
+    elif types.is_struct(kind):
+        for index, member in enumerate(array.flatten()):
+            _take_array(found, f"{name}.{kind.field(index).name}", member, begins)
+    elif hasattr(kind, "value_type"):
+        sizes = {kind.list_size} if types.is_fixed_size_list(kind) else set(array.value_lengths().to_pylist())
+        size = next(iter(sizes), 0)
+        if array.null_count or len(sizes) != 1 or not 0 < size <= _LONGEST_LIST:
+            found.passed[name] = _RAGGED
+            return
+        for index, column in enumerate(_to_floats(array.flatten()).reshape(-1, size).T):
+            found.add(f"{name}[{index}]", np.ascontiguousarray(column))
+    elif types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
+        values = array.cast("int32" if types.is_time32(kind) else "int64").fill_null(0).to_numpy(zero_copy_only=False)
+        instants = values.astype(f"M8[{kind.unit}]" if types.is_timestamp(kind) else f"m8[{kind.unit}]")
+        instants[array.is_null().to_numpy(zero_copy_only=False)] = "NaT"
+        known = instants[~np.isnat(instants)]
+        own = begins.setdefault(name, known[0]) if types.is_timestamp(kind) and known.size else None
+        late = 0.0 if own is None else float((own - begins.setdefault("", own)) / np.timedelta64(1, "s"))
+        found.add(name, to_numbers(instants, None if own is None else np.array([own])) + late)
+    elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
+        found.add(name, _to_floats(array))
+    else:
+        found.passed[name] = f"it holds {str(kind).partition('<')[0]}"
+
+
+def _to_floats(array: Arrow) -> FloatArray:
+    array = array.cast("float64", safe=False).fill_null(math.nan)
+    return np.array(array.to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def write_parquet(path: Path, table: Table) -> None:
+    """Write float64 columns with checksums; their units are metadata."""
+    require_columns(table, "Parquet")
+    refused = [name for name in table.columns if name != name.encode("utf-8", "replace").decode("utf-8") or not name]
+    if refused:
+        raise RecordError(f"{refused[0]!r} cannot name a column of Parquet, which is text; rename it.")
+    arrow = extra("pyarrow", "logs", "Writing Parquet")
+    parquet = extra("pyarrow.parquet", "logs", "Writing Parquet")
+    stated = {name: {"unit": unit} for name, unit in table.units.items()}
+    schema = arrow.schema([arrow.field(name, arrow.float64(), metadata=stated.get(name)) for name in table.columns])
+    made = arrow.Table.from_arrays([arrow.array(values) for values in table.columns.values()], schema=schema)
+    with path.open("wb") as file:
+        parquet.write_table(
+            made, file, row_group_size=_GROUP, write_page_checksum=True, use_dictionary=False, compression="zstd"
+        )
+
+
+def read_tdms(path: Path) -> Table:
+    """Read every channel of numbers as "group/channel", or "channel" of the group "Untitled".
+
+    Numeric properties of the file and its groups are scalars; "unit_string" is the unit. A waveform (wf_increment) gets
+    a time column "group/time" if shared by the group, else "group/channel/time". Instants and wf_start_time are seconds
+    since the first in the file. Text is skipped.
+    """
+    nptdms = extra("nptdms", "logs", f"Reading {path.name}")
+    # What is wrong with a file is said here, once, and not on the side.
+    extra("nptdms.log", "logs", "Reading TDMS").log_manager.set_level(logging.CRITICAL)
+    # An open file, not its path: an index beside it, which may be of another file, is then left alone.
+    with path.open("rb") as raw:
+        file = nptdms.TdmsFile.open(raw)
+        if file.file_status.incomplete_final_segment:
+            raise RecordError(f"{path.name} ends in the middle of its data; log or copy it again.")
+        every = [channel for group in file.groups() for channel in group.channels()]
+        require_size(path, sum(len(channel) for channel in every))
+        found = Found(path)
+        for prefix, properties in [("", file.properties), *((f"{one.name}/", one.properties) for one in file.groups())]:
+            numbers = {n: v for n, v in properties.items() if isinstance(v, int | float | np.number)}
+            found.scalars |= {f"{prefix}{n}": float(v) for n, v in numbers.items() if not isinstance(v, bool)}
+        begins = {channel.path: begin for channel in every if (begin := _find_begin(channel)) is not None}
+        first = min(begins.values(), default=None)
+        late = {path: float((begin - first) / np.timedelta64(1, "s")) for path, begin in begins.items()}
+        for group in file.groups():
+            _take_group(found, group, late)
+        return found.table()
+
+
+def _find_begin(channel: Nptdms) -> np.datetime64 | None:
+    """Return the first instant of a waveform, or of a channel of instants."""
+    if not len(channel):
+        return None
+    is_instants = np.dtype(channel.dtype).kind == "M"
+    begin = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
+    return begin if isinstance(begin, np.datetime64) and begin >= _UNSET else None
+
+
+def _take_group(found: Found, group: Nptdms, late: dict[str, float]) -> None:
+    prefix = "" if group.name == _NAMELESS else f"{group.name}/"
+    waves: dict[str, FloatArray] = {}
+    for channel in group.channels():
+        properties = channel.properties
+        if len(channel) and float(properties.get(_STEP, 0.0)) > 0:
+            begin = late.get(channel.path, 0.0) + float(properties.get(_OFFSET, 0.0))
+            waves[channel.name] = np.asarray(begin + np.arange(len(channel)) * float(properties[_STEP]))
+    is_common = len({times.tobytes() for times in waves.values()}) == 1 and "time" not in {
+        channel.name for channel in group.channels()
+    }
+    if is_common:
+        found.add(f"{prefix}time", next(iter(waves.values())), "s")
+    for channel in group.channels():
+        name, kind = f"{prefix}{channel.name}", np.dtype(channel.dtype).kind
+        if not len(channel) or kind not in "fiubM":
+            found.passed[name] = "it holds no numbers" if len(channel) else "it is empty"
+            continue
+        values = channel.read_data()
+        if values.size != len(channel):
+            raise ValueError(f"{values.size} numbers where {len(channel)} are declared")
+        stated = (properties for key in _TDMS_UNITS if isinstance(properties := channel.properties.get(key), str))
+        unit = "s" if kind == "M" else next((text.strip() for text in stated if text.strip()), "")
+        seconds = to_numbers(values, values[:1]) + (late.get(channel.path, 0.0) if kind == "M" else 0.0)
+        clock = "" if channel.name not in waves else f"{prefix}time" if is_common else f"{name}/time"
+        found.add(name, seconds, unit, clock)
+        if clock and not is_common:
+            found.add(clock, waves[channel.name], "s")
