@@ -13,8 +13,9 @@ import pytest
 import jointid as ji
 from jointid.apps.cli import main
 from jointid.apps.web import worker
-from jointid.campaigns.cases import Case, Outcome
+from jointid.campaigns.campaign import Case
 from jointid.campaigns.run import run_case
+from jointid.campaigns.store import Outcome
 from jointid.config import JointFile
 from jointid.output.report import sections
 from jointid.uncertainty.verdict import Subject

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.cases import Case, Found, Outcome, Row
-from jointid.campaigns.report import csv_of, table_of
+from jointid.campaigns.campaign import Case, canonical, load_campaign
+from jointid.campaigns.report import csv_of
 from jointid.campaigns.run import run_case
-from jointid.campaigns.store import open_store
+from jointid.campaigns.store import Found, Outcome, Row, open_store
 from jointid.common.errors import JointFileError
 from tests.campaigns.conftest import FLEET, JOINT
 
@@ -108,11 +108,7 @@ def test_a_spoiled_record_a_spoiled_joint_file_and_a_fault_of_ours_are_rows(
 
 def test_a_row_is_read_as_it_was_written(place: Path) -> None:
     row = run_case(campaign(place, FLEET)[0])
-    assert Row.read(row.text()) == row
-    for spoiled in ("", "{}", "[]", "null", row.text()[:-5], row.text().replace('"std":', '"std":"x","s":'),
-                    row.text().replace('"identified"', '"found"')):  # fmt: skip
-        with pytest.raises(ValueError, match=r"row|JSON|Expecting|delimiter|Outcome|Unterminated"):
-            Row.read(spoiled)
+    assert Row.read(json.loads(canonical(asdict(row)))) == row
 
 
 def rows(count: int = 4) -> list[Row]:
@@ -131,7 +127,7 @@ def test_results_as_a_table() -> None:
     assert "0.30000000000000004" in lines[1]
     assert '"says ""yes"""' in lines[1]
     names = {"joint", "stiffness [N/m]", "stiffness std [N/m]", "case sha256", "joint file sha256"}
-    assert names <= set(table_of(rows()))
+    assert names <= set(lines[0].split(","))
 
 
 def test_a_record_that_is_gone_or_has_an_odd_name_fails_its_own_case_alone(place: Path) -> None:
@@ -147,7 +143,6 @@ def test_a_record_that_is_gone_or_has_an_odd_name_fails_its_own_case_alone(place
             store.add(row)
     with open_store(place / "results.jsonl") as store:
         assert list(store.rows_of(row.content_hash for row in rows)) == sorted(rows, key=lambda row: row.place)
-    assert Row.read(rows[-1].text()) == rows[-1]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.cases import Outcome, Row
+from jointid.campaigns.store import Outcome, Row
 from tests.apps.cli.test_commands import run
 from tests.campaigns.conftest import FLEET
 
@@ -49,10 +49,7 @@ def test_again_keeps_an_answer_that_is_not_reliable(fleet: Path, capsys: pytest.
     capsys.readouterr()
     assert run(*command, "--again") == 0
     assert "4 cases done, 3 of them before: 1 refused." in capsys.readouterr().out
-    after = [
-        Row.read(json.dumps(json.loads(line)["row"]))
-        for line in (fleet / "campaign.jsonl").read_text().split("\n")[:-1]
-    ]
+    after = [Row.read(json.loads(line)["row"]) for line in (fleet / "campaign.jsonl").read_text().split("\n")[:-1]]
     assert sum(row.outcome is Outcome.DOUBTFUL for row in after) == 1
 
 

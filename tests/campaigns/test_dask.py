@@ -7,18 +7,17 @@ import random
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.cases import Outcome
-from jointid.campaigns.engines import DaskCluster, LocalProcesses
-from jointid.campaigns.run import run_cases
-from jointid.campaigns.store import open_store
+from jointid.campaigns.run import Engine, dask_cluster, run_cases
+from jointid.campaigns.store import Outcome, open_store
 from jointid.common.errors import JointidError, MethodError
 from tests.campaigns.dask_cluster import Cluster
-from tests.campaigns.work import POISON, cases, ends, results, run_all
+from tests.campaigns.work import POISON, TWO, cases, ends, results, run_all
 from tests.losses.runs import COUNT, SEED
 
 pytestmark = [
@@ -26,6 +25,10 @@ pytestmark = [
     pytest.mark.skipif(not find_spec("distributed"), reason="distributed is not installed"),
     pytest.mark.filterwarnings("default"),  # Dask's own
 ]
+
+
+def dask(address: str) -> Engine:
+    return partial(dask_cluster, address=address)
 
 
 @pytest.fixture
@@ -51,9 +54,9 @@ def test_workers_that_come_and_go_give_what_processes_give(cluster: Cluster, log
 
     mover = threading.Thread(target=come_and_go)
     mover.start()
-    run_all(tmp_path / "dask", log, count, DaskCluster(cluster.address))
+    run_all(tmp_path / "dask", log, count, dask(cluster.address))
     mover.join()
-    run_all(tmp_path / "here", log, count, LocalProcesses(2))
+    run_all(tmp_path / "here", log, count, TWO)
     here = results(tmp_path / "here", log, count)
     assert results(tmp_path / "dask", log, count) == here
     assert len(here) == count
@@ -63,7 +66,7 @@ def test_a_poisonous_case_is_set_aside(cluster: Cluster, log: Path, tmp_path: Pa
     for _ in range(2):
         cluster.add_worker(nanny=True)
     kinds = {3: POISON}
-    ran = run_all(tmp_path / "out", log, 8, DaskCluster(cluster.address), kinds)
+    ran = run_all(tmp_path / "out", log, 8, dask(cluster.address), kinds)
     assert ran.made[Outcome.IDENTIFIED] == 7
     aside = [row.joint for row in results(tmp_path / "out", log, 8, kinds) if row.outcome is Outcome.SET_ASIDE]
     assert aside == ["axis 3"]
@@ -72,16 +75,16 @@ def test_a_poisonous_case_is_set_aside(cluster: Cluster, log: Path, tmp_path: Pa
 def test_a_scheduler_that_does_not_answer_is_refused(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("jointid.campaigns.engines._PATIENCE", 0.5)
+    monkeypatch.setattr("jointid.campaigns.run._PATIENCE", 0.5)
     with pytest.raises(MethodError):
-        run_all(tmp_path / "out", log, 1, DaskCluster("tcp://127.0.0.1:9"))
+        run_all(tmp_path / "out", log, 1, dask("tcp://127.0.0.1:9"))
 
 
 def test_a_worker_of_another_version_refuses_its_cases(cluster: Cluster, log: Path, tmp_path: Path) -> None:
     (tmp_path / "other.py").write_text("import jointid.campaigns.run\njointid.campaigns.run.__version__ = '0.0.1'\n")
     cluster.add_worker("--preload", str(tmp_path / "other.py"))
     with open_store(tmp_path / "out") as store:
-        ran = run_cases(lambda: cases(2, log), DaskCluster(cluster.address), store)
+        ran = run_cases(lambda: cases(2, log), dask(cluster.address), store)
     assert ran.made[Outcome.REFUSED] == 2
 
 
@@ -92,7 +95,7 @@ def test_nothing_is_lost_or_kept_twice_at_any_moment(
     """Workers and schedulers are killed; `JOINTID_ATTACKS=50` kills that many. The same command goes on each time."""
     dice, count, workers = random.Random(f"dask{SEED}"), 40 * COUNT, [cluster.add_worker()]
     path, over = tmp_path / "out", threading.Event()
-    monkeypatch.setattr("jointid.campaigns.engines._PATIENCE", 120.0)  # of a machine that is busy
+    monkeypatch.setattr("jointid.campaigns.run._PATIENCE", 120.0)  # of a machine that is busy
 
     def attack() -> None:
         begin = len(ends(log))
@@ -114,12 +117,12 @@ def test_nothing_is_lost_or_kept_twice_at_any_moment(
         killer.start()
         kept, before = {row.content_hash for row in results(path, log, count)}, len(ends(log))
         with contextlib.suppress(JointidError):
-            run_all(path, log, 40 * (turn + 1), DaskCluster(cluster.address))
+            run_all(path, log, 40 * (turn + 1), dask(cluster.address))
         over.set()
         killer.join()
         over.clear()
         assert kept <= {row.content_hash for row in results(path, log, count)}, "a result was lost"
         assert not kept & set(ends(log)[before:]), "a finished case was made again"
-    ran = run_all(path, log, count, DaskCluster(cluster.address))
+    ran = run_all(path, log, count, dask(cluster.address))
     assert ran.found + ran.made[Outcome.IDENTIFIED] == count
     assert "Traceback" not in capfd.readouterr().err

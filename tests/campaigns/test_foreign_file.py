@@ -6,15 +6,15 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from jointid.campaigns.cases import Case, Outcome, Row
-from jointid.campaigns.paths import digest
-from jointid.campaigns.run import run_case
-from jointid.campaigns.store import open_store
+from jointid.campaigns.campaign import Case
+from jointid.campaigns.run import digest, run_case
+from jointid.campaigns.store import Outcome, Row, open_store
 from jointid.common.errors import RecordError
 from tests.campaigns.conftest import JOINT
 
@@ -47,7 +47,7 @@ EDITS: list[Callable[[dict[str, Any]], str]] = [
 @pytest.mark.parametrize("edit", EDITS)
 def test_a_row_that_was_edited_is_refused(tmp_path: Path, edit: Callable[[dict[str, Any]], str]) -> None:
     path = tmp_path / "results.jsonl"
-    path.write_text(f'{{"row": {edit(json.loads(row().text()))}}}\n{{"death": "{HASH}"}}\n')
+    path.write_text(f'{{"row": {edit(asdict(row()))}}}\n{{"death": "{HASH}"}}\n')
     before = path.read_bytes()
     with pytest.raises(RecordError), open_store(path):
         pass

@@ -11,18 +11,19 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.cases import Outcome, Row
-from jointid.campaigns.engines import LocalProcesses
-from jointid.campaigns.store import Store, open_store
+from jointid.campaigns.run import local_processes
+from jointid.campaigns.store import Outcome, Row, Store, open_store
 from jointid.common.errors import RecordError
 from tests.campaigns.conftest import FLEET
-from tests.campaigns.work import POISON, SLOW, carry, cases, ends, last_workers, results, run_all
+from tests.campaigns.work import POISON, SLOW, TWO, carry, cases, ends, last_workers, results, run_all
 from tests.losses.runs import COUNT, SEED
 
+ONE = partial(local_processes, count=1)
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -37,7 +38,7 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_a_poisonous_case_is_set_aside_and_named_and_no_other_is_blamed(path: Path, log: Path) -> None:
-    ran = run_all(path, log, 12, LocalProcesses(2), {3: POISON})
+    ran = run_all(path, log, 12, TWO, {3: POISON})
     assert ran.made[Outcome.SET_ASIDE] == 1 and ran.made[Outcome.IDENTIFIED] == 11
     aside = [row.joint for row in results(path, log, 12, {3: POISON}) if row.outcome is Outcome.SET_ASIDE]
     assert aside == ["axis 3"]
@@ -55,7 +56,7 @@ def test_a_worker_that_is_killed_costs_no_result(path: Path, log: Path) -> None:
 
     killer = threading.Thread(target=kill_one)
     killer.start()
-    ran = run_all(path, log, 40, LocalProcesses(2))
+    ran = run_all(path, log, 40, TWO)
     killer.join()
     assert killed.is_set()
     assert ran.made[Outcome.IDENTIFIED] == 40
@@ -72,16 +73,16 @@ def test_a_client_that_is_interrupted_ends_at_once_and_keeps_what_there_is(
 
     monkeypatch.setattr(Store, "add", add)
     with pytest.raises(KeyboardInterrupt):
-        run_all(path, log, 8, LocalProcesses(2), kinds)
+        run_all(path, log, 8, TWO, kinds)
     assert time.monotonic() - began < 8 * 2
     assert len(results(path, log, 8, kinds)) == 1
 
 
 def test_a_torn_line_is_made_again(path: Path, log: Path) -> None:
-    run_all(path, log, 4, LocalProcesses(1))
+    run_all(path, log, 4, ONE)
     path.write_bytes(path.read_bytes()[:-40])
     assert len(results(path, log, 4)) == 3
-    ran = run_all(path, log, 4, LocalProcesses(1))
+    ran = run_all(path, log, 4, ONE)
     assert (ran.found, sum(ran.made.values())) == (3, 1)
     assert len(results(path, log, 4)) == 4
     assert len(ends(log)) == 5
@@ -103,7 +104,7 @@ def test_the_deaths_of_a_case_are_counted_over_several_runs_and_forgotten_by_aga
 
 
 def test_a_full_disk_keeps_what_is_finished(path: Path, log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run_all(path, log, 2, LocalProcesses(1))
+    run_all(path, log, 2, ONE)
     before = path.read_bytes()
 
     def refuse(*_: object) -> int:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.cases import Outcome
+from jointid.campaigns.campaign import load_campaign
 from jointid.campaigns.run import run_case
+from jointid.campaigns.store import Outcome
 from tests.apps.cli.test_robots_from_torques import logged, run, write_files
 from tests.robots_plants import two
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.campaigns.cases import Case, Outcome, Row
+from jointid.campaigns.campaign import Case
 from jointid.campaigns.report import CampaignReport
 from jointid.campaigns.run import run_case
+from jointid.campaigns.store import Outcome, Row
 from jointid.common.arrays import FloatArray
 from tests.campaigns.conftest import JOINT, TRUTH
 

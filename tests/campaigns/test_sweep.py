@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from jointid.campaigns.cases import Case, Found, Outcome, Row
+from jointid.campaigns.campaign import Case
 from jointid.campaigns.report import CampaignReport
+from jointid.campaigns.store import Found, Outcome, Row
 
 
 def made(value: float, *changes: str, day: int = 0) -> Row:

@@ -7,12 +7,12 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
-from jointid.campaigns.cases import Case, Found, Outcome, Row
-from jointid.campaigns.engines import Engine, LocalProcesses
-from jointid.campaigns.run import Ran, run_cases
-from jointid.campaigns.store import open_store
+from jointid.campaigns.campaign import Case
+from jointid.campaigns.run import Engine, Ran, local_processes, run_cases
+from jointid.campaigns.store import Found, Outcome, Row, open_store
 
 PLAIN, POISON, SLOW = "", "poison", "slow"
 
@@ -32,6 +32,9 @@ def carry(case: Case) -> Row:
         log.write(f"{case.content_hash} {os.getpid()}\n".encode())
     found = {"stiffness": Found(float(int(case.content_hash[:8], 16)), 1.0, "N/m")}
     return Row.of(case, Outcome.IDENTIFIED, "Stiffness found.", found=found)
+
+
+TWO: Engine = partial(local_processes, count=2)
 
 
 def run_all(path: Path, log: Path, count: int, engine: Engine, kinds: dict[int, str] | None = None) -> Ran:
@@ -62,7 +65,7 @@ def _lines(log: Path) -> list[str]:
 
 def main(path: str, log: str, count: str) -> None:
     """Run a campaign."""
-    run_all(Path(path), Path(log), int(count), LocalProcesses(2))
+    run_all(Path(path), Path(log), int(count), TWO)
 
 
 if __name__ == "__main__":

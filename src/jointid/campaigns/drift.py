@@ -20,12 +20,12 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from jointid.campaigns.cases import Outcome, Row
+from jointid.campaigns.store import Outcome, Row
 from jointid.common.arrays import FloatArray
 
 JointKey = tuple[str, tuple[str, ...]]
@@ -70,8 +70,7 @@ def best_change(series: Series) -> Change | None:
 
     Example:
         >>> import numpy as np
-        >>> from jointid.campaigns.drift import best_change
-        >>> from jointid.campaigns.drift import Series
+        >>> from jointid.campaigns.drift import Series, best_change
         >>> days, noise = np.arange(20.0), np.random.default_rng(1).standard_normal(20)
         >>> values = np.where(days < 12, 100.0, 90.0) + noise
         >>> labels = tuple("abcdefghijklmnopqrst")
@@ -106,9 +105,7 @@ def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[C
     named = 0
     while named < len(found) and found[named].p_value <= false_alarm / (len(found) - named):
         named += 1
-    return tuple(
-        Change(d.series, d.kind, d.since, d.before, d.after, d.std, d.p_value, k < named) for k, d in enumerate(found)
-    )
+    return tuple(replace(one, significant=k < named) for k, one in enumerate(found))
 
 
 def _fit(series: Series, shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -188,10 +185,8 @@ class Series:
     def without_outlying(self) -> Series:
         """Return the series without outliers."""
         kept = self.outlying == 0
-        return Series(
-            self.joint, self.changes, self.quantity, self.unit, self.days[kept], self.values[kept], self.stds[kept],
-            tuple(label for label, keep in zip(self.labels, kept, strict=True) if keep),
-        )  # fmt: skip
+        labels = tuple(label for label, keep in zip(self.labels, kept, strict=True) if keep)
+        return replace(self, days=self.days[kept], values=self.values[kept], stds=self.stds[kept], labels=labels)
 
 
 @dataclass(frozen=True, slots=True)

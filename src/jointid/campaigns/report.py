@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import csv
 import io
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from jointid.campaigns.cases import Outcome, Row
 from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
-from jointid.campaigns.pictures import plot_changes
-from jointid.campaigns.sweep import sweep_blocks
+from jointid.campaigns.store import Found, Outcome, Row
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
+from jointid.common.charts import ERROR, MEASURED, SIMULATED, Chart, label, line, mark, panels, svg
+from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Picture, Table
 from jointid.common.text import format_signed, join, number, pluralise, short
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _SHOWN = 10  # rows of a table without details
 _REASON, _LONGEST = 160, 300  # characters of a reason in a table, and in a list
+_PANELS = 24  # of a picture
 _UNLIKE = 5.0  # robust deviations from the other joints
 _LEAST_JOINTS = 8  # among which one can be unlike the others
 _TO_SIGMA = 1.4826
@@ -99,22 +102,16 @@ class CampaignReport(Documented):
         blocks: list[Block] = [
             Paragraph(self.sentence, lead=True, tone=_TONES[self.verdict[1]]),
             Facts((("done", f"{len(self.rows)} of {self.cases} cases{f': {ends}' if ends else ''}"),)),
-            *(self._pictures() if pictures else ()),
+            *(_pictures(self.drifted, self.series, self.losses) if pictures else ()),
             *self._loss_blocks(most),
             *self._drift_blocks(most),
             *_distributions(self.rows),
-            *sweep_blocks(self.rows, most),
+            *_sweep_blocks(self.rows, most),
             *self._scatter_blocks(),
             *self._outlier_blocks(most),
             *_reasons(self.rows, most),
         ]
         return Document(f"Campaign {self.name}", tuple(blocks))
-
-    def _pictures(self) -> Iterator[Block]:
-        """Yield the values that changed or were lost."""
-        if (shown := plot_changes(self.drifted, self.series, self.losses)) is not None:
-            yield Heading("Values over the days")
-            yield shown
 
     def _loss_blocks(self, most: int | None) -> Iterator[Block]:
         if self.losses:
@@ -150,10 +147,10 @@ class CampaignReport(Documented):
 
     def _scatter_blocks(self) -> Iterator[Block]:
         """Yield the scatter between runs over the stated standard deviations."""
-        found: dict[str, list[float]] = {}
+        found = defaultdict[str, list[float]](list)
         for one in self.series:
             if one.enough:
-                found.setdefault(one.quantity, []).append(one.scatter_over_stated)
+                found[one.quantity].append(one.scatter_over_stated)
         if not found:
             return
         rows = []
@@ -199,10 +196,10 @@ def _drift_row(one: Change) -> tuple[str, ...]:
 
 def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
     """Yield the distribution of each parameter, by combination of changes."""
-    groups: dict[tuple[str, ...], list[Row]] = {}
+    groups = defaultdict[tuple[str, ...], list[Row]](list)
     for row in rows:
         if row.outcome is Outcome.IDENTIFIED:
-            groups.setdefault(row.changes, []).append(row)
+            groups[row.changes].append(row)
     for changes, runs in sorted(groups.items()):
         yield Heading(f"Distribution: {'; '.join(changes)}" if changes else "Distribution")
         shown = []
@@ -221,9 +218,9 @@ def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
 
 def _unlike(series: Sequence[Series]) -> Iterator[tuple[str, ...]]:
     """Yield joints whose level of a quantity is far from the others'."""
-    groups: dict[tuple[str, str, tuple[str, ...]], list[Series]] = {}
+    groups = defaultdict[tuple[str, str, tuple[str, ...]], list[Series]](list)
     for one in series:
-        groups.setdefault((one.quantity, one.unit, one.changes), []).append(one)
+        groups[one.quantity, one.unit, one.changes].append(one)
     for (quantity, unit, _), members in groups.items():
         levels: FloatArray = np.array([float(np.median(one.values)) for one in members])
         middle = float(np.median(levels))
@@ -243,59 +240,141 @@ def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
     yield Heading("Without an answer")
     # One that kills its worker is to be seen among any number of spoiled records.
     without.sort(key=lambda row: (row.outcome is not Outcome.SET_ASIDE, row.outcome is not Outcome.FAILED, row.place))
-    yield Listing(tuple(_describe_row(row) for row in without[:most]))
+    whose = [" ".join(filter(None, (row.joint, row.day, "; ".join(row.changes)))) for row in without]
+    said = (f"{who}, {row.outcome}: {short(row.sentence, _LONGEST)}" for who, row in zip(whose, without, strict=True))
+    yield Listing(tuple(said)[:most])
     joints = Counter(row.joint for row in without).most_common(most)
     yield Table(("joint", "runs without an answer"), tuple((joint, str(count)) for joint, count in joints))
 
 
+_Shown: TypeAlias = tuple[Series, str, str, Change | None]
+"""A series, what is said of it, since which run, and its change if it has one."""
+
+
+def _pictures(changes: Sequence[Change], series: Sequence[Series], losses: Sequence[Loss]) -> Iterator[Block]:
+    """Yield the values of what drifted or was lost, over days."""
+    shown: list[_Shown] = [
+        (one.series, f"{one.change_percent:+.3g} % since {one.since}", one.since, one) for one in changes
+    ]
+    for one in losses:
+        for of in series:
+            if (of.joint, of.changes) == (one.joint, one.changes) and one.quantity in ("", of.quantity):
+                shown.append((of, f"no value after {one.last}", of.labels[-1], None))
+    if shown:
+        words = "Values of each run with 2 sigma over the days; the orange line is the level before and after a change."
+        words += f" {_PANELS} of {len(shown)} are shown." * (len(shown) > _PANELS)
+        chart = Chart("fleet-changes", words, partial(_draw, shown[:_PANELS]))
+        yield Heading("Values over the days")
+        yield Picture("fleet-changes.svg", partial(svg, chart), words)
+
+
+def _draw(shown: Sequence[_Shown]) -> Figure:
+    """Draw series over the days from their first run, with a mark at a run and the levels of a change."""
+    figure, drawn = panels([220] * len(shown), 2)
+    for axes, (of, said, since, change) in zip(drawn, shown, strict=True):
+        days, at = of.days - of.days[0], of.labels.index(since)
+        if change is not None:
+            steps, levels = ([0, -1], [0, 1]) if change.kind == "trend" else ([0, at, at, -1], [0, 0, 1, 1])
+            line(axes, days[steps], np.array([change.before, change.after])[levels], SIMULATED, width=2.0)
+        mark(axes, float(days[at]), "")
+        axes.errorbar(days, of.values, 2 * of.stds, fmt="o-", color=ERROR, linewidth=0.2, markersize=3, ecolor=MEASURED)
+        title = f"{of.joint}, {of.quantity.replace('_', ' ')}: {said}"
+        label(axes, f"days since {of.labels[0]}", of.unit or "value", title)
+        axes.set_xlim(-0.5, float(days[-1]) + 0.5)
+    return figure
+
+
+def _sweep_blocks(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
+    """Yield how many runs each value of a swept setting identifies, and how it moves the parameters."""
+    settings = defaultdict[str, dict[str, list[Row]]](lambda: defaultdict(list))
+    for row in rows:
+        for change in row.changes:
+            key, _, value = change.partition("=")
+            settings[key][value].append(row)
+    ends, effects = list[tuple[str, ...]](), list[tuple[str, ...]]()
+    for key, runs in settings.items():
+        least, *others = sorted(runs, key=_sort_key)
+        if not others:  # set for all, and not swept
+            continue
+        for value in (least, *others):
+            done = [row for row in runs[value] if row.outcome is Outcome.IDENTIFIED]
+            errors = [row.error_percent for row in done if row.error_percent is not None]
+            error = number(float(np.median(errors))) if errors else "-"
+            ends.append((f"{key}={value}", f"{len(done)} of {len(runs[value])}", error))
+        for value in others:
+            effects += _effects(f"{key}={value} for {least}", key, runs[least], runs[value])
+    if ends:
+        yield Heading("Swept settings")
+        yield Table(("setting", "identified", "error %"), tuple(ends), "", (0, 1))
+    if effects:
+        yield Heading("Effect of each swept setting")
+        header = ("setting", "parameter", "effect %", "deviations", "pairs")
+        yield Table(header, tuple(effects[:most]), "", (0, 1))
+
+
+def _sort_key(value: str) -> tuple[float, str]:
+    try:
+        return float(value), value
+    except ValueError:
+        return float("inf"), value
+
+
+def _effects(what: str, key: str, before: Sequence[Row], after: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    """Yield the change of each parameter between two values of a setting, as the median over pairs of runs."""
+
+    def by_run(rows: Sequence[Row]) -> dict[tuple[Any, ...], Row]:
+        others = [tuple(one for one in row.changes if one.partition("=")[0] != key) for row in rows]
+        return {(row.joint, row.record, row.day, other): row for row, other in zip(rows, others, strict=True)}
+
+    later, moved = by_run(after), defaultdict[str, list[tuple[float, Found]]](list)
+    for run, row in by_run(before).items():
+        again = later[run].found if run in later else {}
+        for name, one in row.found.items():
+            if one.value is not None and name in again and (other := again[name].value) is not None:
+                moved[name].append((other - one.value, one))
+    for name, pairs in moved.items():
+        percent = [100 * change / abs(one.value) for change, one in pairs if one.value]
+        deviations = [change / one.std for change, one in pairs if one.std]
+        yield (
+            what, name, format_signed(float(np.median(percent)), 3) if percent else "-",
+            format_signed(float(np.median(deviations)), 2) if deviations else "-", str(len(pairs)),
+        )  # fmt: skip
+
+
 def csv_of(rows: Sequence[Row]) -> str:
-    """Results as CSV: case, answer, settings, hashes and versions, a row for each case."""
-    columns = table_of(rows)
+    """Return results as CSV: case, answer, settings, hashes and versions, a row for each case.
+
+    A parameter has columns for value and standard deviation, with the unit in the name.
+    """
+    cells = [_cells(row) for row in rows]
+    header = [
+        name for part in zip(*cells, strict=True) for name in dict.fromkeys(name for each in part for name in each)
+    ]
     made = io.StringIO(newline="")
     writer = csv.writer(made, lineterminator="\n")
-    writer.writerow(map(_quote_formula, columns))
-    writer.writerows(map(_quote_formula, row) for row in zip(*columns.values(), strict=True))
+    writer.writerow(map(_quote_formula, header))
+    for case, found, origin in cells:
+        own = {**case, **found, **origin}
+        writer.writerow(_quote_formula(own.get(name)) for name in header)
     return made.getvalue()
+
+
+def _cells(row: Row) -> tuple[dict[str, Any], ...]:
+    """Return the cells of a row by column: of its case and answer, its parameters, and where it comes from."""
+    case = {
+        "joint": row.joint, "day": row.day, "record": row.record, "changes": "; ".join(row.changes),
+        "settings": "; ".join(row.settings), "outcome": str(row.outcome), "sentence": row.sentence, "trust": row.trust,
+        "converged": row.converged, "error [%]": row.error_percent, "simulations": row.simulations,
+    }  # fmt: skip
+    found = dict[str, Any]()
+    for name, one in sorted(row.found.items()):
+        found |= {f"{name} [{one.unit}]": one.value, f"{name} std [{one.unit}]": one.std}
+    hashes = {
+        "case sha256": row.content_hash, "record sha256": row.record_sha256, "joint file sha256": row.joint_file_sha256
+    }  # fmt: skip
+    return case, found, {**hashes, **row.versions}
 
 
 def _quote_formula(cell: Any) -> Any:
     """Quote a cell that a spreadsheet would take for a formula."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
-
-
-def _describe_row(row: Row) -> str:
-    """Describe a result without an answer."""
-    what = " ".join(part for part in (row.joint, row.day, "; ".join(row.changes)) if part)
-    return f"{what}, {row.outcome}: {short(row.sentence, _LONGEST)}"
-
-
-def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
-    """Columns of results by name: case, answer, settings, hashes and versions.
-
-    A parameter has columns for value and standard deviation, with the unit in the name.
-    """
-    columns: dict[str, list[Any]] = {
-        "joint": [row.joint for row in rows],
-        "day": [row.day for row in rows],
-        "record": [row.record for row in rows],
-        "changes": ["; ".join(row.changes) for row in rows],
-        "settings": ["; ".join(row.settings) for row in rows],
-        "outcome": [str(row.outcome) for row in rows],
-        "sentence": [row.sentence for row in rows],
-        "trust": [row.trust for row in rows],
-        "converged": [row.converged for row in rows],
-        "error [%]": [row.error_percent for row in rows],
-        "simulations": [row.simulations for row in rows],
-    }
-    for name, unit in sorted({(name, one.unit) for row in rows for name, one in row.found.items()}):
-        found = [one if (one := row.found.get(name)) is not None and one.unit == unit else None for row in rows]
-        columns[f"{name} [{unit}]"] = [None if one is None else one.value for one in found]
-        columns[f"{name} std [{unit}]"] = [None if one is None else one.std for one in found]
-    columns |= {
-        "case sha256": [row.content_hash for row in rows],
-        "record sha256": [row.record_sha256 for row in rows],
-        "joint file sha256": [row.joint_file_sha256 for row in rows],
-    }
-    for name in sorted({name for row in rows for name in row.versions}):
-        columns[name] = [row.versions.get(name, "") for row in rows]
-    return columns

@@ -8,19 +8,119 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from jointid.campaigns.cases import Outcome, Row, canonical
+from jointid.campaigns.campaign import Case, canonical, sha256_of
 from jointid.common.errors import RecordError
 from jointid.common.files import lock, open_file
 
+
+class Outcome(StrEnum):
+    """How a case ended."""
+
+    IDENTIFIED = "identified"
+    DOUBTFUL = "not reliable"
+    REFUSED = "refused"
+    FAILED = "failed"
+    SET_ASIDE = "set aside"
+
+
 RETRIED = (Outcome.REFUSED, Outcome.FAILED, Outcome.SET_ASIDE)
 """Outcomes that are tried again where that is asked for; an answer that is not reliable stays."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An identified parameter or combination.
+
+    Attributes:
+        value: in SI units; None where it is refused.
+        std: its standard deviation; None where it was kept fixed.
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """The result of a case.
+
+    Attributes:
+        outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's. A
+            search without an end, value or fit is not reliable.
+        sentence: the answer in a line, or why there is none.
+        found: parameters, and sums that are known where their parts are not, by name.
+        trust: whether to rely on the answer, a code.
+        converged: whether the search did; None where there was none.
+        error_percent: norm of the torque error, filtered, over that of the torque.
+        record_sha256: of the record's bytes; empty where they could not be read.
+        joint_file_sha256: of the joint file's text.
+        versions: of jointid, Python and the libraries that compute, by name.
+    """
+
+    content_hash: str
+    joint: str
+    record: str
+    day: str
+    changes: tuple[str, ...]
+    outcome: Outcome
+    sentence: str
+    joint_file_sha256: str
+    found: Mapping[str, Found] = field(default_factory=dict)
+    trust: str = ""
+    converged: bool | None = None
+    error_percent: float | None = None
+    simulations: int | None = None
+    record_sha256: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    settings: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
+        """Return the row of a case."""
+        return cls(
+            case.content_hash, case.joint, case.record, case.day, case.changes, outcome, sentence,
+            sha256_of(case.joint_file), settings=case.settings, **more,
+        )  # fmt: skip
+
+    @classmethod
+    def read(cls, raw: Mapping[str, Any]) -> Self:
+        """Return a row from its JSON.
+
+        Raises:
+            ValueError: it is none.
+        """
+        try:
+            found = {name: Found(**one) for name, one in raw["found"].items()}
+            lists = {key: tuple(raw.get(key, ())) for key in ("changes", "settings")}
+            row = cls(**{**raw, **lists, "found": found, "outcome": Outcome(raw["outcome"])})
+            texts = (
+                row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256,
+                row.joint_file_sha256, *row.changes, *row.settings, *row.versions, *row.versions.values(),
+                *(one.unit for one in found.values()),
+            )  # fmt: skip
+            numbers = (row.error_percent, *(number for one in found.values() for number in (one.value, one.std)))
+            finite = all(number is None or math.isfinite(number) for number in numbers)
+        except (TypeError, KeyError, AttributeError, OverflowError) as error:
+            raise ValueError(f"no row ({error})") from error
+        counted = row.simulations is None or type(row.simulations) is int
+        if not (finite and counted and row.converged in (None, True, False) and all(type(one) is str for one in texts)):
+            raise ValueError("no row (a text or a number is none)")
+        return row
+
+    @property
+    def place(self) -> tuple[str, str, str, tuple[str, ...], str]:
+        """Sort key, independent of engine and order."""
+        return (self.joint, self.day, self.record, self.changes, self.content_hash)
 
 
 class Store:
@@ -69,31 +169,26 @@ class Store:
         whole = 0
         with _explain(self._path), open_file(self._path) as file:
             for number, line in enumerate(file, 1):
+                said = None
                 try:
                     said = json.loads(line)
-                except (ValueError, RecursionError) as error:
-                    if not line.endswith(b"\n") and line.startswith(b"{"):
-                        break  # torn by a kill
-                    raise self._foreign(number, error) from error
-                try:
                     self._take(said)
-                except ValueError as error:
-                    raise self._foreign(number, error) from error
+                except (ValueError, RecursionError) as error:
+                    if said is None and line.startswith(b"{") and not line.endswith(b"\n"):
+                        break  # torn by a kill
+                    raise RecordError(
+                        f"{self._path}, line {number} is no result of a campaign ({error}); name another file by --out."
+                    ) from error
                 whole += len(line)
                 if not line.endswith(b"\n"):
                     whole += os.write(self._descriptor, b"\n")
                     break
         return whole
 
-    def _foreign(self, number: int, error: Exception) -> RecordError:
-        return RecordError(
-            f"{self._path}, line {number} is no result of a campaign ({error}); name another file by --out."
-        )
-
     def _take(self, said: Any) -> None:
         match said:
             case {"row": dict(row)}:
-                made = Row.read(json.dumps(row))
+                made = Row.read(row)
                 self._rows[made.content_hash] = made
             case {"death": str(content_hash)}:
                 self._deaths[content_hash] += 1

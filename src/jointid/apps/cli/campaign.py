@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ from jointid.apps.cli.console import Flag, Quiet, listen, ready, show, spare
 from jointid.common.errors import MethodError
 
 if TYPE_CHECKING:
-    from jointid.campaigns.engines import Engine
+    from jointid.campaigns.run import Engine
 
 
 def campaign(
@@ -44,7 +45,7 @@ def campaign(
         csv: also write the results as a table, a row for each case.
         quiet: say nothing of the progress.
     """
-    from jointid.campaigns.campaign_file import load_campaign
+    from jointid.campaigns.campaign import load_campaign
     from jointid.campaigns.report import CampaignReport, csv_of
     from jointid.campaigns.run import run_cases
     from jointid.campaigns.store import open_store
@@ -80,10 +81,10 @@ def _engine(workers: int, dask: str | None) -> Engine:
     Raises:
         MethodError: what is asked for does not go together.
     """
-    from jointid.campaigns.engines import DaskCluster, LocalProcesses
+    from jointid.campaigns.run import dask_cluster, local_processes
 
     if workers < 0:
         raise MethodError(f"--workers is {workers}; expected a whole number, 0 or more: 0 is one for each core.")
     if dask is not None and workers:
         raise MethodError("--dask has its own workers; leave out --workers or --dask.")
-    return LocalProcesses(workers) if dask is None else DaskCluster(dask)
+    return partial(local_processes, count=workers) if dask is None else partial(dask_cluster, address=dask)
