@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,8 +12,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.transmission import Transmission
 from jointid.records.clock import is_same_rate
-from jointid.records.columns import Column, unit_in_name, unit_of_column
-from jointid.records.drives import Drive
+from jointid.records.columns import Column, unit_in_name
+from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record, instants, refer_to_drive
 
@@ -82,16 +81,16 @@ def columns_to_write(
 ) -> dict[str, FloatArray]:
     """Return the columns that `write` writes, by name; arguments as there."""
     wanted = {n: Column(c) if isinstance(c, str) else c for n, c in (columns or {}).items()}
-    writing = _Writer(drive or Drive(), kind, transmission)
-    named = writing.name_columns(record, wanted)
+    frame = Frame(drive or Drive(), kind, transmission)
+    named = _name_columns(record, wanted, frame)
     if transmission is not None:
-        sides = {name: writing.drive.side(name, named.get(name)) for name in record.channels}
+        sides = {name: frame.drive.side(name, named.get(name)) for name in record.channels}
         record = refer_to_drive(transmission, record, sides)
     channels = dict(record.items())
     table = _time_column(channels, time, time_unit, sample_time)
     for name, channel in channels.items():
         column = named[name].column if name in named else name
-        values = writing.column_values(name, channel, named) if name in named else channel.values
+        values = _column_values(name, channel, named, frame) if name in named else channel.values
         if not np.allclose(table.setdefault(column, values), values, rtol=_ONE, atol=0.0):
             both = [n for n, c in named.items() if c.column == column]
             raise RecordError(
@@ -131,40 +130,25 @@ def _stamps(channel: Channel, name: str, time_unit: str | None) -> FloatArray:
     return instants(len(channel), channel.sample_time / unit.factor)
 
 
-@dataclass(frozen=True, slots=True)
-class _Writer:
-    """Drive, kind and transmission of the written joint."""
+def _name_columns(record: Record, wanted: Mapping[str, Column], frame: Frame) -> dict[str, Column]:
+    """Columns with a declared or profile name."""
+    traces = frame.drive.traces
+    found: dict[str, Column | None] = {name: wanted.get(name) for name in record.channels}
+    if traces is not None:
+        for name, column in found.items():
+            tap = record.tap if name == "torque" and not (column and column.tap) else None
+            found[name] = traces.column(name, column, frame.drive.place, frame.kind_of(name, column), tap)
+    return {name: column for name, column in found.items() if column is not None and column.column}
 
-    drive: Drive
-    kind: str
-    transmission: Transmission | None
 
-    def kind_of(self, name: str, column: Column | None) -> str:
-        """Kind of motion on the side of a channel."""
-        return self.kind if self.transmission is None else self.transmission.kind_of(self.drive.side(name, column))
-
-    def name_columns(self, record: Record, wanted: Mapping[str, Column]) -> dict[str, Column]:
-        """Columns with a declared or profile name."""
-        traces = self.drive.traces
-        found: dict[str, Column | None] = {name: wanted.get(name) for name in record.channels}
-        if traces is not None:
-            for name, column in found.items():
-                tap = record.tap if name == "torque" and not (column and column.tap) else None
-                found[name] = traces.column(name, column, self.drive.place, self.kind_of(name, column), tap)
-        return {name: column for name, column in found.items() if column is not None and column.column}
-
-    def column_values(self, name: str, channel: Channel, columns: Mapping[str, Column]) -> FloatArray:
-        """Convert a channel to its side and column unit."""
-        column = columns[name]
-        kind = self.kind_of(name, column)
-        geared = self.transmission is not None and self.transmission.geared
-        stated = units.unit(unit_of_column(name, columns, kind))
-        unit = self.drive.resolve_unit(stated, kind, of_load=name == "load_position", geared=geared)
-        if unit.si != channel.unit:
-            raise RecordError(
-                f'{name} is in {channel.unit}, and its column "{column.column}" in {stated.name}; correct one of them.'
-            )
-        values = channel.values / (column.sign * column.gain * unit.factor)
-        if column.wrap is not None:  # it begins where it is, so that it comes back unwrapped as it was
-            values = values - column.wrap * np.round((values - values[0]) / column.wrap)
-        return np.asarray(values)
+def _column_values(name: str, channel: Channel, columns: Mapping[str, Column], frame: Frame) -> FloatArray:
+    """Convert a channel to its column's unit."""
+    column, unit = columns[name], frame.unit_of(name, columns)
+    if unit.si != channel.unit:
+        raise RecordError(
+            f'{name} is in {channel.unit}, and its column "{column.column}" in {unit.name}; correct one of them.'
+        )
+    values = channel.values / (column.sign * column.gain * unit.factor)
+    if column.wrap is not None:  # it begins where it is, so that it comes back unwrapped as it was
+        values = values - column.wrap * np.round((values - values[0]) / column.wrap)
+    return np.asarray(values)

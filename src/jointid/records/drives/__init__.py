@@ -24,8 +24,8 @@ from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
-from jointid.common.transmission import Side, usual_side
-from jointid.records.columns import Column, known_units
+from jointid.common.transmission import Side, Transmission, usual_side
+from jointid.records.columns import Column, known_units, unit_fault, unit_of_column
 from jointid.records.record import CHANNELS, InjectionPoint, Tap, Timing
 
 Spoken: TypeAlias = Mapping[tuple[str, ...], Sequence[str]]
@@ -437,3 +437,32 @@ class Drive:
         if unit.dimension == "voltage" and self.torque_per_volt is not None:
             return replace(torque, name=unit.name, factor=unit.factor * self.torque_per_volt)
         return unit
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Drive, kind of motion and transmission of a joint: the side and the unit of each channel."""
+
+    drive: Drive
+    kind: str
+    transmission: Transmission | None
+
+    def kind_of(self, channel: str, column: Column | None) -> str:
+        """Kind of motion on the side of a channel."""
+        return self.kind if self.transmission is None else self.transmission.kind_of(self.drive.side(channel, column))
+
+    def unit_of(self, channel: str, columns: Mapping[str, Column]) -> units.Unit:
+        """Return the unit of a channel's values with its factor to SI.
+
+        Raises:
+            UnitError: it is none of the channel, or a number of the drive is missing; a predicate of a sentence.
+        """
+        kind = self.kind_of(channel, columns[channel])
+        stated, known = unit_of_column(channel, columns, kind), known_units(channel, kind)
+        if stated not in known:
+            raise units.UnitError(unit_fault("", stated, known).strip().removesuffix("."))
+        geared, of_load = self.transmission is not None and self.transmission.geared, channel == "load_position"
+        try:
+            return self.drive.resolve_unit(units.unit(stated), kind, of_load=of_load, geared=geared)
+        except units.UnitError as error:
+            raise units.UnitError(f'is in "{stated}", {error}') from None
