@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,7 @@ _SPARKLINE = 24  # characters
 _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
 _MOSTLY = 0.05  # of the steps of a clock, that may repeat a stamp or run backward
 _STEPS, _PARTS = re.compile(r"[/.]"), 32  # what parts a path, and how often at most
+_CLOCKS = 100  # of a file, among which those of other columns are sought
 _LONGEST = 60  # characters of a name in the table
 _LISTED = 1000  # channels; who has more of them reads them by a program
 _DRAWN = 90  # channels; more would be illegible
@@ -121,10 +123,8 @@ class Inspection(Charted, Documented):
         figure, places = panels([170] * len(drawn), across, title=f"{show(self.file)}: {count}")
         for axes, channel in zip(places, drawn, strict=True):
             outline = channel.outline
+            seconds = channel.sample_time if np.isfinite(channel.sample_time or np.nan) else None
             rows = (np.arange(outline.low.size) + 0.5 * (outline.length > 1)) * outline.length
-            seconds = (
-                channel.sample_time if channel.sample_time is not None and np.isfinite(channel.sample_time) else None
-            )
             place = np.asarray(rows * (seconds or 1.0), dtype=np.float64)
             name = show(channel.name)
             short = name if len(name) <= _TITLE else f"...{name[3 - _TITLE :]}"
@@ -136,19 +136,15 @@ class Inspection(Charted, Documented):
 
     def clocks(self) -> list[str]:
         """Return a sentence on each clock."""
-        said = []
-        timed = Counter(channel.time for channel in self.channels)
+        said, timed = list[str](), Counter(channel.time for channel in self.channels)
         for clock in self.channels:
             if clock.is_time and clock.sample_time is not None and clock.jitter is not None:
-                count = timed[clock.name] - 1
+                stalls = clock.outline.stalls
+                back = f"; {pluralise(stalls, 'stamp')} repeated or earlier" if stalls else ""
                 said.append(
-                    f"{show(clock.name)} is the time of {pluralise(count, 'channel')}: a sample every "
+                    f"{show(clock.name)} is the time of {pluralise(timed[clock.name] - 1, 'channel')}: a sample every "
                     f"{clock.sample_time:.6g} s, the steps within {max(100 * clock.jitter, _ROUNDING):.2g} % of that"
-                    + (
-                        f"; {pluralise(stalls, 'stamp')} repeated or earlier."
-                        if (stalls := clock.outline.stalls)
-                        else "."
-                    )
+                    f"{back}."
                 )
         return said or ["No channel is recognised as time; give the joint file a sample_time, or the column's name."]
 
@@ -179,10 +175,10 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         and outline.step > 0
         and outline.stalls <= _MOSTLY * (outline.rows - 1)
     }
-    nearest, channels = _Clocks(clocks), []
+    channels = []
     for name, outline in outlines.items():
         channel = InspectedChannel(name, stated.get(name), outline)
-        clock = name if name in clocks else declared.get(name) or nearest.find(name, outline)
+        clock = name if name in clocks else declared.get(name) or _find_clock(name, outline.rows, clocks)
         if clock is not None and clock in clocks:
             seconds = units.unit(units.normalise_unit(stated.get(clock) or "s")).factor
             step, jitter = clocks[clock].step, clocks[clock].jitter
@@ -194,35 +190,20 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     return Inspection(path.name, format_of(path).name, size, tuple(channels), table.scalars, table.passed, recognised)
 
 
-class _Clocks:
-    """Clocks of a file, by length and path."""
-
-    def __init__(self, clocks: Mapping[str, Outline]) -> None:
-        self._beginning: dict[tuple[int, tuple[str, ...]], list[str]] = {}
-        self._whole: dict[tuple[int, tuple[str, ...]], list[str]] = {}
-        for clock, outline in clocks.items():
-            parts = _split_path(clock)
-            for count in range(len(parts) + 1):
-                self._beginning.setdefault((outline.rows, parts[:count]), []).append(clock)
-            self._whole.setdefault((outline.rows, parts), []).append(clock)
-
-    def find(self, name: str, outline: Outline) -> str | None:
-        """Find the clock of a column; None if missing or ambiguous.
-
-        A clock "name/time" shares all parts with "name" and with paths below it.
-        """
-        parts, rows = _split_path(name), outline.rows
-        above = [clock for count in range(len(parts)) for clock in self._whole.get((rows, parts[:count]), ())]
-        for count in range(len(parts), -1, -1):
-            best = self._beginning.get((rows, parts[:count]), []) + above
-            if best:
-                return best[0] if len(best) == 1 else None
+def _find_clock(name: str, rows: int, clocks: Mapping[str, Outline]) -> str | None:
+    """Find the clock of so many rows whose path begins most like a column's; None if missing or ambiguous."""
+    if len(clocks) > _CLOCKS:
         return None
-
-
-def _split_path(name: str) -> tuple[str, ...]:
-    """Leading parts of a path, enough to distinguish clocks."""
-    return tuple(_STEPS.split(name, _PARTS))
+    parts = _STEPS.split(name, _PARTS)
+    shared = {
+        clock: len(
+            list(takewhile(lambda pair: pair[0] == pair[1], zip(parts, _STEPS.split(clock, _PARTS), strict=False)))
+        )
+        for clock, outline in clocks.items()
+        if outline.rows == rows
+    }
+    nearest = [clock for clock, count in shared.items() if count == max(shared.values())]
+    return nearest[0] if len(nearest) == 1 else None
 
 
 def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
@@ -263,7 +244,6 @@ class Outline:
         rows: how many numbers it has, NaN included.
         missing: how many of them are NaN.
         minimum, maximum: of the others; None where all are missing.
-        first, last: its ends.
         stalls: numbers that are not larger than the one before.
         step: mean difference between neighbours.
         jitter: largest deviation of such a difference from the mean, as a share of it; NaN where the mean is 0.
@@ -275,8 +255,6 @@ class Outline:
     missing: int
     minimum: float | None
     maximum: float | None
-    first: float
-    last: float
     stalls: int
     step: float
     jitter: float
@@ -309,8 +287,6 @@ def draw_outline(values: FloatArray) -> Outline:
         missing,
         float(np.fmin.reduce(low)) if there else None,
         float(np.fmax.reduce(high)) if there else None,
-        float(values[0]),
-        float(values[-1]),
         int(np.count_nonzero(~(steps > 0))),
         step,
         jitter,
