@@ -19,8 +19,6 @@ from tests.mistakes import (
     without_positions,
 )
 
-NONE = "none"
-
 
 @dataclass(frozen=True, slots=True)
 class NamedCauses:

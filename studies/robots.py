@@ -41,8 +41,6 @@ from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, RobotSi
 from jointid.simulation.synthesis import simulate
 
 _AT_NOISE = 1.05  # times the noise: what a joint's filtered error may be
-_KNOWN = 0.1  # relative deviation of a parameter that is told to be known
-_TWO = 2.0  # standard deviations
 _LOST = 0.5  # of a joint's travel: a tracking error that no drive is run with
 _POSES = 40
 

@@ -1,7 +1,7 @@
 """The size of the project, room by room, and the budget that CI holds it to.
 
-``python -m tools.census`` prints the table; ``--check`` compares it with `tools/budget.toml` and with the budget of the
-commit before, and exits with 1 where a measure is over its budget or a budget was raised.
+``python -m tools.census`` prints the table; ``--check`` compares it with `tools/budget.toml` and with the budgets of
+former commits, and exits with 1 where a measure is over its budget or a budget was raised.
 
 - A room is a first folder of the package, the tests, or the studies with tools and benchmarks. Its measure is all lines
   of its Python files: code, docstrings, comments and empty ones.
@@ -97,9 +97,13 @@ def check(measures: Mapping[str, int], budget: Mapping[str, int], former: Mappin
 
 
 def read_former(root: Path) -> dict[str, int]:
-    """Return the budget of the commit before the last one that changed it; empty without such a commit."""
-    listed = run_git(root, "log", "-2", "--format=%H", "--", BUDGET.as_posix()).split()
-    return tomllib.loads(run_git(root, "show", f"{listed[1]}:{BUDGET.as_posix()}")) if len(listed) > 1 else {}
+    """Return the lowest budget of each measure in the commits before the last one that changed it."""
+    lowest: dict[str, int] = {}
+    for commit in run_git(root, "log", "--format=%H", "--", BUDGET.as_posix()).split()[1:]:
+        budget: dict[str, int] = tomllib.loads(run_git(root, "show", f"{commit}:{BUDGET.as_posix()}"))
+        rooms = budget if "package" in budget else {}  # older ones are of other measures
+        lowest |= {name: min(value, lowest.get(name, value)) for name, value in rooms.items()}
+    return lowest
 
 
 def main() -> int:

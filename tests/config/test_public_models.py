@@ -104,7 +104,6 @@ def claw(joint_class: str = "") -> str:
 
 CLAW_LOCKED = {"right_driver": 0.2, "left_spring": 0.0, "right_spring": 0.0}
 COUPLED = '<joint joint1="left_driver" joint2="right_driver" polycoef="0 1 0 0 0"/>'
-UNCOUPLED = COUPLED.replace("/>", ' active="false"/>')
 
 MODELS = {
     "an industrial arm with meshes of packages": Model(

@@ -216,7 +216,7 @@ def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate
         faults_of(estimate, record, LoopTests(faults=("derivative_gain",)))
     with pytest.raises(MethodError, match="has another torque"):
         faults_of(estimate, twin(noise="white", seed=2).record)
-    with pytest.raises(MethodError, match="IDIM simulates no loop"):
+    with pytest.raises(MethodError, match="DIDIM"):
         faults_of(identify(axis.record, axis.loop, IDIM()), axis.record)
 
 

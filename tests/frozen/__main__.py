@@ -48,22 +48,26 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
     kept: dict[str, Any] = json.loads(ANSWERS.read_text(encoding="utf-8")) if ANSWERS.exists() else {}
-    names = [name for name, _ in every() if given.pattern in name]
+    cases = dict(every())
+    if lost := kept.keys() - cases.keys():
+        sys.exit(f"Answers without a case: {', '.join(sorted(lost))}; remove them from {ANSWERS.name}.")
+    names = [name for name in cases if given.pattern in name]
     if given.accept:
         names = [given.accept]
     elif given.new:
         names = [name for name in names if name not in kept]
     if given.draw:
         names = drawn(names, given.draw)
-    missing = [name for name in names if name.startswith(("real ", "file ")) and not DATA.is_dir()]
+    needed = {"real": DATA, "file": DATA.parent / "cases", "robot 0 rigid urdf": DATA.parent / "cases"}
+    missing = [name for name in names for of, place in needed.items() if name.startswith(of) and not place.is_dir()]
     for name in missing:
-        print(f"{name}: skipped, there are no records in {DATA}")
+        print(f"{name}: skipped, its files are not there")
     reason = input(f"Why does {given.accept} change? ").strip() if given.accept else ""
     if given.accept and not reason:
         sys.exit("An answer is accepted with its reason; nothing is written.")
     differ, used = 0, 0.0
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
-        if DATA.is_dir():
+        if needed["file"].is_dir():
             shutil.copytree(DATA.parent / "cases", Path(folder) / "frozen-cases", copy_function=shutil.copyfile)
             for path in Path(folder).rglob("*"):
                 path.chmod(0o755)

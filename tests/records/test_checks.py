@@ -25,7 +25,6 @@ RATE = 1e-3
 TIME = np.arange(2000) * RATE
 POSITION = 0.1 * np.sin(6 * TIME)
 TORQUE = 5.0 * np.cos(6 * TIME)
-ONE_SENTENCE = r"^[^\n]+\.$"
 
 
 def channel(values: np.ndarray, unit: str = "m", sample_time: float = RATE) -> Channel:

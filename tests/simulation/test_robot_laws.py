@@ -24,7 +24,7 @@ from jointid.simulation.robot_numbers import (
     robot_with,
     with_values,
 )
-from jointid.simulation.robot_sensitivities import differentiate_torque
+from jointid.simulation.robot_sensitivities import differentiate_torques
 from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot
 from jointid.simulation.synthesis import simulate
 
@@ -128,7 +128,7 @@ def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None
     record, robot = reference(), robot_of(joint)
     driven, numbers = prepare_robot(RobotLoop(robot, (LAW,)), (record,)), RobotNumbers.of(robot)
     places = own_places(numbers)
-    found = differentiate_torque(run_robot(driven, numbers, keep=True, steps=4), places)[:, 0]
+    found = differentiate_torques(run_robot(driven, numbers, keep=True, steps=4), places)[0]
     for column, place in enumerate(places):
         value = place.read(numbers)
         step = 1e-5 * max(abs(value), 0.05)

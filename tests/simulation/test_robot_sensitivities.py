@@ -11,7 +11,7 @@ from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
-from jointid.simulation.robot_sensitivities import differentiate_torque
+from jointid.simulation.robot_sensitivities import differentiate_torques
 from jointid.simulation.robots import RobotInput, RobotLoop, prepare_robot, run_robot
 from tests.robots_plants import six, two
 from tests.simulation.test_robots import COUPLED, changed, faster
@@ -78,7 +78,7 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
     if any(isinstance(law, PID) for law in loop.controllers):
         assert 0.01 < np.mean(run.cuts) < 0.99
     expected = differences(experiment, numbers, places, 2 * steps)
-    found = differentiate_torque(run, places)
+    found = np.stack(differentiate_torques(run, places), axis=1)
     sizes = np.linalg.norm(expected, axis=(0, 1))
     error = np.linalg.norm(found - expected, axis=(0, 1))
     felt = sizes > 1e-6 * np.max(sizes)
@@ -91,7 +91,7 @@ def test_derivative_by_parameters_that_are_not_the_run_s_own_kind() -> None:
     loop = six().loop()
     experiment, numbers = prepare_robot(loop, six().records(0.5)), RobotNumbers.of(loop.robot)
     places = tuple(place for place in all_places(numbers) if (place.of, place.row) == (0, 0))
-    found = differentiate_torque(run_robot(experiment, numbers, keep=True), places)
+    found = np.stack(differentiate_torques(run_robot(experiment, numbers, keep=True), places), axis=1)
     felt = np.max(np.abs(found), axis=(0, 1)) > 1e-9
     assert [place.column for place, one in zip(places, felt, strict=True) if one] == [9]
 
@@ -117,7 +117,7 @@ def test_variation_by_delays_is_the_derivative_of_the_run(loop: RobotLoop, avera
     numbers = replace(RobotNumbers.of(loop.robot), delays=np.array([[1.3e-3], [2.9e-3]]))
     run = run_robot(experiment, numbers, keep=True, steps=2)
     assert run.events > 2
-    found = differentiate_torque(run, places)
+    found = np.stack(differentiate_torques(run, places), axis=1)
     for c, place in enumerate(places):
         step, at = 2e-6, place.read(numbers)
         ends = (with_values(numbers, (place,), np.array([at + by])) for by in (step, -step))

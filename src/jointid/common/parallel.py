@@ -46,13 +46,13 @@ def cores() -> int:
 _SHARED = threading.local()  # of each thread, whether it is one of several that share the cores
 
 
-def in_threads(function: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None) -> list[Result]:
+def in_threads(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """Map a function over items with threads, one per core; see `threads`.
 
     What a thread maps in turn stays in it, so that there are never more threads than cores. The results do not depend
     on the number of threads if those of the function do not.
     """
-    workers = min(workers or threads(), max(len(items), 1))
+    workers = min(threads(), max(len(items), 1))
     if workers == 1 or getattr(_SHARED, "cores", False):
         return [function(item) for item in items]
     with ThreadPoolExecutor(workers, initializer=lambda: setattr(_SHARED, "cores", True)) as pool:

@@ -14,7 +14,7 @@ DELETED: Mapping[str, str] = {
     "controller.filters_at": "the torque's filters stand before its limit; leave it out.",
     "controller.torque_feedforward_delay": "reference_delay delays the whole law's reference.",
     "controller.velocity_feedforward_delay": "reference_delay delays the whole law's reference.",
-    "bootstrap": "resample the residual in Python, by jointid.intervals(estimate, record, bootstrap=True).",
+    "bootstrap": "follow the criterion to its rise in Python, by jointid.intervals(estimate, record).",
     "monte_carlo": "write the records of simulated runs in Python, and list them in [fleet].",
     "multistart": "identify once, as the search has several starts of its own.",
 }

@@ -197,11 +197,9 @@ def _by_simulation(part: SimulatedRobot, solved: SolvedRobot) -> AxisTorques:
     else:
         coupling = robot.coupling.T
         q, v, a = (one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a))
-        seen, everywhere = (
-            problem.motion.whole_rows,
-            replace(problem.motion, moving=np.ones_like(problem.motion.moving)),
-        )
-        whole, raw = partial(thin, of=replace(problem, motion=everywhere)), problem.motion.raw
+        seen, everywhere = problem.motion.whole_rows, np.ones_like(problem.motion.moving)
+        whole = partial(thin, of=replace(problem, motion=replace(problem.motion, moving=everywhere)))
+        raw = problem.motion.raw
     return _torques(
         robot.names, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
         whole(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,

@@ -93,7 +93,7 @@ def compare(
             "Laws are compared for a record, and estimates as `read_report` returns them; received "
             f"{type(first).__name__}: write the estimate to a file, and read it by `read_report`."
         )
-    if among is None:
+    if among not in ("springs", "frictions"):
         raise MethodError('Laws are compared for a record; say which by among = "springs" or "frictions".')
     if not isinstance(second, ClosedLoop):
         raise MethodError(f"{among.capitalize()} are compared in the closed loop; declare the [controller].")

@@ -49,6 +49,8 @@ _FEWER = 0.67  # times: what a feed-forward must leave of the controllers' rest 
 
 FeedForwardName = Literal["none", "gravity", "inverse-model", "logged"]
 
+OF_ROBOT = "The arguments controllers and feed_forward are for a robot; leave them out for a joint."
+
 Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
 """The closed-loop problem of a joint, and its solution, (free,)."""
 
@@ -99,11 +101,9 @@ def diagnose(
         if isinstance(record, Sequence):
             raise MethodError("The estimate of a joint is diagnosed on its own record; give that one alone.")
         if controllers or feed_forward != "none":
-            raise MethodError("The arguments controllers and feed_forward are for a robot; leave them out for a joint.")
+            raise MethodError(OF_ROBOT)
         if estimate.settings.loop is None:
-            raise MethodError(
-                "IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller."
-            )
+            raise MethodError("Only DIDIM simulates the loop that is checked; identify with it and the controller.")
         for p in estimate.params.rows:
             if p.value is None:
                 raise MethodError(

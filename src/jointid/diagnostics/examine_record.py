@@ -6,6 +6,7 @@ controller, joint. The joint is identified once, for the intervals of its parame
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import in_words, join, number, pluralise
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.diagnose import FeedForwardName, diagnose
+from jointid.diagnostics.diagnose import OF_ROBOT, FeedForwardName, diagnose
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.record import find_plain_cause, find_standstill
 from jointid.diagnostics.find_causes import find_causes
@@ -222,6 +223,8 @@ def examine(
         >>> print(found.sentence)
         Nothing is wrong with twin L19; it determines 7 of 12 parameters and sums within 10 %.
     """
+    if isinstance(record, Record) and (controllers or feed_forward != "none"):
+        raise MethodError(OF_ROBOT)
     axes = _list_axes(record, model)
     first = axes[0].record
     loop, gear = (axes[0].loop, axes[0].joint.transmission) if len(axes) == 1 and not axes[0].name else (None, None)
@@ -244,9 +247,10 @@ def examine(
     checked += _check_estimate(estimate)
     made = estimate.checks.diagnosis
     diagnosis = made if isinstance(made, Diagnosis) else None
-    if (isinstance(model, Robot | RobotDriveSide) and controllers) or feed_forward != "none":
-        assert isinstance(record, Sequence)
-        diagnosis = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
+    declared = not isinstance(model, RobotLoop) and any(one is not None for one in controllers)
+    if diagnosis is not None and (declared or feed_forward != "none"):
+        with contextlib.suppress(JointidError):  # the diagnosis that was made stands
+            diagnosis = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
     if any(one.good is False for one in checked):
         return conclude(diagnosis=diagnosis)
     return conclude((*_list_precision(estimate),), diagnosis)

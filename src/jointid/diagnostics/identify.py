@@ -54,6 +54,7 @@ from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, skip_test
 
 _TOLD = 1.0  # deviations: what a suspected fault moves further is said
+_OF_RECORD = (JointidError, np.linalg.LinAlgError)  # raised where the record does not allow a check
 
 
 @one_thread()
@@ -211,7 +212,7 @@ def _fit_part(fit: FitResult, part: object, record: object, fit_it: Callable[[],
         return "no window has enough motion, both ways"
     try:
         return fit_it()
-    except (JointidError, np.linalg.LinAlgError) as error:  # without its checks, the estimate stands
+    except _OF_RECORD as error:  # without its checks, the estimate stands
         return f"{error}"
 
 
@@ -259,7 +260,7 @@ def run_checks(
     """
     failures: list[Message] = []
     found = CheckResults()
-    with _contained("controller and log", failures):
+    with _contained("controller and log", failures, ()):
         if fit.robot is not None:
             found = _check_robot(fit, fit.robot, progress, failures)
         else:
@@ -268,11 +269,11 @@ def run_checks(
 
 
 @contextlib.contextmanager
-def _contained(check: str, failures: list[Message]) -> Iterator[None]:
-    """Let no exception leave a check; one that is a fault of the package is added to the failures."""
+def _contained(check: str, failures: list[Message], known: tuple[type[Exception], ...] = _OF_RECORD) -> Iterator[None]:
+    """Let no exception leave a check; one that does not say what the record lacks is added to the failures."""
     try:
         yield
-    except (JointidError, np.linalg.LinAlgError):  # the record does not allow this check
+    except known:
         pass
     except Exception as error:  # an estimate is worth more than any check of it
         said = f"the check of {check} failed, which is a fault of jointid ({type(error).__name__}: {error})"
@@ -320,7 +321,7 @@ def _check_joint(
                 found, state = diagnose_joint(fit, record, (problem, x), shown=shown)
                 check = found.axes[0].faults
                 verdict = Verdict(Subject.LOOP, check.status, check.reasons)
-        except (JointidError, np.linalg.LinAlgError) as error:
+        except _OF_RECORD as error:
             verdict = skip_test(Subject.LOOP, f"not checked: {error}")
     if state is not None and isinstance(state.problem.joint, FlexibleJoint):
         with _contained("a residual that follows the motion", failures):
@@ -400,7 +401,7 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress, fail
     progress("checking controllers and torques")
     try:
         found = diagnose_robot(fit, fit.records)
-    except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
+    except _OF_RECORD as error:  # no check ends an identification
         return CheckResults((skip_test(Subject.LOOP, f"not checked: {error}"),))
     residual = Verdict(
         Subject.REPEATABLE,

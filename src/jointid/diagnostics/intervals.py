@@ -27,7 +27,6 @@ from jointid.uncertainty.identifiability import Combination
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.profile import (
     ProfileInterval,
-    Profiling,
     is_parabola,
     profile,
     profile_compliance,
@@ -66,7 +65,6 @@ def intervals(
     quantities: Sequence[str] | None = None,
     *,
     curved_only: bool = False,
-    profiling: Profiling | None = None,
     progress: Progress = ignore_progress,
 ) -> Intervals:
     """Return profiles of an estimate by DIDIM.
@@ -79,7 +77,6 @@ def intervals(
             fixed, the first free parameter.
         curved_only: True to leave out quantities along which the criterion is a parabola within a tenth: the profile of
             such a one ends where its interval does.
-        profiling: see `Profiling`.
         progress: called with each quantity.
 
     Raises:
@@ -107,17 +104,15 @@ def intervals(
     if "compliance" in quantities and "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
     wanted = {name: _parse_combination(problem, name) for name in quantities if name != "compliance"}
-    parabolic = tuple(
-        name for name, one in wanted.items() if curved_only and is_parabola(problem, x, one, spread, profiling)
-    )
+    parabolic = tuple(name for name, one in wanted.items() if curved_only and is_parabola(problem, x, one, spread))
     # What the stiffness shows, its inverse shows too.
     parabolic += ("compliance",) if "compliance" in quantities and "stiffness" in parabolic else ()
     followed = [name for name in quantities if name not in parabolic]
 
     def profile_of(quantity: str) -> ProfileInterval:
         if quantity == "compliance":
-            return profile_compliance(problem, x, spread, problem.joint.unit, profiling)
-        return profile(problem, x, wanted[quantity], spread, profiling)
+            return profile_compliance(problem, x, spread, problem.joint.unit)
+        return profile(problem, x, wanted[quantity], spread)
 
     profiles = []
     # Side by side: a simulation does not hold the interpreter's lock.

@@ -40,11 +40,6 @@ _TERMS: Mapping[str, tuple[str, Quantity]] = {
 _LOADS: Mapping[Load, Mapping[str, str]] = {"constant": {"constant": "gM"}, "link": {"cos": "gMX", "sin": "gMY"}}
 _STEPS = 8  # to where a load hangs: Newton squares the error in each
 
-GRAVITY_PARAMETERS: Mapping[Load, tuple[str, ...]] = {
-    load: tuple(f"gravity_{term}" for term in terms) for load, terms in _LOADS.items()
-}
-"""Names of the parameters of each load."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:

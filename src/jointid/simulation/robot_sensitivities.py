@@ -54,8 +54,8 @@ _IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
 _NUDGE = 1e-3  # rad: differences of a controller's state, which is linear
 
 
-def differentiate_torque(run: RobotRun, places: tuple[NumberPlace, ...]) -> FloatArray:
-    """Return the derivatives of the torques as the log shows them, (samples, n, parameters).
+def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> list[FloatArray]:
+    """Return the derivatives of the torques as the log shows them, by joint, (samples, parameters) each.
 
     Args:
         run: that finished, and whose tape was kept.
@@ -63,11 +63,6 @@ def differentiate_torque(run: RobotRun, places: tuple[NumberPlace, ...]) -> Floa
 
     Of order 2 in the pieces of the tape: against differences of whole runs some 1e-3 of the largest.
     """
-    return np.stack(differentiate_torques(run, places), axis=1)
-
-
-def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> list[FloatArray]:
-    """Return the result of `differentiate_torque` by joint, (samples, parameters) each, without copies."""
     return _follow(run, places, _at_start(run, places))
 
 

@@ -345,25 +345,9 @@ def _lump(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
     ]
     formula = " ".join(terms).removeprefix("+ ")
     formula = f"({formula})/2" if halves else formula
-    if estimate.checks.bounds:
-        return _lump_known_sums(estimate, weights, formula)
     value = sum(weight * estimate.values[name] for name, weight in weights.items())
     spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
     if not spread:
         return LumpedParameter(formula, value, None)
     sizes, correlation = np.array(list(spread.values())), estimate.params.correlation_of(list(spread))
     return LumpedParameter(formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0)))
-
-
-def _lump_known_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> LumpedParameter:
-    """Sum of both sides if only sums are determined, ignoring error correlation."""
-    assert estimate.checks.known is not None
-    value, std = 0.0, 0.0
-    for known in estimate.checks.known.physical:
-        weight = weights.get(next(iter(known.combination.weights)))
-        if weight is not None:
-            value, std = value + weight * known.value, std + abs(weight) * known.std
-    for name, weight in weights.items():
-        if name in estimate.values:  # what both sides have in common, and what was fixed
-            value, std = value + weight * estimate.values[name], std + abs(weight) * (estimate[name].stderr or 0.0)
-    return LumpedParameter(formula, value, std or None)

@@ -134,7 +134,7 @@ class IDIM(Method):
             return _Found(made, by_instruments(made.rows, columns, made.kept, made.free), effects)
 
         own = self.effects
-        if joint.model == "flexible" and _zeros_differ(solve_with):
+        if joint.model == "flexible" and EncoderOffset() not in own and _zeros_differ(solve_with):
             own = (*own, EncoderOffset())
         return _answer(task, self, filtering, delay, solve_with(own), noise)
 

@@ -1,7 +1,7 @@
 """Actuators of simulators: a joint as a rotor's inertia with friction, under its law of position and velocity.
 
-Isaac Lab, mjlab, USD and BAM have the link as a body of their own, and no spring in series. They take the same of a
-joint and of each joint of a robot.
+Isaac Lab and mjlab have the link as a body of their own, and no spring in series. They take the same of a joint and of
+each joint of a robot.
 """
 
 from __future__ import annotations
