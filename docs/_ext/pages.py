@@ -47,7 +47,6 @@ BY_MODULE = (
     "config.contents.JointFile",
     "config.robot_file.RobotFile",
     "diagnostics.validation.Validation",
-    "output.export.read_joint_model",
     "output.json.read_report",
     "planning.predict.planned_record",
     "planning.predict.predict_test",

@@ -21,7 +21,7 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import SPRINGS
-from jointid.output.export.robot_model import robot_mjcf
+from jointid.output.export.mjcf import robot_mjcf
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial

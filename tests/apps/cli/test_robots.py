@@ -15,7 +15,7 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config.robot_file import RobotFile
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
-from jointid.output.export.robot_model import robot_mjcf
+from jointid.output.export.mjcf import robot_mjcf
 from tests.estimation.robots.twin import arm, records_of, with_payload
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")

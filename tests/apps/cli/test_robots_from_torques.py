@@ -14,7 +14,7 @@ from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
-from jointid.output.export.robot_model import robot_mjcf
+from jointid.output.export.mjcf import robot_mjcf
 from tests.estimation.robots.twin import with_payload
 from tests.robots_plants import Twin, six, two
 

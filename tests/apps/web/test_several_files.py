@@ -16,7 +16,7 @@ from jointid.apps.web.form import fill_in_form, make_order, make_reading_tables,
 from jointid.common.errors import JointFileError
 from jointid.config import JointFile, loads
 from jointid.models.robots.robot import Robot
-from jointid.output.export.robot_model import robot_mjcf
+from jointid.output.export.mjcf import robot_mjcf
 from tests.apps.cli.test_robots import HEAD, write_robot
 from tests.apps.web.asking import LAW, UNITS, Asker, ended
 from tests.estimation.robots.twin import arm

@@ -1,17 +1,17 @@
-"""What the tests of exports share: a joint as its answer says it, and a servo that closes a loop around any plant."""
+"""What the tests of exports share: an estimate of given values, and a servo that closes a loop around any plant."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import jointid as ji
 from jointid.common.parameters import POSITION_UNIT
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.models.joints import Joint
-from jointid.output.export.joint_model import JointModel, joint_model
-from jointid.output.json import plain
 from jointid.paper.twin import TABLE_2
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.loop_input import prepare
@@ -30,39 +30,25 @@ SMOOTH = TABLE_2 | {
 """The paper's axis with what smooth laws have, too."""
 
 
-def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 7") -> dict[str, Any]:
-    """The keys of an estimate's JSON that an export reads."""
-    return {
-        "schema": "jointid.estimate/1",
-        "method": "didim",
-        "model": joint.model,
-        "kind": joint.kind,
-        "friction": joint.friction.name,
-        "spring": joint.spring_name,
-        "gravity": plain(joint.gravity),
-        "ripple": plain(joint.ripple),
-        "transmission": plain(joint.transmission),
-        "record": {"name": record, "sample_time": 1e-3, "torque_sha256": "5f1c"},
-        "parameters": {
-            p.name: {
-                "symbol": p.symbol,
-                "value": values[p.name],
-                "std": 0.01,
-                "unit": joint.unit(p),
-                "free": True,
-                "identifiable": True,
-                "lower_bound": None,
-                "lack_of_fit": 0.0,
-            }
-            for p in joint.parameters
-        },
-        "delay": 0.0,
-        "effects": [],
-    }
+def model(joint: Joint, values: Mapping[str, float | None], record: str = "run 7", **settings: Any) -> ji.Estimate:
+    """An estimate of these values, and with these settings."""
+    rows = tuple(EstimatedParameter(p.name, p.symbol, joint.unit(p), values[p.name], 0.01, True, True)
+                 for p in joint.parameters)  # fmt: skip
+    names = tuple(row.name for row in rows)
+    return ji.Estimate(
+        Params(rows, names, np.eye(len(rows)), ""),
+        Fit(np.zeros(0), np.zeros(0), (0, 0), 0.01, 0.01, 100, 1, "it settled", True),
+        Checks(),
+        Data(record, ("torque",), 1e-3, joint.force_unit, "5f1c"),
+        Settings("didim", "didim", joint, None, ji.Filtering(cutoff=60.0, decimation=1, borders=(0, 0)), **settings),
+    )
 
 
-def model(joint: Joint, values: Mapping[str, float | None], name: str = "axis", record: str = "run 7") -> JointModel:
-    return joint_model(answer(joint, values, record), joint, name)
+def with_parameter(estimate: ji.Estimate, name: str, **changes: Any) -> ji.Estimate:
+    """The estimate with another number of a parameter, or with one more, like its offset."""
+    rows = {row.name: row for row in estimate.params.rows}
+    rows[name] = replace(rows.get(name, rows["offset"]), name=name, **changes)
+    return replace(estimate, params=replace(estimate.params, rows=tuple(rows.values())))
 
 
 def servo(

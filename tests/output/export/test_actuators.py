@@ -13,9 +13,8 @@ import pytest
 
 import jointid as ji
 from jointid.models.robots.robot import JointSpring
-from jointid.output.export.joint_model import joint_model
 from tests.estimation.robots.twin import arm
-from tests.output.export.models import answer, model
+from tests.output.export.models import model, with_parameter
 
 GEAR = ji.Transmission(load="revolute", ratio=10.0, side="motor")
 RIGID = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.02, "offset": 0.001}
@@ -28,8 +27,8 @@ LAW = ji.controller.PD(
     delay=5e-4, period=1e-3,
 )  # fmt: skip
 BETWEEN = {
-    "isaac-lab": ("isaaclab.actuators", ("ImplicitActuatorCfg", "DelayedPDActuatorCfg", "DCMotorCfg")),
-    "mjlab": ("mjlab.actuator", ("IdealPdActuatorCfg", "BuiltinPositionActuatorCfg", "DcMotorActuatorCfg")),
+    "isaac-lab": ("isaaclab.actuators", ("ImplicitActuatorCfg", "DelayedPDActuatorCfg")),
+    "mjlab": ("mjlab.actuator", ("IdealPdActuatorCfg", "BuiltinPositionActuatorCfg")),
 }
 
 
@@ -52,7 +51,8 @@ def built(text: str) -> Any:
 
 
 def geared(law: ji.controller.PD = LAW) -> ji.Export:
-    return ji.export(model(ji.RigidJoint("revolute", transmission=GEAR), RIGID, "knee"), "isaac-lab", controllers=[law])
+    told = model(ji.RigidJoint("revolute", transmission=GEAR), RIGID)
+    return ji.export(told, "isaac-lab", name="knee", controllers=[law])
 
 
 @pytest.mark.usefixtures("simulators")
@@ -77,8 +77,8 @@ def test_isaac_lab_has_gains_and_inertia_of_the_load_side() -> None:
 
 @pytest.mark.usefixtures("simulators")
 def test_mjlab_takes_the_class_that_has_the_law() -> None:
-    joint = model(ji.FlexibleJoint("revolute"), FLEXIBLE, "left.knee")
-    ((kind, keys),) = built(ji.export(joint, "mjlab", controllers=[LAW], timestep=2e-3).text)
+    joint = model(ji.FlexibleJoint("revolute"), FLEXIBLE)
+    ((kind, keys),) = built(ji.export(joint, "mjlab", name="left.knee", controllers=[LAW], timestep=2e-3).text)
     assert kind == "IdealPdActuatorCfg"
     assert keys["target_names_expr"] == (r"left\.knee",)
     assert (keys["armature"], keys["viscous_damping"], keys["frictionloss"]) == pytest.approx((0.4, 9.0, 5.8))
@@ -86,21 +86,6 @@ def test_mjlab_takes_the_class_that_has_the_law() -> None:
     braking = replace(LAW, reference_velocity="none")
     assert built(ji.export(joint, "mjlab", controllers=[braking]).text)[0][0] == "BuiltinPositionActuatorCfg"
     assert any(one.startswith("the spring of 9000") for one in ji.export(joint, "mjlab").lost)
-
-
-@pytest.mark.usefixtures("simulators")
-@pytest.mark.parametrize("language", ["isaac-lab", "mjlab"])
-def test_a_torque_speed_curve_needs_both_of_its_numbers(language: str) -> None:
-    joint = model(ji.RigidJoint("revolute"), RIGID, "knee")
-    found = built(ji.export(joint, language, stall_torque=5.0, no_load_speed=40.0).text)
-    kind, keys = found["knee"] if language == "isaac-lab" else found[0]
-    assert kind.lower() in ("dcmotorcfg", "dcmotoractuatorcfg")
-    assert (keys["saturation_effort"], keys["velocity_limit"], keys["effort_limit"]) == (5.0, 40.0, 5.0)
-    for wrong in ({"stall_torque": 5.0}, {"stall_torque": 5.0, "no_load_speed": -1.0}):
-        with pytest.raises(ji.MethodError):
-            ji.export(joint, language, **wrong)
-    with pytest.raises(ji.MethodError):
-        ji.export(arm(2), language, stall_torque=5.0, no_load_speed=40.0)
 
 
 @pytest.mark.usefixtures("simulators")
@@ -133,7 +118,7 @@ def test_a_cascade_is_such_a_law_and_what_it_has_more_is_said() -> None:
         position_gain=30.0, velocity_gain=0.02, integral_gain=5.0, velocity_filter=[0.5, 0.5], gain=2.0,
         velocity_limit=3.0, acceleration_feedforward=1.0, reference_average=8e-3, interpolation="cubic",
     )  # fmt: skip
-    joint = model(ji.RigidJoint("revolute"), RIGID, "knee")
+    joint = model(ji.RigidJoint("revolute"), RIGID)
     made = ji.export(joint, "mjlab", controllers=[law])
     (_, keys), bare = built(made.text)[0], ji.export(joint, "mjlab", controllers=[replace(LAW, interpolation="hold")])
     assert (keys["stiffness"], keys["damping"]) == pytest.approx((1.2, 0.04))
@@ -149,15 +134,13 @@ HOSTILE = "x\"]\n)\nimport os; os.abort() # ' \\ \x00 \u2028 \ud800 }"
 @pytest.mark.usefixtures("simulators")
 @pytest.mark.parametrize("language", BETWEEN)
 def test_hostile_names_stay_names(language: str) -> None:
-    text = ji.export(model(ji.RigidJoint("revolute"), RIGID, HOSTILE, HOSTILE), language).text
+    text = ji.export(model(ji.RigidJoint("revolute"), RIGID, HOSTILE), language, name=HOSTILE).text
     text.encode("utf-8")
     assert len(built(text)) == 1  # runs nothing else
 
 
 @pytest.mark.usefixtures("simulators")
 def test_a_gain_that_was_identified_takes_the_place_of_the_declared_one() -> None:
-    joint = ji.RigidJoint("revolute", transmission=GEAR)
-    told = answer(joint, RIGID)
-    told["parameters"]["position_gain"] = told["parameters"]["offset"] | {"value": 0.8}
-    made = ji.export(joint_model(told, joint, "knee"), "isaac-lab", controllers=[LAW])
+    told = with_parameter(model(ji.RigidJoint("revolute", transmission=GEAR), RIGID), "position_gain", value=0.8)
+    made = ji.export(told, "isaac-lab", name="knee", controllers=[LAW])
     assert built(made.text)["knee"][1]["stiffness"] == pytest.approx(80.0)

@@ -14,11 +14,12 @@ import pytest
 import jointid as ji
 from jointid.apps.cli import main
 from jointid.config import loads
+from jointid.models.position_forces import PositionHarmonics
 from jointid.output.export import LANGUAGES, find_language
-from jointid.output.export.joint_model import joint_model
+from jointid.output.export.joint_model import JointModel
 from jointid.paper.twin import JOINT_FILE, TABLE_2
 from jointid.simulation.closed_loop import Simulation
-from tests.output.export.models import answer, model
+from tests.output.export.models import model, with_parameter
 
 ROOT = Path(__file__).resolve().parents[3]
 HOSTILE = 'run"\n[joint]\nkind = "revolute" \x07 \u2028 \\'
@@ -40,8 +41,7 @@ def folder(tmp_path: Path) -> Path:
         + "\n[parameters]   # as the makers say\nload_inertia = { start = 30.0, upper = 60.0 }\noffset = -3.0\n"
     )
     (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
-    told = answer(ji.load(tmp_path / "joint.toml").joint, TABLE_2 | {"offset": -3.0}, HOSTILE)
-    (tmp_path / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    model(ji.load(tmp_path / "joint.toml").joint, TABLE_2 | {"offset": -3.0}, HOSTILE).save(tmp_path / "out.json")
     return tmp_path
 
 
@@ -75,12 +75,10 @@ def test_the_joint_file_keeps_its_text_and_gives_the_values_back(
     assert replace(file, parameters={}, path=plain.path).tables() == replace(plain, parameters={}).tables()
 
 
-def test_an_interval_holds_what_the_model_lacks(folder: Path) -> None:
-    told = json.loads((folder / "out.json").read_text(encoding="utf-8"))
-    told["parameters"]["motor_inertia"]["lack_of_fit"] = 0.1
-    (folder / "out.json").write_text(json.dumps(told), encoding="utf-8")
-    assert exported(folder, "filled.toml") == 0
-    assert "motor_inertia: 70.200 kg (+- 0.20, 2 sigma)" in (folder / "filled.toml").read_text(encoding="utf-8")
+def test_an_interval_holds_what_the_model_lacks() -> None:
+    file = loads(JOINT_FILE)
+    lacking = with_parameter(model(file.joint, TABLE_2), "motor_inertia", lack_of_fit=0.1)
+    assert "motor_inertia: 70.200 kg (+- 0.20, 2 sigma)" in ji.export(lacking, "joint-file", file=file).text
 
 
 def test_fixed_values_are_kept_and_paths_lead_to_the_same_record(folder: Path) -> None:
@@ -149,15 +147,15 @@ def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_join
         "inertia": 95.0, "viscous_forwards": 200.0, "coulomb_forwards": 20.0, "viscous_backwards": 190.0,
         "coulomb_backwards": 22.0, "offset": 0.0,
     }  # fmt: skip
-    told = answer(ji.RigidJoint("prismatic", friction=ji.friction.AsymmetricFriction()), values)
-    (tmp_path / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    joint = ji.RigidJoint("prismatic", friction=ji.friction.AsymmetricFriction())
+    model(joint, values).save(tmp_path / "out.json")
     assert exported(tmp_path, "filled.toml") == 0
     file = ji.load(tmp_path / "filled.toml")
     assert file.joint.friction.name == "asymmetric"
     assert file.values() == values
 
 
-@pytest.mark.parametrize("out", ["a.toml", "a.json", "a.m", "a.xml", "a.urdf"])
+@pytest.mark.parametrize("out", ["a.toml", "a.json", "a.xml", "a.urdf"])
 def test_the_same_estimate_gives_the_same_bytes_which_say_where_they_come_from(folder: Path, out: str) -> None:
     assert exported(folder, out) == 0
     first = (folder / out).read_bytes()
@@ -171,7 +169,7 @@ def test_the_same_estimate_gives_the_same_bytes_which_say_where_they_come_from(f
 @pytest.mark.parametrize(
     "words",
     [
-        ("a.pdf",), ("a.m", "--set", "export.timestep=1e-4"), ("a.xml", "--side", "motor"), ("nowhere/a.xml",),
+        ("a.pdf",), ("a.json", "--set", "export.timestep=1e-4"), ("a.xml", "--side", "motor"), ("nowhere/a.xml",),
         ("out.json",), ("a.xml", "--format", "word"),
     ],
 )  # fmt: skip
@@ -210,14 +208,6 @@ def test_a_number_that_json_does_not_know_is_refused(folder: Path) -> None:
     assert exported(folder, "a.xml") == 2
 
 
-@pytest.mark.parametrize("value", ["1", True, float("inf"), [1.0]])
-def test_a_value_that_is_no_number_is_refused(value: object) -> None:
-    told = answer(ji.RigidJoint("prismatic"), RIGID)
-    told["parameters"]["inertia"]["value"] = value
-    with pytest.raises(ji.RecordError):
-        joint_model(told, ji.RigidJoint("prismatic"))
-
-
 def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
     first, second = (ji.twin("L19", seed=seed).record for seed in (1, 2))
     loop = ji.ClosedLoop(
@@ -244,7 +234,7 @@ def test_to_the_other_side_and_back_nothing_changes() -> None:
         "revolute", ji.friction.AsymmetricFriction(), gravity=ji.Gravity("link"), transmission=gear
     )
     values = {p.name: 1.0 + i for i, p in enumerate(joint.parameters)}
-    here = model(joint, values)
+    here = JointModel.of(model(joint, values), "axis")
     back = here.on("motor").on("load")
     assert back.values == pytest.approx(values, rel=1e-12)
     assert here.on("motor").gravity == replace(ji.Gravity("link"), angle=-0.01)
@@ -252,22 +242,17 @@ def test_to_the_other_side_and_back_nothing_changes() -> None:
     assert (here.gear, here.on("motor").gear) == (-100.0, 1.0)
 
 
-def test_a_joint_that_was_read_can_be_named_anew() -> None:
-    assert 'name="Achse_4"' in ji.export(model(ji.RigidJoint("prismatic"), RIGID), "urdf", name="Achse 4").text
-
-
 def test_ripple_is_said_to_be_left_out() -> None:
-    told = answer(ji.RigidJoint("prismatic"), RIGID) | {"effects": [{"kind": "harmonics", "period": 0.005}]}
-    for language in ("state-space", "matlab", "mjcf", "urdf"):
-        lost = ji.export(joint_model(told, ji.RigidJoint("prismatic")), language).lost
-        assert "what was identified beside the joint: harmonics" in lost
+    told = model(ji.RigidJoint("prismatic"), RIGID, effects=(PositionHarmonics(0.005),))
+    for language in ("state-space", "mjcf", "urdf"):
+        assert "what was identified beside the joint: harmonics" in ji.export(told, language).lost
 
 
 def test_exporting_text_needs_no_simulation_and_no_optional_package() -> None:
     program = (
         "import sys; from tests.output.export.models import model; import jointid as ji; "
         f"told = model(ji.RigidJoint('prismatic'), {RIGID}); "
-        "[ji.export(told, name) for name in ('state-space', 'matlab', 'mjcf', 'urdf')]; "
+        "[ji.export(told, name) for name in ('state-space', 'mjcf', 'urdf')]; "
         "print([m for m in ('numba', 'matplotlib', 'control', 'mujoco') if m in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)

@@ -56,7 +56,7 @@ def mjcf_torque(
 ) -> np.ndarray:
     """The torque of the motor's loop around MuJoCo; joint and law are of the motor's side."""
     told = model(joint, values)
-    gear = told.on("load").gear if told.side is not None else 1.0
+    gear = 1.0 if joint.transmission is None else joint.transmission.motor_per_load
     plant = Plant(ji.export(told, "mjcf", timestep=timestep).text, float(reference[0]) / gear)
     if joint.model == "flexible":
         plant.data.qpos[1] = joint.start(values, float(reference[0]), 0.0)[2] / gear  # where the load hangs
@@ -219,8 +219,8 @@ def test_what_these_languages_cannot_hold_is_refused(
 @pytest.mark.parametrize("language", ["mjcf", "urdf"])
 @pytest.mark.parametrize("hostile", ["a--><x/>", "a -", "--", "\x00\x1b\ud800&<\"'", "]]>\n<!DOCTYPE a>", "-" * 500])
 def test_hostile_names_stay_inside_a_comment(language: str, hostile: str) -> None:
-    text = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, hostile, hostile), language).text
-    plain = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, "joint"), language).text
+    text = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, hostile), language, name=hostile).text
+    plain = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2), language).text
     tags = [[element.tag for element in ET.fromstring(one).iter()] for one in (text, plain)]
     assert tags[0] == tags[1]
     assert text.encode("utf-8").count(b"<!--") == text.count("-->")
@@ -247,9 +247,10 @@ def test_the_law_of_the_controller_is_actuators_within_its_limit() -> None:
 
 @pytest.mark.skipif(not hasattr(mujoco.MjModel, "actuator_delay"), reason="this MuJoCo has no delays")
 def test_the_torque_s_actuator_has_the_limit_and_the_delay() -> None:
-    joint = model(ji.RigidJoint("revolute"), {"inertia": 2.0, "viscous": 0.0, "coulomb": 0.0, "offset": 0.0})
+    values = {"inertia": 2.0, "viscous": 0.0, "coulomb": 0.0, "offset": 0.0}
+    joint = model(ji.RigidJoint("revolute"), values, delay=2e-3)
     law = ji.controller.PD(position_gain=20.0, derivative_gain=4.0, limit=3.0)
-    plant = Plant(ji.export(replace(joint, delay=2e-3), "mjcf", controllers=[law], timestep=1e-3).text, 0.0)
+    plant = Plant(ji.export(joint, "mjcf", controllers=[law], timestep=1e-3).text, 0.0)
     seen = []
     for _ in range(4):
         plant(5.0)

@@ -77,7 +77,7 @@ def test_what_is_refused() -> None:
     robot = arm()
     hollow = replace(robot, links=(replace(robot.links[0], inertial=-robot.links[0].inertial), *robot.links[1:]))
     asked: list[tuple[Robot, str, dict[str, Any]]] = [
-        (robot, "matlab", {}), (robot, "urdf", {"timestep": 1e-3}), (robot, "mjcf", {"side": "motor"}),
+        (robot, "state-space", {}), (robot, "urdf", {"timestep": 1e-3}), (robot, "mjcf", {"side": "motor"}),
         (hollow, "mjcf", {}), (robot, "mjcf", {"control": "pd"}),
     ]  # fmt: skip
     for model, language, settings in asked:

@@ -1,20 +1,17 @@
-"""The state space, read by SciPy, python-control and a reader of MATLAB's matrices, against our own simulation."""
+"""The state space, read by SciPy and python-control, against our own simulation."""
 
 from __future__ import annotations
 
 import json
-import re
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import dlsim, lsim
 
 import jointid as ji
-from jointid.output.export.joint_model import joint_model
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from tests.output.export.models import answer, apart, model, pushed, servo, simulated
+from tests.output.export.models import apart, model, pushed, servo, simulated
 
 T = 1e-3
 VISCOUS = TABLE_2 | {"motor_coulomb": 0.0, "load_coulomb": 0.0, "offset": 0.0}
@@ -67,27 +64,6 @@ def test_its_poles_are_the_joint_s() -> None:
     assert max(abs(poles)) / (2 * np.pi) == pytest.approx(free["free_free"], rel=1e-3)
 
 
-def matrices(text: str, name: str) -> dict[str, np.ndarray]:
-    """Read the matrices of a structure from a MATLAB script: rows are ended by ;, numbers by blanks."""
-    found = re.findall(rf"^{name}\.([ABCD]) = \[(.*)\];$", text, re.MULTILINE)
-    return {key: np.array([[float(n) for n in row.split()] for row in rows.split(";")]) for key, rows in found}
-
-
-def test_a_matlab_script_has_the_same_numbers_and_only_comments_beside() -> None:
-    told = model(JOINT, TABLE_2, "Achse 3 (links)", "a\n!rm -rf\n%{\nsystem('x') ...")
-    text = ji.export(told, "matlab", period=2e-3, delay=1e-3).text
-    continuous, sampled = ji.state_space(told), ji.state_space(told).discretise(2e-3, 1e-3)
-    for name, system in (("Achse_3_links", continuous), ("Achse_3_links_sampled", sampled)):
-        found = matrices(text, name)
-        assert set(found) == set("ABCD")
-        for letter, matrix in found.items():
-            np.testing.assert_array_equal(matrix, getattr(system, letter))
-        assert f"{name}.sys = ss({name}.A, {name}.B, {name}.C, {name}.D" in text
-    lines = [line for line in text.splitlines() if line]
-    assert all(line.startswith(("% ", "Achse_3_links")) for line in lines)
-    assert "0.002, 'StateName'" in text
-
-
 def test_on_the_other_side_of_a_transmission_the_motion_is_the_same() -> None:
     gear = ji.Transmission(load="revolute", ratio=80.0, sign=-1)
     joint = ji.FlexibleJoint("revolute", transmission=gear)
@@ -120,7 +96,7 @@ def test_a_counterbalance_is_a_rate_and_the_file_says_what_is_lost() -> None:
 
 
 def test_the_delay_is_that_of_the_estimate_unless_another_is_asked_for() -> None:
-    told = joint_model(answer(JOINT, VISCOUS) | {"delay": 1.5e-3}, JOINT)
+    told = model(JOINT, VISCOUS, delay=1.5e-3)
     asked: list[tuple[dict[str, float], float]] = [({}, 1.5e-3), ({"delay": 0.0}, 0.0)]
     for settings, delay in asked:
         found = json.loads(ji.export(told, "state-space", **settings).text)["sampled"]
@@ -137,13 +113,8 @@ def test_what_cannot_be_sampled_is_refused() -> None:
         system.discretise(T).discretise(T)
     with pytest.raises(ji.MethodError):
         ji.export(model(JOINT, VISCOUS), "state-space", period=-1.0)
-    several: dict[str, Any] = answer(JOINT, TABLE_2) | {
-        "records": [{"name": n, "sample_time": t, "torque_sha256": ""} for n, t in (("a", 1e-3), ("b", 2e-3))],
-    }
-    told = joint_model(several, JOINT)
-    with pytest.raises(ji.MethodError):
-        ji.export(told, "state-space")
-    assert json.loads(ji.export(told, "state-space", period=T).text)["sampled"]["period"] == T
+    sampled = json.loads(ji.export(model(JOINT, VISCOUS), "state-space", period=2 * T).text)["sampled"]
+    assert sampled["period"] == 2 * T
 
 
 def test_without_python_control_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

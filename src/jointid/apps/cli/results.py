@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -19,7 +18,7 @@ from jointid.apps.cli.console import (
     show,
     spare,
 )
-from jointid.common.errors import JointidError, MethodError
+from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import Aside
@@ -194,7 +193,7 @@ def export(
 
     What its language cannot represent is listed.
     The ending of the file says for which: .toml a joint file with the values filled in, .json a linear state space for
-    SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator
+    SciPy, python-control and MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator
     of Isaac Lab. --format mjlab has no ending of its own.
 
     Args:
@@ -213,7 +212,7 @@ def export(
     from jointid.estimation.result.estimate import law_fingerprint
     from jointid.output import json as answers
     from jointid.output.export import export as run
-    from jointid.output.export import find_language, read_joint_model
+    from jointid.output.export import find_language
 
     spare((out,), estimate)
     choices = {} if estimate is None else answers.read_choices(estimate)
@@ -235,12 +234,10 @@ def export(
     estimate = _require_estimate(estimate)
     if language == "joint-file":
         settings |= {"file": file, "folder": out.parent}
-    model = read_joint_model(estimate, file.joint, file.name)
-    with contextlib.suppress(JointidError):  # the export says what it lacks
-        under = answers.load_estimate(estimate, file.joint).settings.controller
-        if file.loop is not None and under not in ("", law_fingerprint(file.loop)):
-            show("The controller of the joint file is not the one the joint was identified under.")
-    exported = run(model, language, side=side, controllers=file.controllers, **settings)
+    found = answers.load_estimate(estimate, file.joint)
+    if file.loop is not None and found.settings.controller not in ("", law_fingerprint(file.loop)):
+        show("The controller of the joint file is not the one the joint was identified under.")
+    exported = run(found, language, side=side, name=file.name, controllers=file.controllers, **settings)
     exported.save(out)
     show(exported)
     show(f"Written: {out}")

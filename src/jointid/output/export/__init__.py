@@ -13,17 +13,16 @@ from jointid.common.files import write_whole
 from jointid.common.text import join
 from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers.servo_base import Controller, numbers_of, require_one_each, with_numbers
-from jointid.models.joints import Joint
+from jointid.models.controllers.servo_base import Controller, require_one_each
 from jointid.models.robots.robot import Robot
 from jointid.output.export.actuators import isaac_lab, mjlab
+from jointid.output.export.bodies import read_robot_model
 from jointid.output.export.joint_file import joint_file
-from jointid.output.export.joint_model import JointModel, joint_model
+from jointid.output.export.joint_model import JointModel
+from jointid.output.export.mjcf import mjcf, robot_mjcf
 from jointid.output.export.pd_law import controllers_of, pd_law
-from jointid.output.export.robot_model import read_robot_model, robot_mjcf, robot_urdf
-from jointid.output.export.robots import mjcf, urdf
-from jointid.output.export.state_space_model import StateSpace, linear_part, matlab, state_space_json
-from jointid.output.json import read_joint_answer, to_dict
+from jointid.output.export.state_space_model import StateSpace, linear_part, state_space_json
+from jointid.output.export.urdf import robot_urdf, urdf
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +49,6 @@ class Language:
 LANGUAGES = (
     Language("joint-file", (".toml",), joint_file),
     Language("state-space", (".json",), state_space_json),
-    Language("matlab", (".m",), matlab),
     Language("mjcf", (".xml", ".mjcf"), mjcf, "load", robot_mjcf),
     Language("urdf", (".urdf",), urdf, "load", robot_urdf),
     Language("isaac-lab", (".py",), isaac_lab, "load", isaac_lab),
@@ -91,7 +89,7 @@ class Export:
 
 
 def export(
-    estimate: Estimate | JointModel | Robot,
+    estimate: Estimate | Robot,
     language: str,
     *,
     side: Side | None = None,
@@ -103,24 +101,22 @@ def export(
 
     - "joint-file": TOML with the values filled in. Settings: `file`, the `JointFile` it was identified with, whose text
       is kept; `values`, "start" (where the next search begins) or "fixed" (what is kept); `folder`, where it will be.
-    - "state-space": linear, continuous and sampled, as JSON for SciPy and python-control. Settings: `period` and
-      `delay` in s, to sample with; without them the record's and the joint's.
-    - "matlab": the same as a script for MATLAB and Octave, with the same settings.
+    - "state-space": linear, continuous and sampled, as JSON for SciPy, python-control and MATLAB. Settings: `period`
+      and `delay` in s, to sample with; without them the record's and the joint's.
     - "mjcf": motor and load with the spring between, friction of each, for MuJoCo; of a robot its bodies. Settings:
       `timestep` in s; `control`, "torque", or "pd" for the law of the controller.
     - "urdf": one joint with damping and friction, without the spring, for ROS. Of a robot its bodies. Settings:
       `model`, the URDF that the robot was read from, of which all else is kept; `locked`, see `robots.load_robot`.
     - "isaac-lab", "mjlab": actuators with gains, inertia, friction, delay and limit, for a simulator that has
-      the links as bodies of its own. Settings: `timestep` of its physics in s; of a joint `stall_torque` and
-      `no_load_speed` of its motor, in N m and rad/s (N and m/s).
+      the links as bodies of its own. Settings: `timestep` of its physics in s.
 
     Args:
-        estimate: from `identify` or `read_joint_model`. Of a robot, bodies near the nominal ones that fit it are
+        estimate: from `identify` or `load_estimate`. Of a robot, bodies near the nominal ones that fit it are
             written; a `Robot` is written as it is.
         language: its name, or the ending of its files.
         side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF, MJCF
             and actuators, whose joints are those of a robot's links, and else the side that was identified.
-        name: what the joint or the robot is called; without it "joint", or the name it was read with.
+        name: what the joint or the robot is called; without it "joint", or the name of the robot's model.
         controllers: of each joint, whose gains simulators take; without them those that it was identified under.
         settings: of the language.
 
@@ -139,8 +135,7 @@ def export(
         a constant force
     """
     chosen = find_language(language)
-    of_joint = isinstance(estimate, Estimate) and estimate.robot is None
-    robot = estimate if isinstance(estimate, Robot | Estimate) and not of_joint else None
+    robot = estimate if isinstance(estimate, Robot) or _require_estimate(estimate).robot is not None else None
     write = chosen.write if robot is None else chosen.write_robot
     if write is None:
         others = join([one.name for one in LANGUAGES if one.write_robot is not None])
@@ -160,25 +155,13 @@ def export(
         bodies, note = read_robot_model(robot)
         laws = [pd_law(one) for one in given]
         return Export(chosen.name, *write(replace(bodies, name=name or bodies.name), laws, **settings), note)
-    model = _model(estimate, name)
     require_one_each(given, 1)
-    if given:  # its numbers are of the side that was identified
-        identified = None if model.joint.transmission is None else model.joint.transmission.side
-        law = (
-            None
-            if given[0] is None
-            else pd_law(
-                with_numbers(
-                    given[0], {name: model.beside[name] for name in numbers_of(given[0]) if name in model.beside}
-                )
-            )
-        )
-        model = replace(model.on(identified), law=law)
+    model = JointModel.of(_require_estimate(estimate), name or "joint", *given)
     model = model.on(side or (None if model.side is None else chosen.side))
     return Export(chosen.name, *write(model, **settings))
 
 
-def state_space(estimate: Estimate | JointModel, *, side: Side | None = None) -> StateSpace:
+def state_space(estimate: Estimate, *, side: Side | None = None) -> StateSpace:
     """Return the linear part of a joint: from torque to positions and velocities; `StateSpace.discretise` samples it.
 
     Args:
@@ -188,21 +171,7 @@ def state_space(estimate: Estimate | JointModel, *, side: Side | None = None) ->
     Raises:
         MethodError: a value is refused, no joint can have it, or there is no such side.
     """
-    return linear_part(_model(estimate, None).on(side))
-
-
-def read_joint_model(path: str | os.PathLike[str], joint: Joint, name: str | None = None) -> JointModel:
-    """Read a joint model from the JSON of an estimate, for `export`.
-
-    Args:
-        path: of what `identify --json` wrote: of one record, of several, or of a long log.
-        joint: the model its values belong to.
-        name: what the joint is called.
-
-    Raises:
-        RecordError: the file cannot be read, is no such answer, or belongs to another joint.
-    """
-    return joint_model(read_joint_answer(path), joint, name, str(path))
+    return linear_part(JointModel.of(_require_estimate(estimate), "joint").on(side))
 
 
 def find_language(name: str) -> Language:
@@ -218,11 +187,7 @@ def find_language(name: str) -> Language:
     raise MethodError(f'"{name}" is no language that a joint is exported to; expected one of {known}.')
 
 
-def _model(estimate: object, name: str | None) -> JointModel:
-    if isinstance(estimate, JointModel):
-        return estimate if name is None else replace(estimate, name=name)
+def _require_estimate(estimate: object) -> Estimate:
     if not isinstance(estimate, Estimate):
-        raise MethodError(
-            f"What is exported is an estimate, of one record or of several; received {type(estimate).__name__}."
-        )
-    return joint_model(to_dict(estimate), estimate.settings.joint, name)
+        raise MethodError(f"What is exported is an estimate or a robot; received {type(estimate).__name__}.")
+    return estimate

@@ -10,7 +10,7 @@ from jointid.common.errors import JointFileError, MethodError
 from jointid.common.parameters import Parameter
 from jointid.config import JointFile, dumps, loads, with_paths, with_table
 from jointid.config.serialise import parameter_table
-from jointid.output.export.joint_model import JointModel, effects_left_out, interval, number, remarks
+from jointid.output.export.joint_model import JointModel, interval, number, remarks
 
 _STARTS = (
     'jointid simulate takes these starts; identify begins there with method.start = "given" (rigid), or by itself.'
@@ -56,7 +56,7 @@ def joint_file(
         if declared.name in file.parameters:
             kept[declared.name] = known
     lost = [f"what the record does not tell: {', '.join(refused)}"] if refused else []
-    lost += [*outside, *effects_left_out(model)]
+    lost += [*outside, *model.effects_lost]
 
     filled = replace(file, parameters=kept)
     head = [*remarks(model, lost), *([_STARTS] if values == "start" else [])]

@@ -1,9 +1,8 @@
-"""The joint model that every export writes, read from an estimate on either side of a transmission; and its remarks.
+"""The numbers of a joint's estimate that every export writes, on either side of a transmission; and its remarks.
 
-An estimate is read from the keys of its JSON, whether it comes from a file or has just been found. The remarks, the
-header of every export, say the source of the numbers, their standard errors, and what is left out. Nothing in them
-depends on the day or on the machine: the same answer gives the same bytes. Whoever named a record must not write
-another tool's program.
+The remarks, the header of every export, say the source of the numbers, their standard errors, and what is left out.
+Nothing in them depends on the day or on the machine: the same answer gives the same bytes. Whoever named a record must
+not write another tool's program.
 """
 
 from __future__ import annotations
@@ -11,25 +10,24 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from jointid import __version__
 from jointid.common import text
-from jointid.common.document import optional_number
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.transmission import OtherSide, Side
 from jointid.common.units import Kind
-from jointid.estimation.result.parts import EstimatedParameter, on_other_side
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import Data, EstimatedParameter, on_other_side
+from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
 from jointid.models.friction import Directions
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
 from jointid.models.springs import Piece, Spring
-from jointid.output.export.pd_law import PDLaw
-from jointid.output.json import plain
-from jointid.output.json.estimates import ESTIMATE_SCHEMA, Json
+from jointid.output.export.pd_law import PDLaw, pd_law
+from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,53 +78,65 @@ class Weight:
         """True if it follows the cosine or the sine of the position."""
         return self.cos != 0.0 or self.sin != 0.0
 
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """The source of the numbers.
-
-    Attributes:
-        schema: of the answer. method: of the estimate, "" where the answer has no one method.
-        records: names of the records. fingerprints: of their torque, "" where the answer has none.
-        left_out: kinds of what was identified beside the joint, such as ripple.
-    """
-
-    schema: str
-    method: str
-    records: tuple[str, ...]
-    fingerprints: tuple[str, ...]
-    left_out: tuple[str, ...] = ()
+    @property
+    def is_body(self) -> bool:
+        """True if a body that turns with the joint has this weight."""
+        return not self.turns or abs(self.angle) == 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class JointModel:
-    """The parameters of a joint, all on one side of its transmission; made by `joint_model`.
+    """The parameters of a joint, all on one side of its transmission.
 
     Attributes:
         name: what the joint is called.
-        joint: the model, as it was identified.
+        estimate: of the joint.
         kind: how the side moves that the numbers are of.
         side: which side that is; None without a transmission.
         parameters: of the joint, in its order.
         gravity: of the joint, as this side sees it.
-        sample_time: of the record in seconds, None where there were several.
-        delay: seconds from the logged torque to the torque that acts.
-        origin: where the numbers come from.
         law: of position and velocity, on this side; None where none is known.
-        beside: values that were identified beside the joint's, such as gains of the controller.
     """
 
     name: str
-    joint: Joint
+    estimate: Estimate
     kind: Kind
     side: Side | None
     parameters: tuple[EstimatedParameter, ...]
     gravity: Gravity | None
-    sample_time: float | None
-    delay: float
-    origin: Origin
     law: PDLaw | None = None
-    beside: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, estimate: Estimate, name: str, controller: Controller | None = None) -> JointModel:
+        """Return the model on the side that was identified, with the controller's numbers that were identified beside.
+
+        Raises:
+            MethodError: each of several records has parameters of its own.
+        """
+        joint, rows = estimate.require_joint(), {row.name: row for row in estimate.params.rows}
+        if own := [p.name for p in joint.parameters if p.name not in rows]:
+            raise MethodError(f"Each record has {', '.join(own)} of its own; identify these records without own.")
+        side = None if joint.transmission is None else joint.transmission.side
+        if controller is not None:
+            found = {name: rows[name].value for name in rows.keys() & numbers_of(controller)}
+            controller = with_numbers(controller, {key: value for key, value in found.items() if value is not None})
+        parameters = tuple(rows[p.name] for p in joint.parameters)
+        return cls(name, estimate, joint.kind, side, parameters, joint.gravity, pd_law(controller))
+
+    @property
+    def joint(self) -> Joint:
+        """The model, as it was identified."""
+        return self.estimate.settings.joint
+
+    @property
+    def data(self) -> Data:
+        """The record, or records, that the numbers are from."""
+        return self.estimate.data
+
+    @property
+    def delay(self) -> float:
+        """Seconds from the logged torque to the torque that acts."""
+        return self.estimate.settings.delay
 
     @property
     def torque_unit(self) -> str:
@@ -160,7 +170,7 @@ class JointModel:
         refused = [p.name for p in self.parameters if p.value is None]
         if refused:
             raise MethodError(
-                f"{', '.join(refused)} cannot be determined from {', '.join(self.origin.records)}, and no other "
+                f"{', '.join(refused)} cannot be determined from {self.data.record}, and no other "
                 "program can simulate without; identify the joint as rigid, or export a joint file, which omits it."
             )
         return {p.name: p.value for p in self.parameters if p.value is not None}
@@ -273,6 +283,36 @@ class JointModel:
             law=None if self.law is None else self.law.scale(there.ratio),
         )
 
+    def lost(self, *parts: str) -> list[str]:
+        """Return a sentence on each of these parts that the joint has and a language has not.
+
+        Args:
+            parts: "friction" but for one viscous and one Coulomb friction of each mass, "spring" but for linear pieces,
+                "weight" that turns otherwise than the joint. Ripple and effects beside the joint are no language's.
+        """
+        found, friction, spring, weight = list[str](), self.joint.friction, self.spring, self.weight
+        if "friction" in parts and not all(mass.evenly_viscous for mass in self.masses.values()):
+            found.append("the difference between viscous friction forwards and backwards; the mean of both is written")
+        if "friction" in parts and not friction.linear:
+            found.append(f"{friction.adds}; {friction.instead} is written")
+        if "spring" in parts and spring is not None and spring.stepped:
+            found.append(f"{spring.adds}; {spring.instead} is written")
+        if self.joint.ripple is not None:
+            found.append("the ripple over the position")
+        if "weight" in parts and weight is not None and not weight.is_body:
+            found.append(
+                f"the link's weight: it turns by {weight.angle:g} rad per unit of this position, and a body by 1; "
+                "export the load side of a [transmission]"
+            )
+        return [*found, *self.effects_lost]
+
+    @property
+    def effects_lost(self) -> list[str]:
+        """The sentence on what was identified beside the joint itself; or none."""
+        effects = {type(effect) for effect in self.estimate.settings.effects}
+        kinds = sorted(name for name, kind in EFFECTS.items() if kind in effects and name != "encoder_offset")
+        return [f"what was identified beside the joint: {', '.join(kinds)}"] if kinds else []
+
     def _mass(self, prefix: str) -> Mass:
         values = self.values
         inertia, directions = values[f"{prefix}inertia"], self.joint.friction.directions(values, prefix)
@@ -285,70 +325,7 @@ class JointModel:
         return Mass(inertia, directions)
 
 
-def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str = "The answer") -> JointModel:
-    """Return the joint model of an estimate in JSON; `source` is its name in messages.
-
-    Raises:
-        RecordError: it is no such answer, or of another joint.
-    """
-    try:
-        return _read(answer, joint, name or "joint")
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError):
-        raise RecordError(
-            f"{source} is no estimate ({ESTIMATE_SCHEMA}) for a {joint.kind} {joint.model} joint with the "
-            "parameters, the transmission, the gravity and the ripple of this joint file; give what identify "
-            "--json wrote with it."
-        ) from None
-
-
-def _read(answer: Json, joint: Joint, name: str) -> JointModel:
-    declared = (
-        joint.model,
-        joint.kind,
-        joint.friction.name,
-        plain(joint.gravity),
-        plain(joint.transmission),
-        plain(joint.ripple),
-        joint.spring_name,
-    )
-    stated = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
-    stated = (*stated, answer["ripple"], answer["spring"])
-    if answer["schema"] != ESTIMATE_SCHEMA or stated != declared:
-        raise ValueError
-    found = answer["parameters"]
-    records = answer.get("records") or [answer["record"]]
-    rates = {optional_number(record["sample_time"]) for record in records}
-    return JointModel(
-        name,
-        joint,
-        joint.kind,
-        None if joint.transmission is None else joint.transmission.side,
-        tuple(_parameter(found[p.name], p.name, p.symbol, joint.unit(p)) for p in joint.parameters),
-        joint.gravity,
-        rates.pop() if len(rates) == 1 else None,
-        optional_number(answer["delay"]) or 0.0,
-        Origin(
-            answer["schema"],
-            str(answer.get("method", "")),
-            tuple(str(record["name"]) for record in records),
-            tuple(str(record.get("torque_sha256") or "") for record in records),
-            tuple(str(effect["kind"]) for effect in answer.get("effects", []) if effect["kind"] != "encoder_offset"),
-        ),
-        beside={name: value for name, one in found.items() if (value := optional_number(one["value"])) is not None},
-    )
-
-
-def _parameter(found: Mapping[str, Any], name: str, symbol: str, unit: str) -> EstimatedParameter:
-    """Return a parameter of an answer; its symbol and its unit are the joint's own."""
-    if found["unit"] != unit:
-        raise ValueError
-    value, std, bound = (optional_number(found[key]) for key in ("value", "std", "lower_bound"))
-    free, identifiable = bool(found["free"]), bool(found["identifiable"])
-    lacking = optional_number(found["lack_of_fit"]) or 0.0
-    return EstimatedParameter(name, symbol, unit, value, std, free, identifiable, bound, lack_of_fit=lacking)
-
-
-_LONGEST = 48  # of the 63 characters that MATLAB reads of a name: what is put before and behind it stays readable
+_LONGEST = 48  # characters of a name
 _REMARK = 300  # characters of somebody's text that a remark keeps
 
 
@@ -363,16 +340,11 @@ def one_line(said: str) -> str:
     return words if len(words) <= _REMARK else f"{words[:_REMARK]}..."
 
 
-def identifier(wanted: str, reserved: Collection[str] = ()) -> str:
-    """Return a name made of a text: a letter, then letters, digits and _ of ASCII; "joint" where nothing is left.
-
-    Reserved words of the language, given in lower case, are no names.
-    """
+def identifier(wanted: str) -> str:
+    """Return a name made of a text: a letter, then letters, digits and _ of ASCII; "joint" where nothing is left."""
     plain = unicodedata.normalize("NFKD", wanted).encode("ascii", "ignore").decode("ascii")
     name = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:_LONGEST].strip("_") or "joint"
-    if not name[0].isalpha() or name.lower() in reserved:
-        name = f"joint_{name}"
-    return name
+    return name if name[0].isalpha() else f"joint_{name}"
 
 
 def number(value: float) -> str:
@@ -385,13 +357,12 @@ def remarks(model: JointModel, lost: Sequence[str]) -> list[str]:
 
     Each is one printable line, whatever the joint or the record is called.
     """
-    origin, transmission = model.origin, model.joint.transmission
+    transmission, known = model.joint.transmission, ", ".join(filter(None, model.data.fingerprints))
     lines = [
         f"{model.name}: a {model.kind} {model.joint.model} joint, written by jointid {__version__}",
-        f"from {origin.schema}" + (f", method {origin.method}" if origin.method else ""),
+        f"from {ESTIMATE_SCHEMA}, method {model.estimate.settings.method}",
+        f"record {model.data.record}" + (f", torque SHA-256 {known}" if known else ""),
     ]
-    for record, fingerprint in zip(origin.records, origin.fingerprints, strict=True):
-        lines.append(f"record {record}" + (f", torque SHA-256 {fingerprint}" if fingerprint else ""))
     if transmission is not None:
         ratio = f"{transmission.motor_per_load!r} motor position per load position, efficiency taken as 1"
         lines.append(f"transmission: {ratio}; all numbers here are of the {model.side} side")
@@ -409,30 +380,3 @@ def interval(p: EstimatedParameter) -> str:
         return f"{text.number(p.value)} {p.unit} (kept fixed)"
     known = "no interval" if p.deviation is None else f"+- {text.number(2 * p.deviation, 2)}, 2 sigma"
     return f"{text.number(p.value)} {p.unit} ({known}{'' if p.identifiable else '; not determined by the record'})"
-
-
-def friction_left_out(model: JointModel) -> tuple[str, ...]:
-    """Return sentences on friction in a format that has one viscous and one Coulomb friction for each mass."""
-    found = []
-    if not all(mass.evenly_viscous for mass in model.masses.values()):
-        found.append("the difference between viscous friction forwards and backwards; the mean of both is written")
-    if not model.joint.friction.linear:
-        found.append(f"{model.joint.friction.adds}; {model.joint.friction.instead} is written")
-    return tuple(found)
-
-
-def spring_left_out(model: JointModel) -> tuple[str, ...]:
-    """Return the sentence on what a format of linear springs does not have; or none."""
-    spring = model.spring
-    return (f"{spring.adds}; {spring.instead} is written",) if spring is not None and spring.stepped else ()
-
-
-def ripple_left_out(model: JointModel) -> tuple[str, ...]:
-    """Return the sentence on a ripple in a format that has no force over the position; or none."""
-    return ("the ripple over the position",) if model.joint.ripple is not None else ()
-
-
-def effects_left_out(model: JointModel) -> tuple[str, ...]:
-    """Return the sentence on what was identified beside the joint itself; or none."""
-    kinds = sorted(set(model.origin.left_out))
-    return (f"what was identified beside the joint: {', '.join(kinds)}",) if kinds else ()

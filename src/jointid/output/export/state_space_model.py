@@ -1,4 +1,4 @@
-"""The linear part of a joint as a state space, continuous and sampled; in files as JSON and as a MATLAB script.
+"""The linear part of a joint as a state space, continuous and sampled; in files as JSON.
 
 With the motor's position and velocity, and the load's, as states and the torque tau as input::
 
@@ -27,24 +27,13 @@ from jointid.common.parameters import Quantity, unit_of
 from jointid.common.text import number as shown
 from jointid.models.joints import FlexibleJoint
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
-from jointid.output.export.joint_model import (
-    JointModel,
-    effects_left_out,
-    identifier,
-    number,
-    remarks,
-    ripple_left_out,
-)
+from jointid.output.export.joint_model import JointModel
 from jointid.output.json import plain
-from jointid.output.json.estimates import Json
+from jointid.output.json.estimates import ESTIMATE_SCHEMA, Json
 
 STATE_SPACE_SCHEMA = "jointid.state-space/1"
 
 _MOST = 1000  # periods of delay: each is a state
-_RESERVED = (
-    "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
-    "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while", "ss", "struct",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +137,7 @@ def linear_part(model: JointModel) -> StateSpace:
 def state_space_json(
     model: JointModel, *, period: float | None = None, delay: float | None = None
 ) -> tuple[str, tuple[str, ...]]:
-    """Return a state space as JSON, for SciPy, python-control and whatever reads numbers, and what is not in it.
+    """Return a state space as JSON, for SciPy, python-control, MATLAB and whatever reads numbers; and its losses.
 
     Args:
         model: the joint.
@@ -156,10 +145,10 @@ def state_space_json(
         delay: s, from a sample of the torque to its effect; without it as the joint was identified with.
 
     Raises:
-        MethodError: a time is impossible, a value is refused, no joint can have it, or nothing says the period.
+        MethodError: a time is impossible, a value is refused, or no joint can have it.
     """
     continuous, sampled = _both(model, period, delay)
-    origin, lost = model.origin, _not_linear(model)
+    lost = _not_linear(model)
     answer: Json = {
         "schema": STATE_SPACE_SCHEMA,
         "jointid": __version__,
@@ -173,43 +162,13 @@ def state_space_json(
         "sampled": {"period": sampled.period, "delay": sampled.delay} | _matrices(sampled),
         "parameters": {p.name: plain(p) for p in model.parameters},
         "source": {
-            "schema": origin.schema,
-            "method": origin.method or None,
-            "records": [
-                {"name": name, "torque_sha256": mark or None}
-                for name, mark in zip(origin.records, origin.fingerprints, strict=True)
-            ],
+            "schema": ESTIMATE_SCHEMA,
+            "method": model.estimate.settings.method,
+            "records": [{"name": model.data.record, "torque_sha256": one or None} for one in model.data.fingerprints],
         },
         "lost": list(lost),
     }
     return dumps(answer), lost
-
-
-def matlab(
-    model: JointModel, *, period: float | None = None, delay: float | None = None
-) -> tuple[str, tuple[str, ...]]:
-    """Return a MATLAB script with two models of the Control System Toolbox, and its losses.
-
-    Octave's `control` package has the same. Settings and errors are those of `state_space_json`.
-    """
-    continuous, sampled = _both(model, period, delay)
-    name, lost = identifier(model.name, _RESERVED), _not_linear(model)
-    units = ", ".join(f"{signal} {unit}" for signal, unit in continuous.units.items())
-    lines = [f"% {line}" for line in (*remarks(model, lost), f"Units: {units}")]
-    if model.gear != 1.0:
-        lines.append(f"% The input is {number(model.gear)} times the motor's own torque.")
-    for system, made in ((continuous, name), (sampled, f"{name}_sampled")):
-        lines += ["", f"{made} = struct();"]
-        for letter in "ABCD":
-            rows = "; ".join(" ".join(map(number, row)) for row in getattr(system, letter))
-            lines.append(f"{made}.{letter} = [{rows}];")
-        given = [f"{made}.{letter}" for letter in "ABCD"] + ([] if system.period is None else [number(system.period)])
-        for key, signals in (
-            ("StateName", system.states), ("InputName", system.inputs), ("OutputName", system.outputs)
-        ):  # fmt: skip
-            given.append(f"'{key}', {{{', '.join(map(repr, signals))}}}")
-        lines.append(f"{made}.sys = ss({', '.join(given)});")
-    return "\n".join(lines) + "\n", lost
 
 
 def _both(model: JointModel, period: float | None, delay: float | None) -> tuple[StateSpace, StateSpace]:
@@ -218,10 +177,8 @@ def _both(model: JointModel, period: float | None, delay: float | None) -> tuple
         raise MethodError(
             f"A period is a positive number of seconds, a delay 0 or more; received {period} and {delay}."
         )
-    continuous, period = linear_part(model), period or model.sample_time
-    if period is None:
-        raise MethodError("The records have sample times of their own; give the period to sample with.")
-    return continuous, continuous.discretise(period, model.delay if delay is None else delay)
+    continuous = linear_part(model)
+    return continuous, continuous.discretise(period or model.data.sample_time, model.delay if delay is None else delay)
 
 
 def _not_linear(model: JointModel) -> tuple[str, ...]:
@@ -240,7 +197,7 @@ def _not_linear(model: JointModel) -> tuple[str, ...]:
         lost.append("the weight, which follows the cosine and the sine of the position")
     law = model.joint.friction
     lost += [law.adds] if law.adds else []
-    return (*lost, *ripple_left_out(model), *effects_left_out(model))
+    return (*lost, *model.lost())
 
 
 def _matrices(system: StateSpace) -> Json:

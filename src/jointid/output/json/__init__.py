@@ -5,7 +5,7 @@ Every document has `schema` at its top level. A number that does not exist is nu
 
 from jointid.common.document import dumps, write
 from jointid.output.json.documents import plain, simulation_answer, to_dict
-from jointid.output.json.reading import load_estimate, read_answer, read_choices, read_joint_answer, read_report
+from jointid.output.json.reading import load_estimate, read_answer, read_choices, read_report
 
 __all__ = [
     "dumps",
@@ -13,7 +13,6 @@ __all__ = [
     "plain",
     "read_answer",
     "read_choices",
-    "read_joint_answer",
     "read_report",
     "simulation_answer",
     "to_dict",

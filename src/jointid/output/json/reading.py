@@ -67,7 +67,8 @@ def load_estimate(path: str | Path, system: File[Any] | System) -> Estimate:
     if isinstance(model, RobotSystem):
         return _read_robot(path, answer, model)
     joint, loop = (model, None) if isinstance(model, Joint) else (model.joint, model)
-    answer = _require_joint(path, answer)
+    if answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot":
+        raise RecordError(f"{path} is the estimate of a robot; expected that of one joint: {_REMEDY}.")
     if (stated := answer.get("transmission")) != (declared := plain(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_gear_text(stated)}, and this joint has {_gear_text(declared)}; correct "
@@ -165,21 +166,6 @@ def _fingerprints(answer: Json) -> tuple[str, ...]:
     record = answer["record"]
     each = [one["torque_sha256"] for one in answer.get("records") or (record,)]
     return tuple(str(one) for one in record.get("logs_sha256") or each if one)
-
-
-def read_joint_answer(path: str | os.PathLike[str]) -> Json:
-    """Return the answer in a file, as `read_answer`, of anything but a robot.
-
-    Raises:
-        RecordError: the file cannot be read, or holds no JSON object, or the estimate of a robot.
-    """
-    return _require_joint(path, read_answer(path))
-
-
-def _require_joint(path: str | os.PathLike[str], answer: Json) -> Json:
-    if answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot":
-        raise RecordError(f"{path} is the estimate of a robot; expected that of one joint: {_REMEDY}.")
-    return answer
 
 
 def _no_number(name: str) -> float:
