@@ -1,26 +1,29 @@
-"""Every key of the joint file as a table, from the schema that the program itself checks a file by."""
+"""Every key of the joint file as a table, from the declarations by which the program checks a file."""
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterable, Iterator
+from dataclasses import MISSING, dataclass, replace
+from typing import Any, get_args, get_origin
 
-from jointid.config import json_schema
+from jointid.common.settings import Declared
+from jointid.config.quantities import list_units
+from jointid.config.schema import FileTable
+from jointid.config.table import list_keys, table_of, table_of_items
 
 _UNIT = re.compile(r"\s*\[([^\]]*)\]$")
 _CHANNELS_KEY = re.compile(r"record\.channels\.\w+\.\w+$")
-_WORDS = {"object": "table", "string": "text", "boolean": "`true`, `false`"}
-_BRANCHES = ("anyOf", "oneOf", "allOf")
+_WORDS = {str: "text", bool: "`true`, `false`", int: "whole number", float: "number", Any: "anything"}
 
 HEAD = """# Every key of the joint file
 
-Written from the schema by which the program checks a file; a key that is not here is a fault. What the keys do, with
-examples, is told in [the joint file](../../joint-file.md). `<channel>` stands for any of the channels, `<name>` for
-the name of a parameter or of a number. Of `[[records]]` and `torque_filters` each entry has the keys that stand here
-once.
+Written from the declarations by which the program checks a file; a key that is not here is a fault. What the keys do,
+with examples, is told in [the joint file](../../joint-file.md). `<channel>` stands for any of the channels, `<name>`
+for the name of a parameter or of a number. Of `[[records]]` and `torque_filters` each entry has the keys that stand
+here once.
 """
 
 
@@ -48,35 +51,29 @@ class Key:
 
 def page() -> str:
     """Return the page."""
-    schema = json_schema()
-    parts = [HEAD]
-    for table, described in schema["properties"].items():
-        keys = _merged(list(_keys(table, described, schema)))
-        if table == "record":
+    parts, each = [HEAD], list(_keys())
+    for name, table in FileTable.declared().items():
+        keys = _merged([key for key in each if key.place.startswith(f"{name}.")])
+        if name == "record":
             keys = _of_any_channel(keys)
-        mark = f"[[{table}]]" if described.get("type") == "array" else f"[{table}]"
+        mark = f"[[{name}]]" if get_origin(table.type) is tuple else f"[{name}]"
         rows = "\n".join(key.row for key in keys)
-        said = _sentence(_unit(described["description"])[0])
+        said = f"{table.setting.help[:1].upper()}{table.setting.help[1:]}."
         parts.append(
             f"\n## `{mark}`\n\n{said}\n\n| key | values | unit | default | meaning |\n|---|---|---|---|---|\n{rows}\n"
         )
     return "".join(parts)
 
 
-def _keys(place: str, described: Mapping[str, Any], schema: Mapping[str, Any], kind: str = "") -> Iterator[Key]:
-    """Yield the keys below a table, wherever they are; a key of several laws comes once for each."""
-    for table in _tables(described, schema):
-        keys = table.get("properties", {})
-        deciding = next((_choice([below["const"]]) for below in keys.values() if "const" in below), kind)
-        for key, below in keys.items():
-            meaning, unit = _unit(below.get("description", ""))
-            default = "required" if key in table.get("required", ()) else _default(below)
-            yield Key(f"{place}.{key}", _values(below, schema), unit, default, meaning, deciding)
-            yield from _keys(f"{place}.{key}", below, schema, deciding)
-        extra = table.get("additionalProperties")
-        if isinstance(extra, Mapping):
-            yield Key(f"{place}.<name>", _values(extra, schema), "", "—", "its value, by its name", deciding)
-            yield from _keys(f"{place}.<name>", extra, schema, deciding)
+def _keys() -> Iterator[Key]:
+    """Yield every key; one of several laws comes once for each."""
+    for key in list_keys(FileTable):
+        one = key.declared
+        said = "its value, by its name" if one.name == "<name>" else one.setting.description
+        unit = _UNIT.search(said)
+        kind = _choice([key.kind]) if key.kind else ""
+        values = kind if key.place == "controller.law" else _values(one)
+        yield Key(key.place, values, unit[1] if unit else "", _default(one), _UNIT.sub("", said), kind)
 
 
 def _merged(keys: list[Key]) -> list[Key]:
@@ -94,7 +91,7 @@ def _together(same: list[Key], kinds: set[str]) -> Key:
         said: dict[str, list[str]] = {}
         for key in same:
             said.setdefault(getattr(key, name), []).append(key.kind)
-        alike = len(said) == 1 or all(text == kind for text, (kind, *_) in said.items())  # a law's name is its own
+        alike = len(said) == 1 or same[0].place == "controller.law"
         told = [text if alike else f"{', '.join(by)}: {text}" for text, by in said.items()]
         cells.append((", " if alike else "; ").join(told))
     if {key.kind for key in same} != kinds and same[0].place.count(".") == 1:  # what is below says it no more
@@ -114,67 +111,37 @@ def _of_any_channel(keys: list[Key]) -> list[Key]:
     return list(found.values())
 
 
-def _resolved(described: Mapping[str, Any], schema: Mapping[str, Any]) -> Mapping[str, Any]:
-    while "$ref" in described:
-        described = schema["$defs"][described["$ref"].rpartition("/")[2]]
-    return described
-
-
-def _leaves(described: Mapping[str, Any], schema: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield the kinds of value a key may hold."""
-    resolved = _resolved(described, schema)
-    branches = [branch for name in _BRANCHES for branch in resolved.get(name, ())]
-    if not branches:
-        yield resolved
-    for branch in branches:
-        yield from _leaves(branch, schema)
-
-
-def _tables(described: Mapping[str, Any], schema: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield the tables a key may hold, or a list of it may."""
-    for leaf in _leaves(described, schema):
-        if leaf.get("type") == "object":
-            yield leaf
-        elif leaf.get("type") == "array":
-            yield from _tables(leaf.get("items", {}), schema)
-
-
-def _values(described: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
+def _values(one: Declared) -> str:
     """Return in words what may stand there."""
-    kinds = [_kind(leaf, schema) for leaf in _leaves({**described, **_resolved(described, schema)}, schema)]
-    chosen = described.get("enum")
-    return " or ".join(dict.fromkeys(kinds)) if chosen is None else _choice(chosen)
+    if one.choices or one.setting.only:
+        return _choice(one.choices or one.setting.only)
+    if (table := table_of(one.type)) is not None:
+        return f"{_values(table.declared()[table.shorthand])} or table" if table.shorthand else "table"
+    if get_origin(one.type) is tuple:
+        item = "table" if table_of_items(one.type) else _values(replace(one, type=get_args(one.type)[0]))
+        return f"list of {re.sub(r'number|list|table|text', lambda word: f'{word[0]}s', item, count=1)}"
+    if get_origin(one.type) is not None:
+        return "table"
+    word = _WORDS[one.type]
+    if one.setting.above == 0:
+        word = f"positive {word}"
+    elif one.setting.above is not None:
+        word = f"{word} above {one.setting.above:g}"
+    elif one.setting.at_least is not None:
+        word = f"{word}, {one.setting.at_least:g} or more"
+    more = ["text with a unit"] if one.type is float and list_units(one.setting.unit) else []
+    return " or ".join([word, *more, *([_choice([one.setting.none])] if one.setting.none else [])])
 
 
-def _choice(values: list[object]) -> str:
+def _choice(values: Iterable[object]) -> str:
     return ", ".join(f"`{json.dumps(value)}`" for value in values)
 
 
-def _kind(leaf: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
-    if "enum" in leaf or "const" in leaf:
-        return _choice(leaf.get("enum", [leaf.get("const")]))
-    if leaf.get("type") == "array":
-        items = re.sub(r"\b(number|list|table|text)\b", r"\1s", _values(leaf.get("items", {}), schema))
-        return f"list of {items}"
-    if leaf.get("description") == "a number with its unit":
-        return "text with a unit"
-    if leaf.get("type") in _WORDS:
-        return _WORDS[leaf["type"]]
-    word = "whole number" if leaf.get("type") == "integer" else "number"
-    if "exclusiveMinimum" in leaf:
-        return f"positive {word}"
-    return f"{word}, {leaf['minimum']:g} or more" if "minimum" in leaf else word
-
-
-def _default(described: Mapping[str, Any]) -> str:
-    return f"`{json.dumps(described['default'])}`" if "default" in described else "—"
-
-
-def _unit(description: str) -> tuple[str, str]:
-    """Return a description and the unit at its end."""
-    found = _UNIT.search(description)
-    return (description, "") if found is None else (_UNIT.sub("", description), found[1])
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."
+def _default(one: Declared) -> str:
+    """Return the value of a key that is left out, as the file has it."""
+    if one.required:
+        return "required"
+    value = one.default
+    if value in (None, "", MISSING, math.inf) or one.factory is not None or table_of(one.type) is not None:
+        return "—"
+    return f"`{json.dumps(value)}`"

@@ -95,7 +95,7 @@ FAULTS = [
     (SMALLEST + 'interpolation = "zoh"', "controller.interpolation value"),
     (
         SMALLEST.replace("velocity_gain = 2000.0", "derivative_gain = 3.0").replace("cascade", "pid"),
-        "controller.integral_gain contradiction",
+        "controller.integral_gain missing",
     ),
     (
         SMALLEST + 'velocity_filter = [0.5, 0.5]\n[method]\nfree = ["position_gain", "velocity_filter.time_constant"]',

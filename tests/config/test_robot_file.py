@@ -138,7 +138,7 @@ REFUSED = [
     ("joint1 = 0.1", "joint9 = 0.1", ""),
     ('unit = "A"', 'unit = "parsec"', "record.channels.torque.unit unit"),
     ('"arm.xml"', '"leg.xml"', ""),
-    ("derivative_gain = 1.0, ", "", "joints.2.controller.derivative_gain contradiction"),
+    ("derivative_gain = 1.0, ", "", "joints.2.controller.derivative_gain missing"),
     ('column = "i_{index}"', 'column = "i_0"', ""),
     ('ratio = 100, side = "load"', 'ratio = 100, side = "motor"', ""),
     ("[[joints]]", '[method]\nestimator = "ols"\nname = "didim"\n[[joints]]', "method.estimator contradiction"),

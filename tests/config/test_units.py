@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -240,17 +239,6 @@ def test_a_learned_law_behind_a_gear_is_read_back_with_its_gain(constant: str, g
     learned = Cascade(position_gain=3.0, velocity_gain=4.0, gain=gain)  # on the side of its record: the load's
     written = controller_text(learned, file.joint.transmission, file.torque_per_unit)
     assert loads(with_table(text, written)).controller == learned
-
-
-def test_an_integral_time_is_written_only_where_it_still_says_the_gain() -> None:
-    pid = '[controller]\nlaw = "pid"\nposition_gain = 1.0\nintegral_time = "10 ms"\nderivative_gain = 0.1\n'
-    file = loads(SMALLEST.replace(CASCADE, pid))
-    assert 'integral_time = "10 ms"' in dumps(file)
-    other = replace(file, controller=replace(file.controller, position_gain=2.0))  # type: ignore[type-var]
-    assert loads(dumps(other)) == other
-    faster = loads(SMALLEST.replace(CASCADE, pid.replace("1.0", '"50 N/m"')))
-    assert 'integral_time = "10 ms"' in dumps(faster)
-    assert loads(dumps(faster)) == faster
 
 
 @pytest.mark.parametrize(

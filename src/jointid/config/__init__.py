@@ -15,11 +15,10 @@ from jointid.config.loading import (
     with_record,
     with_table,
 )
-from jointid.config.schema import json_schema
-from jointid.config.schema_record import Run, Source, Together
+from jointid.config.source import Run, Source, Together
 
 __all__ = [
-    "JointFile", "Run", "Source", "Together", "controller_text", "dumps", "json_schema", "learned_text", "load",
+    "JointFile", "Run", "Source", "Together", "controller_text", "dumps", "learned_text", "load",
     "load_joint", "load_to_learn", "loads", "require_joint", "save_with_controller", "with_paths",
     "with_record", "with_table",
 ]  # fmt: skip

@@ -16,12 +16,12 @@ from jointid.common.units import Kind
 from jointid.config.quantities import Stated, misfit
 from jointid.config.schema import (
     KINDS,
+    ChannelTable,
     FileTable,
     MethodTable,
     ParameterTable,
     keys_of,
 )
-from jointid.config.schema_record import ChannelTable
 from jointid.config.table import Place, refusal
 from jointid.estimation.methods.registry import CALLED, METHODS, MODELS, ROBOT, method_of, methods
 from jointid.estimation.problems.base import surrounding
@@ -151,7 +151,7 @@ def foreign_settings(table: MethodTable, name: str | None, system: str | None) -
     if of_robot and name is not None and system not in method_of(name).systems:
         yield "name", messages.no_choice(name, [one.name for one in methods() if system in one.systems])
         return
-    for key, value in table.given_values("name").items():
+    for key, value in table.settings("name").items():
         owners = [owner for owner in METHODS if _systems_of(owner, key)]
         owner = name if name in owners else owners[0]
         systems = _systems_of(owner, key)
@@ -238,7 +238,7 @@ def _parameter_faults(file: FileTable) -> Iterator[Fault]:
             yield file.fault(place, _describe_unknown_key(name, file, known), "unknown")
             continue
         # A parameter that is a bare number has no keys.
-        keys = table.model_fields_set - {"value"}
+        keys = set(table.given) - {"value"}
         for key, rest in _value_faults(known[name], table):
             yield file.fault((*place, key) if key and keys else place, rest)
 
@@ -301,7 +301,7 @@ def _channel_faults(file: FileTable) -> Iterator[Fault]:
     kinds = KINDS if file.is_wrong("transmission") else file.kinds
     drive = file.drive_of_joint
     for name, table in file.channels.items():
-        if table.column is None and drive is not None and drive.traces is None:
+        if not table.column and drive is not None and drive.traces is None:
             yield file.fault(
                 ("record", "channels", name, "column"),
                 " is missing; expected text in quotes (name of the column in the record's file): add it, or give "
@@ -427,7 +427,7 @@ def _transmission_faults(file: FileTable) -> Iterator[Fault]:
     if file.geared:
         return
     named: dict[Place, str] = {("record", "channels", n): one.side for n, one in file.channels.items() if one.side}
-    if file.controller and "side" in file.controller.model_fields_set:
+    if file.controller and "side" in file.controller.given:
         named[("controller",)] = file.controller.side
     for place, side in named.items():
         rest = f' is "{side}", but nothing lies between motor and load: add a transmission, or leave it out.'

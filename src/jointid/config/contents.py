@@ -18,7 +18,6 @@ from jointid.common.errors import Fault, JointFileError, JointidError, MethodErr
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.units import Kind
-from jointid.config import serialise
 from jointid.config.consistency import (
     change_parameter,
     choose_method,
@@ -29,9 +28,8 @@ from jointid.config.consistency import (
 from jointid.config.controller_gain import controller_gain, unit_faults
 from jointid.config.drive_gains import translate_gains
 from jointid.config.drive_numbers import drive_numbers
-from jointid.config.quantities import Stated, find_quantities
 from jointid.config.schema import FileTable, add_gains_of_times
-from jointid.config.schema_record import Run, Source, Together
+from jointid.config.source import Run, Source, Together
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
@@ -322,7 +320,7 @@ class File(ABC, Generic[R]):
 
     @abstractmethod
     def tables(self) -> dict[str, Any]:
-        """Return the tables that `of` reads back to this file."""
+        """Return the tables of the file."""
 
 
 def name_axes(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:
@@ -344,7 +342,7 @@ class JointFile(File[Record]):
         runs: records that are identified together.
         together: how they are; see `jointid.SeveralRecords`.
         limits: of the axis in a test that is planned; see `jointid.design`.
-        stated: numbers that were given with a unit, by the path of their key; a file that is written has them so.
+        table: the tables of the file, as they were read.
         said: keys of [controller] that the file gives, and the gains that they say in other words.
 
     Example:
@@ -367,7 +365,7 @@ class JointFile(File[Record]):
     runs: tuple[Run, ...] = ()
     together: Together = field(default_factory=Together)
     limits: AxisLimits = field(default_factory=AxisLimits)
-    stated: Mapping[str, Stated] = field(default_factory=dict, compare=False, repr=False)
+    table: FileTable | None = field(default=None, compare=False, repr=False)
     said: Collection[str] = field(default=(), compare=False, repr=False)
 
     @classmethod
@@ -383,9 +381,8 @@ class JointFile(File[Record]):
         """
         if crowded := list(_size_faults(tables)):  # each of so many would be a sentence
             raise JointFileError(crowded)
-        corrected, misspelt = FileTable.correct_keys(tables)
-        file, faults = FileTable.read(translate_gains(corrected))
-        return cls.of_table(file, path, [*misspelt, *faults])
+        file, faults = FileTable.read(translate_gains(tables))
+        return cls.of_table(file, path, faults)
 
     @classmethod
     def of_table(cls, file: FileTable, path: Path, faults: Sequence[str] = ()) -> Self:
@@ -408,7 +405,7 @@ class JointFile(File[Record]):
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
-            columns={name: table.build() for name, table in file.record.channels.given_values().items()},
+            columns=file.record.channels.build(),
             method=file.method.method(method, joint.model),
             controller=file.controller.refer(transmission, controller_gain(file)) if file.controller else None,
             filtering=file.filtering.build(),
@@ -420,8 +417,8 @@ class JointFile(File[Record]):
             together=file.together.build(),
             limits=file.limits.build(),
             path=path,
-            stated=dict(find_quantities(file)),
-            said=add_gains_of_times(file.controller.model_fields_set) if file.controller else (),
+            table=file,
+            said=add_gains_of_times(file.controller.given) if file.controller else (),
         )
 
     @property
@@ -449,7 +446,9 @@ class JointFile(File[Record]):
 
     def drive_numbers(self, learned: Controller) -> tuple[DriveNumber, ...]:
         """Return how the drive shows the numbers of a learned law, beside those that this file declares."""
-        return drive_numbers(learned, self.controller, self.said, self.stated, self.joint, self.drive)
+        law = None if self.table is None else self.table.controller
+        stated = {} if law is None else dict(law.quantities())
+        return drive_numbers(learned, self.controller, self.said, stated, self.joint, self.drive)
 
     @property
     def declared_numbers(self) -> tuple[DriveNumber, ...]:
@@ -746,34 +745,8 @@ class JointFile(File[Record]):
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 
     def tables(self) -> dict[str, Any]:
-        """Return the tables that `of` reads back to this file, without defaults.
-
-        Raises:
-            JointFileError: a joint file has no word for the friction or the controller, or the method is for the other
-                model.
-        """
-        model, gear = {parameter.name: parameter for parameter in self.joint.parameters}, self.joint.transmission
-        channels = {name: serialise.settings(column) for name, column in self.columns.items()}
-        parameters = {name: serialise.parameter_table(p, model.get(name, p)) for name, p in self.parameters.items()}
-        record = {**serialise.settings(self.source, "options"), **self.source.options, "channels": channels}
-        tables = {
-            "joint": serialise.joint_table(self.joint, self.name) | serialise.torque_constant(self.drive, self.joint),
-            "transmission": {} if gear is None else serialise.settings(gear, "load"),
-            "gravity": serialise.gravity_table(self.joint.gravity, gear),
-            "ripple": {} if self.joint.ripple is None else serialise.settings(self.joint.ripple),
-            "record": record,
-            "drive": serialise.settings(self.drive, "torque_constant", "torque_per_volt"),
-            "controller": {}
-            if self.controller is None
-            else serialise.controller_table(self.controller, gear, self.torque_per_unit),
-            "filtering": serialise.filtering_table(self.filtering),
-            "method": serialise.method_table(self.method, self.joint.model),
-            "parameters": parameters,
-            "records": [serialise.settings(run) for run in self.runs],
-            "together": serialise.settings(self.together),
-            "limits": serialise.settings(self.limits),
-        }
-        return serialise.restore_units({name: table for name, table in tables.items() if table}, self.stated)
+        """Return the tables of the file, as they were read."""
+        return {} if self.table is None else self.table.written()
 
 
 def resolve_place(path: Path) -> Path:

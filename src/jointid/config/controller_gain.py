@@ -85,7 +85,7 @@ def _gain(file: FileTable, joint: JointTable, law: LawTable, drive: Drive) -> fl
     Raises:
         JointFileError: it is not known, or is given twice and differs.
     """
-    given: float | None = law.gain if "gain" in law.model_fields_set else None
+    given: float | None = law.gain if "gain" in law.given else None
     spoken = _find_output(law, file.kind_of_side(law.side, joint.kind))
     if spoken is None:
         constant = drive.torque_constant or drive.torque_per_volt

@@ -12,7 +12,7 @@ from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.transmission import SIDES
 from jointid.common.units import Kind
 from jointid.config.controller_gain import AGREES
-from jointid.config.quantities import OUTPUTS, Stated, in_controller_units, list_units, output_of
+from jointid.config.quantities import OUTPUTS, in_controller_units, list_units, output_of
 from jointid.config.schema import TIMES
 from jointid.models.controllers import Cascade, Controller, ServoController, declared_unit, numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -29,7 +29,7 @@ class _Said:
     Attributes:
         controller: as declared; gains that are not said have stand-ins.
         keys: settings of it that the file gives.
-        stated: numbers with their units, by the path of their key.
+        stated: texts of numbers with their units, by the path of their key below [controller].
         kind: how the controller's side moves.
         output: the unit of the controller's output; None where it is not known.
         profile: names and units of the drive's own parameters, by the key that they are.
@@ -37,7 +37,7 @@ class _Said:
 
     controller: Any
     keys: Collection[str]
-    stated: Mapping[str, Stated]
+    stated: Mapping[str, str]
     kind: Kind
     output: str | None
     profile: Mapping[str, tuple[str, tuple[str, ...]]]
@@ -47,7 +47,7 @@ def drive_numbers(
     learned: Controller,
     declared: Controller | None,
     keys: Collection[str],
-    stated: Mapping[str, Stated],
+    stated: Mapping[str, str],
     joint: Joint,
     drive: Drive,
 ) -> tuple[DriveNumber, ...]:
@@ -57,7 +57,7 @@ def drive_numbers(
         learned: the law, on the joint's side or on that of the declared one.
         declared: the controller of the joint file, whose side, gain and units are the drive's.
         keys: settings of it that the file gives.
-        stated: numbers with their units, by the path of their key.
+        stated: texts of numbers with their units, by the path of their key below [controller].
         joint: with its transmission.
         drive: its torque constant, and the profile with its parameters' names.
     """
@@ -78,13 +78,10 @@ def _kind(joint: Joint, ratio: float) -> Kind:
     return next((gear.kind_of(side) for side in SIDES if gear.torque(side) == ratio), joint.kind)
 
 
-def _output(declared: Any, stated: Mapping[str, Stated], joint: Joint, drive: Drive, kind: Kind) -> str | None:
+def _output(declared: Any, stated: Mapping[str, str], joint: Joint, drive: Drive, kind: Kind) -> str | None:
     """Return the unit of a controller's output: as a number with a unit says, else by its gain."""
-    for path, text in stated.items():
-        name = path.removeprefix("controller.")
-        if path == name or name not in numbers_of(declared):
-            continue
-        if output := output_of(text.text, declared_unit(declared, name), kind):
+    for name in stated.keys() & numbers_of(declared).keys():
+        if output := output_of(stated[name], declared_unit(declared, name), kind):
             return output
     gain, gear = getattr(declared, "gain", 1.0), joint.transmission
     if gain == 1.0:
@@ -107,7 +104,7 @@ def _convert_number(learned: Any, name: str, said: _Said) -> Iterator[DriveNumbe
         there = DriveNumber(name, _label(time, said), unit, second, inverse, per=per)
         yield replace(there, declared=there.of(declared, known)) if declared else there
         return
-    if f"controller.{(cutoff := _cutoff_of(name))}" in said.stated:
+    if (cutoff := _cutoff_of(name)) in said.stated:
         unit = _unit_in_drive(cutoff, "Hz", said)
         there = DriveNumber(name, cutoff, unit, 0.5 / math.pi / units.parse_unit(unit).factor, inverse=True)
         yield replace(there, declared=there.of(declared, known)) if declared else there
@@ -152,8 +149,8 @@ def _label(key: str, said: _Said) -> str:
 
 def _unit_in_drive(key: str, plain: str, said: _Said) -> str:
     """Return the unit in which the drive shows a number: the joint file's, the profile's, or a plain one."""
-    if (text := said.stated.get(f"controller.{key}")) is not None:
-        return units.parse_quantity(text.text).unit
+    if (text := said.stated.get(key)) is not None:
+        return units.parse_quantity(text).unit
     choices = said.profile.get(key, ("", ()))[1]
     if not plain:
         return choices[0] if len(choices) == 1 else ""

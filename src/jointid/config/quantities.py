@@ -6,9 +6,8 @@ declaration says. The value is taken to SI where it is read, and its words are k
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
 from jointid.common import messages, units
 from jointid.common.units import Kind, UnitError
@@ -25,21 +24,15 @@ class Stated(float):
 
     Attributes:
         text: as the file has it.
-        key: of the file, where the value became that of another key: ``integral_time`` of an ``integral_gain``.
     """
 
     text: str
-    key: str
 
-    def __new__(cls, value: float, text: str, key: str = "") -> Stated:
+    def __new__(cls, value: float, text: str) -> Stated:
         """Return the number."""
         made = super().__new__(cls, value)
-        made.text, made.key = text, key
+        made.text = text
         return made
-
-    def __getnewargs__(self) -> tuple[float, str, str]:  # type: ignore[override]
-        """Return the arguments of a copy."""
-        return float(self), self.text, self.key
 
 
 @lru_cache(maxsize=256)
@@ -116,18 +109,3 @@ def to_si(text: str, declared: str) -> Stated:
     """Return the SI value of a text that is no `misfit`."""
     said = units.parse_quantity(text)
     return Stated(next(v for unit in list_units(declared) if (v := said.matching(unit)) is not None), text)
-
-
-def find_quantities(table: Any, before: str = "") -> Iterator[tuple[str, Stated]]:
-    """Yield the numbers with a unit below a table, with the path of their key."""
-    if isinstance(table, Stated):
-        yield before, table
-    elif isinstance(table, list):
-        for place, item in enumerate(table):
-            yield from find_quantities(item, f"{before}.{place}")
-    elif isinstance(table, dict):
-        for key, item in table.items():
-            yield from find_quantities(item, f"{before}.{key}" if before else key)
-    elif hasattr(table, "model_fields_set"):
-        given = {key: getattr(table, key) for key in type(table).model_fields if key in table.model_fields_set}
-        yield from find_quantities(given, before)

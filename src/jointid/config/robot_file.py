@@ -7,42 +7,43 @@ that all joints share it is checked as a joint file. In the name of a column ``{
 
 from __future__ import annotations
 
-import copy
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
-from jointid.common.messages import Says
 from jointid.common.parameters import Parameter
-from jointid.common.settings import settings_of
+from jointid.common.settings import setting, settings_of
 from jointid.common.text import join
 from jointid.common.units import Kind
 from jointid.config.consistency import foreign_settings
 from jointid.config.contents import FeedForward, File, JointFile, name_axes, resolve_place
 from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.schema import (
-    ControllerTable,
+    ChannelsTable,
+    ChannelTable,
+    DriveTable,
     FileTable,
     FilteringTable,
     GravityTable,
     JointTable,
+    LawTable,
     LimitsTable,
     MethodTable,
     ParameterTable,
+    RecordTable,
     RippleTable,
     TransmissionTable,
 )
-from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Run
-from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
+from jointid.config.source import Run
+from jointid.config.table import Reader, Table, fault_at, part, required
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.robots.numbers import name_in_robot
 from jointid.models.joints import FlexibleJoint
@@ -58,89 +59,78 @@ from jointid.simulation.robots import RobotLoop
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
 
-Vector = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
-Inertia = Annotated[list[Number], Field(min_length=6, max_length=6), Says("a list of six numbers")]
-
-
-def _at_zero(value: object) -> object:
-    """Return a list of joints as a table of their positions."""
-    return {name: 0.0 for name in value if isinstance(name, str)} if isinstance(value, list) else value
-
-
-Positions = Annotated[dict[str, Number], BeforeValidator(_at_zero), Says("a table of numbers, or a list of joints")]
-
 
 class RobotTable(Table):
     """[robot]: its model, and how it stands."""
 
-    model: Text = Field(description="path of its URDF or MJCF file, from the robot file's folder")
-    name: Text | None = Field(None, description="what reports call the robot; without it as the model does")
-    base: Vector = Field(
-        default_factory=lambda: [0.0, 0.0, 0.0],
-        description="roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
+    model: str = required("path of its URDF or MJCF file, from the robot file's folder")
+    name: str | None = setting(None, "what reports call the robot; without it as the model does")
+    base: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        "roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
+        expected="a list of three numbers",
     )
-    feed_forward: FeedForward = Field("none", description="what the drives are given beside the controllers' torque")
-    locked: Positions = Field(
-        default_factory=dict,
-        description="by the names of joints of the model that stand still and that no log has, their positions [rad or "
+    feed_forward: FeedForward = setting("none", "what the drives are given beside the controllers' torque")
+    locked: Mapping[str, float] = part(
+        dict,
+        "by the names of joints of the model that stand still and that no log has, their positions [rad or "
         "m]; or a list of such joints, which stand at 0",
+        expected="a table of numbers, or a list of joints",
     )
-    in_motion: bool = Field(False, description="whether the records begin while the robot moves, as its references do")
+    in_motion: bool = setting(False, "whether the records begin while the robot moves, as its references do")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield angles above a turn, which are degrees."""
-        if any(abs(float(angle)) > _TURNS for angle in self.base):
-            yield "base", f" is {self.base}, beyond a turn; expected roll, pitch and yaw in rad: convert the degrees."
+        if any(abs(angle) > _TURNS for angle in self.base):
+            said = f" is {list(self.base)}, beyond a turn; expected roll, pitch and yaw in rad: convert the degrees."
+            yield "base", said
 
 
-@keys_from(JointSpring, without=("stiffness",))
 class JointSpringTable(Table):
     """joints.spring: between motor and link, with the link's friction; a bare word is its law."""
 
+    of = (JointSpring,)
     shorthand = "law"
 
-    law: Annotated[Text, accept_by(find_spring)] = Field(
-        "linear", description="the spring's law", json_schema_extra={"enum": list(SPRINGS)}
-    )
-    stiffness: Positive | None = Field(
-        None, description="of the spring, where a search begins, unless joints.parameters says it [N m/rad or N/m]"
+    law: str = setting("linear", "the spring's law", accept=find_spring, choices=tuple(SPRINGS))
+    stiffness: float | None = setting(
+        None,
+        "of the spring, where a search begins, unless joints.parameters says it [N m/rad or N/m]",
+        above=0,
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the fault of numbers without a stiffness."""
-        if self.stiffness is None and self.model_fields_set - {"law"}:
+        if self.stiffness is None and set(self.given) - {"law"}:
             yield "stiffness", self.lacks("stiffness")
 
 
-@keys_from(RobotJoint, without=("spring",))
 class RobotJointTable(JointTable):
     """[[joints]]: one joint, in the order in which they are reported; what is left out is as the model says it."""
 
-    decided_by: ClassVar = {"controller": "law"}
+    of = (RobotJoint,)
 
-    name: Text = Field(description="of the joint in the model")
-    kind: Kind | None = Field(None, description="how the joint moves, as the model says it")  # type: ignore[assignment]
-    model: Literal["rigid", "flexible"] | None = Field(  # type: ignore[assignment]
-        None, description="as joint.model of a joint file; without it flexible where there is a spring"
+    name: str = required("of the joint in the model")
+    kind: Kind | None = setting(None, "how the joint moves, as the model says it")  # type: ignore[assignment]
+    model: Literal["rigid", "flexible"] | None = setting(  # type: ignore[assignment]
+        None, "as joint.model of a joint file; without it flexible where there is a spring"
     )
-    spring: JointSpringTable | None = Field(  # type: ignore[assignment]
-        None, description="between motor and link; without it the joint is rigid"
+    spring: JointSpringTable | None = setting(  # type: ignore[assignment]
+        None, "between motor and link; without it the joint is rigid"
     )
-    zero: Number = Field(
-        0.0, description="position of the model's joint where its logged position is 0 [rad or m]; the model is turned"
+    zero: float = setting(
+        0.0, "position of the model's joint where its logged position is 0 [rad or m]; the model is turned"
     )
-    transmission: TransmissionTable | None = Field(None, description="its gear, as [transmission] of a joint file")
-    gravity: GravityTable | None = Field(None, description="as [gravity] of a joint file")
-    ripple: RippleTable | None = Field(None, description="as [ripple] of a joint file")
-    controller: ControllerTable | None = Field(None, description="its law, as [controller] of a joint file")
-    parameters: dict[str, ParameterTable] = Field(
-        default_factory=dict, description="what is known of its parameters, as [parameters] of a joint file"
+    transmission: TransmissionTable | None = setting(None, "its gear, as [transmission] of a joint file")
+    gravity: GravityTable | None = setting(None, "as [gravity] of a joint file")
+    ripple: RippleTable | None = setting(None, "as [ripple] of a joint file")
+    controller: LawTable | None = setting(None, "its law, as [controller] of a joint file")
+    parameters: Mapping[str, ParameterTable] = part(
+        dict, "what is known of its parameters, as [parameters] of a joint file"
     )
-    channels: ChannelsTable | None = Field(None, description="its channels, where they are not as [record.channels]")
-    limits: LimitsTable | None = Field(None, description="what it may do in a test that is planned")
-    method: MethodTable | None = Field(
-        None, description="how it is identified alone, by --axis, as [method] of a joint file"
-    )
+    channels: ChannelsTable | None = setting(None, "its channels, where they are not as [record.channels]")
+    limits: LimitsTable | None = setting(None, "what it may do in a test that is planned")
+    method: MethodTable | None = setting(None, "how it is identified alone, by --axis, as [method] of a joint file")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield nothing: what a joint may not be is seen beside what the model says of it."""
@@ -153,26 +143,27 @@ class RobotJointTable(JointTable):
 
     def table(self, kind: Kind) -> JointTable:
         """Return [joint] of a joint file that says the same."""
-        said: dict[str, Any] = {"kind": kind, "model": "flexible" if self.flexible else "rigid"}
-        if self.spring is not None:
-            said["spring"] = self.spring.law
-        own = self.given_values(*said, "spring")
-        return JointTable.model_construct(**said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields})
+        own = {key: value for key, value in self.given.items() if key in JointTable.declared()}
+        own |= {"kind": kind, "model": "flexible" if self.flexible else "rigid"}
+        return JointTable(own if self.spring is None else own | {"spring": self.spring.law})
 
 
 class RobotRunTable(Table):
     """[[records]]: one of several logs that are identified together, and what the last link carries in it."""
 
-    file: Text = Field(description="path of the record, from the robot file's folder")
-    payload_mass: Positive | None = Field(
-        None, description="of what the last link carries in this record beside the robot's model [kg]"
+    file: str = required("path of the record, from the robot file's folder")
+    payload_mass: float | None = setting(
+        None, "of what the last link carries in this record beside the robot's model [kg]", above=0
     )
-    payload_center: Vector = Field(
-        default_factory=lambda: [0.0, 0.0, 0.0], description="its centre of mass in the frame of the last link [m]"
+    payload_center: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        "its centre of mass in the frame of the last link [m]",
+        expected="a list of three numbers",
     )
-    payload_inertia: Inertia = Field(
-        default_factory=lambda: 6 * [0.0],
-        description="its inertia xx, xy, xz, yy, yz, zz about that centre, along the axes of the last link [kg m2]",
+    payload_inertia: tuple[float, float, float, float, float, float] = setting(
+        6 * (0.0,),
+        "its inertia xx, xy, xz, yy, yz, zz about that centre, along the axes of the last link [kg m2]",
+        expected="a list of six numbers",
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
@@ -180,8 +171,8 @@ class RobotRunTable(Table):
         if self.payload_mass is None and (any(self.payload_center) or any(self.payload_inertia)):
             yield "payload_mass", self.lacks("payload_mass")
         elif self.payload and not is_physical(np.array(self.payload)):
-            said = f" is {self.payload_inertia}, which no body has; expected principal moments that are not negative, "
-            yield "payload_inertia", f"{said}none above the sum of the others: correct it."
+            said = f" is {list(self.payload_inertia)}, which no body has; expected principal moments that are not "
+            yield "payload_inertia", f"{said}negative, none above the sum of the others: correct it."
 
     @property
     def payload(self) -> tuple[float, ...]:
@@ -191,22 +182,20 @@ class RobotRunTable(Table):
         inertia = np.zeros((3, 3))
         inertia[np.triu_indices(3)] = self.payload_inertia
         whole = inertia + inertia.T - np.diag(np.diag(inertia))
-        body = MassProperties(float(self.payload_mass), np.array(self.payload_center), whole)
+        body = MassProperties(self.payload_mass, np.array(self.payload_center), whole)
         return tuple(map(float, body.inertial))
 
 
 class RobotFileTable(Table):
     """A robot file."""
 
-    robot: RobotTable = Field(description="the robot's model")
-    record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
-    records: list[RobotRunTable] = Field(default_factory=list, description="logs that are identified together")
-    drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
-    filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
-    method: MethodTable = Field(default_factory=MethodTable, description="how the robot is identified")
-    joints: Annotated[list[RobotJointTable], Field(min_length=1), Says("one [[joints]] table for each joint")] = Field(
-        description="the joints"
-    )
+    robot: RobotTable = required("the robot's model")
+    record: RecordTable = part(RecordTable, "the file of the record, and its channels")
+    records: tuple[RobotRunTable, ...] = setting((), "logs that are identified together")
+    drive: DriveTable = part(DriveTable, "whose traces they are, and its own units")
+    filtering: FilteringTable = part(FilteringTable, "how signals are filtered")
+    method: MethodTable = part(MethodTable, "how the robot is identified")
+    joints: tuple[RobotJointTable, ...] = required("the joints", expected="one [[joints]] table for each joint")
 
     @property
     def method_name(self) -> str:
@@ -234,38 +223,41 @@ class RobotFileTable(Table):
             alone: whether it is identified alone, by its own method.
         """
         own = self.joints[number]
-        channels = self.record.channels.given_values() | ({} if own.channels is None else own.channels.given_values())
+        channels = self.record.channels.given | ({} if own.channels is None else own.channels.given)
         named = {channel: _fill_placeholders(table, own.name, number) for channel, table in channels.items()}
-        record = self.record.model_copy(update={"channels": ChannelsTable().model_copy(update=named)})
         place: dict[str, Any] = {} if self.drive.profile is None else {"axis": number + 1, "joint": own.name}
-        place = {key: value for key, value in place.items() if key not in self.drive.model_fields_set}
         # What a joint of a robot is identified by is not its own method, but says which channels must be there.
         name = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
-        method = own.method if alone and own.method is not None else MethodTable()
-        said = ("method",) if alone and own.method is not None else ()
-        table = FileTable.model_construct(
-            joint=own.table(kind),
-            record=record,
-            drive=self.drive.model_copy(update=place),
-            method=method.model_copy(update={"name": method.name or name}),
-            filtering=self.filtering,
-            limits=own.limits or LimitsTable(),
-            **{name: getattr(own, name) for name in _OF_JOINT_FILE if name in own.model_fields_set},
+        method = own.method.given if alone and own.method is not None else {}
+        table = FileTable(
+            {
+                "joint": own.table(kind),
+                "record": RecordTable({**self.record.given, "channels": ChannelsTable(named)}),
+                "drive": DriveTable(place | self.drive.given),
+                "method": MethodTable({**method, "name": method.get("name") or name}),
+                "filtering": self.filtering,
+                "limits": own.limits or LimitsTable(),
+                **{name: own.given[name] for name in _OF_JOINT_FILE if name in own.given},
+            }
         )
-        return table.as_axis(number, (*said, *(() if own.channels is None else own.channels.model_fields_set)))
+        said = ("method",) if alone and own.method is not None else ()
+        return table.as_axis(number, (*said, *(() if own.channels is None else own.channels.given)))
 
 
 _OF_JOINT_FILE = ("transmission", "gravity", "ripple", "controller", "parameters")
 """Tables of a joint file that are below [[joints]] in a robot file."""
 
+_TABLES = (*_OF_JOINT_FILE, "spring", "channels", "limits", "method")
+"""All tables below [[joints]]."""
+
 
 def _fill_placeholders(table: ChannelTable, name: str, number: int) -> ChannelTable:
     """Return a channel with the placeholders of its texts replaced by name and number."""
-    own = {"{joint}": name, "{axis}": str(number + 1), "{index}": str(number)}
-    texts = {key: value for key, value in table.given_values().items() if isinstance(value, str)}
-    for stand_in, meant in own.items():
-        texts = {key: text.replace(stand_in, meant) for key, text in texts.items()}
-    return table.model_copy(update=texts)
+    filled = dict(table.given)
+    for stand_in, meant in {"{joint}": name, "{axis}": str(number + 1), "{index}": str(number)}.items():
+        texts = {key: value for key, value in filled.items() if type(value) is str}
+        filled |= {key: text.replace(stand_in, meant) for key, text in texts.items()}
+    return type(table)(filled)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -355,7 +347,7 @@ class RobotFile(File[tuple[Record, ...]]):
     @property
     def locked(self) -> dict[str, float]:
         """By name the positions of the model's joints that stand still, rad or m."""
-        return read_robot_tables(self.raw).robot.locked
+        return dict(read_robot_tables(self.raw).robot.locked)
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
         """Return the files that are read: the model, and the record that the file names or that takes its place."""
@@ -439,14 +431,8 @@ class RobotFile(File[tuple[Record, ...]]):
         return self.loop if self.simulates else self.robot
 
     def tables(self) -> dict[str, Any]:
-        """Return the tables that say the same, with the numbers of this robot's joints."""
-        tables = copy.deepcopy(dict(self.raw))
-        if self.unmodelled:  # the model has not what the tables say
-            return tables
-        for table, joint in zip(tables["joints"], self.model.joints, strict=True):
-            stated = {name: getattr(joint, name) for name in _NUMBERS}
-            table.update({name: number for name, number in stated.items() if number is not None})
-        return tables
+        """Return the tables of the file."""
+        return dict(self.raw)
 
 
 def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
@@ -455,13 +441,13 @@ def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
     Raises:
         JointFileError: with one sentence for each fault.
     """
-    raw, faults = RobotFileTable.correct_keys(tables)
-    try:
-        said = RobotFileTable.model_validate(raw)
-    except ValidationError as error:
-        raise JointFileError([*faults, *faults_of(error)]) from None
-    if faults:
-        raise JointFileError(faults)
+    robot = tables.get("robot")
+    if isinstance(robot, dict) and isinstance(still := robot.get("locked"), list):
+        at_zero = {name: 0.0 for name in still if isinstance(name, str)}
+        tables = {**tables, "robot": {**robot, "locked": at_zero}}
+    reader = Reader()
+    said: RobotFileTable = reader.read(RobotFileTable, tables)
+    reader.require()
     return said
 
 
@@ -515,7 +501,7 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     return replace(ordered, gravity=turned, name=said.robot.name or ordered.name)
 
 
-def _base(angles: list[float]) -> FloatArray:
+def _base(angles: Sequence[float]) -> FloatArray:
     """Return the rotation of the base's frame to the world's."""
     (a, b, c), (x, y, z) = np.cos(angles), np.sin(angles)
     roll = np.array([[1, 0, 0], [0, a, -x], [0, x, a]])
@@ -593,10 +579,10 @@ def _starts(file: JointFile) -> tuple[dict[str, float], dict[str, float], dict[s
 
 def _stated_starts(own: RobotJointTable, file: JointFile) -> Iterator[tuple[Parameter, float]]:
     """Yield parameters of a joint with the numbers of its table, the inverse of `_starts`."""
-    numbers = own.settings()
-    for part in ("viscous", "coulomb"):
-        if part in numbers:
-            numbers.setdefault(f"{part}_backwards", numbers[part])
+    numbers = own.settings(*_TABLES)
+    for name in ("viscous", "coulomb"):
+        if name in numbers:
+            numbers.setdefault(f"{name}_backwards", numbers[name])
     spring = {} if own.spring is None else own.spring.settings("law")
     for parameter in file.joint.parameters:
         name = parameter.name.removeprefix("motor_")
@@ -609,7 +595,7 @@ def _stated_starts(own: RobotJointTable, file: JointFile) -> Iterator[tuple[Para
 def _joint(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> RobotJoint:
     """Return a joint of the model with the file's numbers and laws."""
     motor, spring, numbers = _starts(file)
-    given = {name: value for name, value in own.settings().items() if name in (*_NUMBERS, "coupling")} | motor
+    given = {name: value for name, value in own.settings(*_TABLES).items() if name in (*_NUMBERS, "coupling")} | motor
     friction = file.joint.friction
     if friction.stepped:
         given["friction"] = friction

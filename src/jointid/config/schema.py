@@ -1,54 +1,36 @@
-"""The joint file as a whole, and its tables of the joint, of its controller and of how it is identified.
+"""The tables of a joint file: the record, the joint, its controller and how it is identified.
 
-The tables define the allowed keys and values, and build the objects. The default of a key is that of the object; a
-test compares the two.
+Each declares the keys of its own beside the settings of the object that it describes, and builds that object.
 """
 
 from __future__ import annotations
 
-import copy
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, replace
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, Union, get_args
+from functools import partial
+from typing import Any, ClassVar, Literal, get_args
 
-from pydantic import Field, PrivateAttr, ValidationError, create_model
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
+import numpy as np
 
 from jointid.common import messages, units
 from jointid.common.errors import Fault, JointidError, MethodError
-from jointid.common.messages import Says
-from jointid.common.settings import settings_of
+from jointid.common.settings import Declared, Setting, setting, settings_of
 from jointid.common.transmission import Side, Transmission
-from jointid.common.units import Kind
+from jointid.common.units import Kind, units_of
 from jointid.config.quantities import Stated
-from jointid.config.schema_record import ChannelTable, DriveTable, RecordTable, RunTable, TogetherTable
+from jointid.config.source import Run, Source, Together
 from jointid.config.table import (
     CONTRADICTION,
-    Bound,
-    Flag,
-    LengthUnit,
-    Matrix,
-    Natural,
-    Number,
-    Numbers,
     Place,
-    Positive,
-    Size,
+    Reader,
     Table,
-    Text,
-    Typed,
-    accept_by,
-    annotation_of,
     fault_at,
-    faults_of,
-    keys_from,
-    keys_of_kinds,
+    merge_settings,
+    part,
     refusal,
-    with_keys,
-    with_unit,
+    required,
 )
 from jointid.estimation.methods.registry import ROBOT, Method, MethodName, method_of, methods
 from jointid.models.controllers import (
@@ -64,10 +46,12 @@ from jointid.models.disturbances import Drift, Effect
 from jointid.models.friction import FRICTIONS, find_friction
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.limits import AxisLimits
-from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
+from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.springs import SPRINGS, LinearSpring, find_spring
+from jointid.records.columns import Column
 from jointid.records.drives import Drive
-from jointid.records.record import CHANNELS
+from jointid.records.formats import check_options, format_of
+from jointid.records.record import CHANNELS, Channel, Injection
 from jointid.records.signals.filtering import Filtering
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -83,25 +67,137 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 """The presets of [filtering]."""
 
 
-CONSTANT = "N/A, N m/A, N/V or N m/V"
+_OF_ONE = ("tap", "at", "in_torque")  # settings of a column that one channel alone has
+
+
+class ChannelTable(Table):
+    """[record.channels.reference] and its like: the column of one channel."""
+
+    of = (Column,)
+    without: ClassVar[Collection[str]] = _OF_ONE
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a clock that is given twice."""
+        if self.time is not None and self.sample_time is not None:
+            yield "time", f' is "{self.time}" beside sample_time = {self.sample_time:g}; keep one of them.'
+
+
+class TorqueTable(ChannelTable):
+    """[record.channels.torque]."""
+
+    without = ("at", "in_torque")
+
+
+class InjectedTable(ChannelTable):
+    """[record.channels.injected]: a known signal added to the controller's output."""
+
+    without = ("tap",)
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield the fault of an impossible injection."""
+        yield from super().faults()
+        any_signal = Channel(np.zeros(1), "N", 1.0)
+        if refused := refusal(lambda: Injection(any_signal, self.build().at, self.in_torque)):
+            yield "in_torque", refused
+
+
+class ChannelsTable(Table):
+    """[record.channels]: where the record's channels are found."""
+
+    tolerant = True
+
+    torque: TorqueTable | None = setting(None, "motor torque or force")
+    reference: ChannelTable | None = setting(None, "commanded position, motor side")
+    reference_velocity: ChannelTable | None = setting(None, "commanded velocity")
+    motor_position: ChannelTable | None = setting(None, "motor encoder")
+    load_position: ChannelTable | None = setting(None, "load encoder")
+    injected: InjectedTable | None = setting(None, "known signal added to the controller's output")
+
+    def build(self) -> dict[str, Column]:
+        """Return the columns of the channels."""
+        return self.settings()
+
+
+class RecordTable(Table):
+    """[record]: the file of the record, and how it is read."""
+
+    of = (Source,)
+    tolerant = True
+
+    delimiter: str | None = setting(
+        None,
+        'character between the cells of a text file; " " is any run of blanks; without it found',
+        accept=lambda mark: check_options(delimiter=mark),
+    )
+    decimal: Literal[".", ","] | None = setting(None, "decimal mark of a text file; without it found")
+    header: bool | None = setting(
+        None, "whether a line above the numbers of a text file names the columns; without it found"
+    )
+    channels: ChannelsTable = part(ChannelsTable, "where the channels are found")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield the fault of an option that the file's format does not have."""
+        if self.file is not None and self.files:
+            yield "files", f' stands beside file = "{self.file}"; keep one of them.'
+        for file in self.files or ():
+            if refused := refusal(partial(format_of, file, **self.options())):
+                yield "files", refused
+        if self.offsets and len(self.offsets) != len(self.files or ()):
+            said = f"{len(self.offsets)} numbers for {len(self.files or ())} files"
+            yield "offsets", f" has {said}; give one for each file, or none."
+        if self.file is not None and (refused := refusal(partial(format_of, self.file, **self.options()))):
+            yield "file", refused
+
+    def options(self) -> dict[str, Any]:
+        """Return the options of the format's reader that are given."""
+        return {key: value for key, value in self.given.items() if key in _OPTIONS}
+
+    def build(self) -> Source:
+        """Return the file of the record, and how it is read."""
+        options = self.options()
+        return Source(**self.settings("channels", *options), options=options)
+
+
+_OPTIONS = ("delimiter", "decimal", "header")  # of the format's reader
+
+
+class DriveTable(Table):
+    """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
+
+    of = (Drive,)
+    without = ("torque_constant", "torque_per_volt")
+    ambiguous: ClassVar = {
+        "torque_constant": " is said once, for torque and controller: write it below [joint], as "
+        'torque_constant = "0.72 N m/A".'
+    }
+
+
+class RunTable(Table):
+    """[[records]]: one of several records that are identified together, and what is known to differ in it."""
+
+    of = (Run,)
+
+
+class TogetherTable(Table):
+    """[together]: how several records are identified together."""
+
+    of = (Together,)
 
 
 class JointTable(Table):
     """[joint]: what is identified."""
 
-    kind: units.Kind = Field(description="how the joint moves: m and N, or rad and N m")
-    model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
-    friction: Annotated[Text, accept_by(find_friction)] = Field(
-        "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
-    )
-    spring: Annotated[Text, accept_by(find_spring)] = Field(
-        "linear", description="the spring's law, of a flexible joint", json_schema_extra={"enum": list(SPRINGS)}
-    )
-    name: Text | None = Field(None, description="what reports call the joint")
-    torque_constant: with_unit(Positive, CONSTANT) | None = Field(  # type: ignore[valid-type]
+    kind: Kind = required("how the joint moves: m and N, or rad and N m")
+    model: Literal["rigid", "flexible"] = setting("rigid", "one inertia, or two joined by a spring")
+    friction: str = setting("symmetric", "the friction's law", accept=find_friction, choices=tuple(FRICTIONS))
+    spring: str = setting("linear", "the spring's law, of a flexible joint", accept=find_spring, choices=tuple(SPRINGS))
+    name: str | None = setting(None, "what reports call the joint")
+    torque_constant: float | None = setting(
         None,
-        description="of the motor or its amplifier, on the motor's side: takes a torque in A or V, and the output of a "
-        f"controller in A or V, to N m or N; a plain number is per A [{CONSTANT}]",
+        "of the motor or its amplifier, on the motor's side: takes a torque in A or V, and the output of a "
+        "controller in A or V, to N m or N; a plain number is per A",
+        unit="N/A, N m/A, N/V or N m/V",
+        above=0,
     )
 
     def drive(self, drive: Drive) -> Drive:
@@ -146,14 +242,10 @@ class JointTable(Table):
             yield "friction", f": {error}"
 
 
-@keys_from(Counterbalance)
-class CounterbalanceTable(Table):
-    """[gravity.counterbalance]: what a known counterbalance takes off the load, on the side that is reported."""
-
-
-@keys_from(Gravity, types={"counterbalance": (CounterbalanceTable, CounterbalanceTable)})
 class GravityTable(Table):
     """[gravity]: what the load weighs."""
+
+    of = (Gravity,)
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the fault of an impossible gravity."""
@@ -163,29 +255,36 @@ class GravityTable(Table):
     def gravity(self, transmission: Transmission | None = None) -> Gravity:
         """Return the gravity, as a joint has it on its side of the transmission."""
         angle = self.angle if transmission is None else self.angle * transmission.torque("load")
-        return Gravity(self.load, self.counterbalance.build(), angle)
+        return Gravity(**self.settings("angle"), angle=angle)
 
 
-@keys_from(PositionHarmonics, without=("period",))
 class RippleTable(Table):
     """[ripple]: a force that comes back with the position, simulated and identified with the joint."""
 
-    period: Positive = Field(
-        description="of the first harmonic, such as the pitch of a screw or of the motor's slots, on the side that is "
-        "reported [m or rad]"
+    of = (PositionHarmonics,)
+
+    period: float = required(
+        "of the first harmonic, such as the pitch of a screw or of the motor's slots, on the side that is reported "
+        "[m or rad]",
+        above=0,
     )
 
 
-@keys_from(Transmission, without=("load", "lead"))
 class TransmissionTable(Table):
     """[transmission]: what lies between motor and load, without loss."""
 
-    lead: with_unit(Size, "m") | None = Field(  # type: ignore[valid-type]
+    of = (Transmission,)
+    without = ("load",)
+
+    lead: float | None = setting(
         None,
-        description="how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor "
-        "is revolute then [lead_unit]",
+        "how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor is revolute "
+        "then, and a plain number is in lead_unit",
+        unit="m",
+        above=0,
+        negative="use sign = -1 to turn the load round",
     )
-    lead_unit: LengthUnit = Field("m", description="unit of the lead")
+    lead_unit: str = setting("m", "unit of the lead", choices=units_of("length"))
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the fault of a missing or double ratio and lead."""
@@ -193,7 +292,7 @@ class TransmissionTable(Table):
             yield "", " has neither ratio nor lead; expected one of them: add it."
         elif self.ratio is not None and self.lead is not None:
             yield "lead", f" is {self.lead:g} beside ratio = {self.ratio:g}; expected one of them: leave one out."
-        elif "lead_unit" in self.model_fields_set and (self.lead is None or isinstance(self.lead, Stated)):
+        elif "lead_unit" in self.given and (self.lead is None or isinstance(self.lead, Stated)):
             beside = "without a lead" if self.lead is None else f'beside a lead of "{self.lead.text}"'
             yield "lead_unit", f" is there {beside}: leave it out."
 
@@ -208,18 +307,19 @@ class TransmissionTable(Table):
         return Transmission(load=kind, ratio=self.ratio, lead=lead, sign=self.sign, side=self.side)
 
 
-@keys_from(Filtering)
 class FilteringTable(Table):
     """[filtering]: how torque and columns are filtered, position and decimation each with its cut-off."""
 
-    preset: Literal["default", "published", "as-printed"] | None = Field(
-        None, description="all of it at once, in place of the other keys"
+    of = (Filtering,)
+
+    preset: Literal["default", "published", "as-printed"] | None = setting(
+        None, "all of it at once, in place of the other keys"
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the keys beside a preset."""
         if self.preset is not None:
-            for key, value in self.given_values("preset").items():
+            for key, value in self.settings("preset").items():
                 yield key, messages.beside_preset(value, self.preset)
 
     def build(self) -> Any:
@@ -227,26 +327,26 @@ class FilteringTable(Table):
         return super().build() if self.preset is None else FILTERINGS[self.preset]()
 
 
-@keys_from(*methods())
 class MethodTable(Table):
     """[method]: how the joint, or the robot, is identified; some keys are for one of them only."""
 
-    name: MethodName | None = Field(
+    of = tuple(methods())
+
+    name: MethodName | None = setting(
         None,
-        description="by which method; without it that of a joint is didim if the record has what it needs, else idim; "
+        "by which method; without it that of a joint is didim if the record has what it needs, else idim; "
         "that of a robot is didim without a motor_position, drive_side with one and a spring, else idim",
     )
-    preset: Literal["paper"] | None = Field(
-        None, description="all settings of didim at once as the paper has them, in place of the others but frequency"
+    preset: Literal["paper"] | None = setting(
+        None, "all settings of didim at once as the paper has them, in place of the others but frequency"
     )
-    harmonics: Natural = Field(0, description="of idim: harmonics of the force over the motor position")
-    period: Positive | None = Field(
+    harmonics: int = setting(0, "of idim: harmonics of the force over the motor position", at_least=0)
+    period: float | None = setting(
         None,
-        description="of idim: of the first harmonic, on the side that is reported; needed beside harmonics [m or rad]",
+        "of idim: of the first harmonic, on the side that is reported; needed beside harmonics [m or rad]",
+        above=0,
     )
-    drift: Literal["force", "viscous", "both"] | None = Field(
-        None, description="of idim: what changes linearly in time"
-    )
+    drift: Literal["force", "viscous", "both"] | None = setting(None, "of idim: what changes linearly in time")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield a period of no harmonics, and harmonics of no period."""
@@ -257,7 +357,7 @@ class MethodTable(Table):
 
     def beside_preset(self) -> dict[str, Any]:
         """Return the values that the preset sets too; the paper knew its frequency, and another joint has another."""
-        return {} if self.preset is None else self.given_values("name", "preset", "frequency")
+        return {} if self.preset is None else self.settings("name", "preset", "frequency")
 
     def effects(self) -> tuple[Effect, ...]:
         """Return the further columns of a regression."""
@@ -299,23 +399,32 @@ def keys_of(method: type[Method], system: str) -> tuple[str, ...]:
     return (*settings, *(EFFECTS if has_effects(method) else ()), *(("preset",) if hasattr(method, "paper") else ()))
 
 
-_NO_KEYS = ("ratio",)  # which the transmission and `side` say
-
-
-@keys_of_kinds(FILTERS)
 class FilterTable(Table):
     """[controller.velocity_filter], and each of torque_filters: a filter; a bare list is a numerator."""
 
     shorthand = "numerator"
 
-    kind: Literal[*FILTERS] | None = Field(  # type: ignore[valid-type]
-        None, description="which filter; it may be left out where the other keys are those of one kind alone"
+    kind: Literal[*FILTERS] | None = setting(  # type: ignore[valid-type]
+        None, "which filter; it may be left out where the other keys are those of one kind alone"
+    )
+    cutoff: float | None = setting(
+        None,
+        "of first_order: 1 / (2 pi time_constant), in place of it; of second_order: its frequency",
+        unit="Hz",
+        above=0,
     )
 
-    cutoff: with_unit(Positive, "Hz") | None = Field(  # type: ignore[valid-type]
-        None,
-        description="of first_order: 1 / (2 pi time_constant), in place of it; of second_order: its frequency [Hz]",
-    )
+    @classmethod
+    def declare(cls) -> dict[str, Declared]:
+        """Return the keys of all kinds, each optional."""
+        of_kinds: dict[str, list[Declared]] = {}
+        kinds: Mapping[str, Any] = FILTERS
+        for kind, owner in kinds.items():
+            for one in settings_of(owner):
+                described = replace(one.setting, help=f"of {kind}: {one.setting.help}")
+                optional = replace(one, setting=described, default=None, optional=True)
+                of_kinds.setdefault(one.name, []).append(optional)
+        return {**super().declare(), **{name: merge_settings(same) for name, same in of_kinds.items()}}
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield missing keys, keys of another kind of filter, and an impossible filter."""
@@ -364,19 +473,11 @@ class FilterTable(Table):
         """Return the filter, or only the numerator if nothing else is given."""
         (kind,) = self._meant()
         made: Filter = FILTERS[kind](**self._settings_of_kind(kind))
-        return made.numerator if isinstance(made, DigitalFilter) and len(self.given_values()) == 1 else made
+        return made.numerator if isinstance(made, DigitalFilter) and len(self.given) == 1 else made
 
 
 _CUTOFFS = {"first_order": "time_constant", "second_order": "frequency"}
 """The setting of each kind of filter that a cut-off frequency gives."""
-
-FilterTables = Annotated[list[FilterTable], Says("a list of filters, each a table or the list of a numerator")]
-
-
-def filters(tables: list[FilterTable]) -> tuple[Filter, ...]:
-    """Return the filters of a row."""
-    return tuple(as_filter(table.filter()) for table in tables)
-
 
 _MEANT_ONE = " is {} on many drives; expected {}: write the one that is meant."
 _KP = _MEANT_ONE.format(
@@ -400,12 +501,13 @@ AMBIGUOUS: Mapping[str, str] = {
 
 
 class LawTable(Table):
-    """A law: which one it is, and the side of its numbers."""
+    """[controller]: which law it is, and the side of its numbers."""
 
-    ambiguous: ClassVar = AMBIGUOUS
+    decided_by = "law"
+    ambiguous = AMBIGUOUS
 
-    law: str = Field(description="the controller's law")
-    side: Side = Field("motor", description="of the transmission, in whose positions and torque the law's numbers are")
+    law: str = required("the controller's law", choices=tuple(LAWS))
+    side: Side = setting("motor", "of the transmission, in whose positions and torque the law's numbers are")
 
     @abstractmethod
     def controller(self) -> Controller:
@@ -427,15 +529,36 @@ class LawTable(Table):
 class BlockDiagramTable(LawTable):
     """A law with a block diagram, which may filter velocity and torque."""
 
+    without = ("ratio",)
+    variants: ClassVar = {}
+
+    @classmethod
+    def declare(cls) -> dict[str, Declared]:
+        """Return the keys of the law, with the times that say its gains."""
+        found = {**super().declare()}
+        for name, kind in (("velocity_filter", FilterTable), ("torque_filters", tuple[FilterTable, ...])):
+            found[name] = replace(found[name], type=kind)
+        expected = "a list of filters, each a table or the list of a numerator"
+        filters = found["torque_filters"]
+        found["torque_filters"] = replace(filters, setting=replace(filters.setting, expected=expected))
+        for (law, time), meaning in _MEANT.items():
+            if LAWS[law] in cls.of:
+                gain = found[TIMES[time][0]]
+                found[time] = Declared(time, float, True, None, Setting(meaning, unit="s", above=0))
+                found[gain.name] = replace(gain, default=None if gain.required else gain.default)
+        return found
+
     def settings(self, *without: str) -> dict[str, Any]:
         """Return the settings of the law."""
         found = super().settings("law", "side", "velocity_filter", "torque_filters", *without)
         for time, (gain, made) in TIMES.items():
             if time in found:
                 found[gain] = made(found.pop(time), found["position_gain"] if self.law != "cascade" else 1.0)
-        if self.velocity_filter is not None:
+        if "velocity_filter" in self.given:
             found["velocity_filter"] = self.velocity_filter.filter()
-        return found | ({"torque_filters": filters(self.torque_filters)} if self.torque_filters else {})
+        if "torque_filters" in self.given:
+            found["torque_filters"] = tuple(as_filter(one.filter()) for one in self.torque_filters)
+        return found
 
     def controller(self) -> Controller:
         """Return the controller."""
@@ -444,48 +567,64 @@ class BlockDiagramTable(LawTable):
 
     @classmethod
     def find_missing(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
-        """Yield required gains that are given neither as a gain nor as a time."""
+        """Yield required gains that are given neither as a gain nor as a time, and other missing keys."""
+        yield from super().find_missing(given)
+        (law,) = cls.of
+        needed = {one.name for one in settings_of(law) if one.required}
         for time, (gain, _) in TIMES.items():
-            needed = time in cls.model_fields and cls.model_fields[gain].default is None
-            if needed and not {time, gain} & set(given):
+            if time in cls.declared() and gain in needed and not {time, gain} & set(given):
                 yield gain, cls.lacks(gain).removesuffix(": add it.") + f": add it, or {time}."
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield missing gains, and gains given twice, also as a time."""
-        wrong = [*self.find_missing(self.model_fields_set)]
-        for time, (gain, _) in TIMES.items():
-            if {time, gain} <= self.model_fields_set:
-                said = f" = {getattr(self, time):g} s stands beside {gain}, which says the same: leave one out."
-                wrong.append((time, said))
-        yield from wrong or super().faults()
+        """Yield gains given twice, also as a time."""
+        twice = [(time, gain) for time, (gain, _) in TIMES.items() if {time, gain} <= set(self.given)]
+        for time, gain in twice:
+            yield time, f" = {getattr(self, time):g} s stands beside {gain}, which says the same: leave one out."
+        if not twice:
+            yield from super().faults()
+
+
+_COLUMN = "a list of numbers"
 
 
 class InputColumns(Table):
     """[controller.B]: the column of each input; one that is left out is 0."""
 
-    reference: Numbers | None = Field(None, description="of the reference")
-    reference_velocity: Numbers | None = Field(None, description="of the reference's velocity")
-    position: Numbers | None = Field(None, description="of the motor position")
-    excess: Numbers | None = Field(None, description="of what the limit cut off")
+    reference: tuple[float, ...] | None = setting(None, "of the reference", expected=_COLUMN)
+    reference_velocity: tuple[float, ...] | None = setting(None, "of the reference's velocity", expected=_COLUMN)
+    position: tuple[float, ...] | None = setting(None, "of the motor position", expected=_COLUMN)
+    excess: tuple[float, ...] | None = setting(None, "of what the limit cut off", expected=_COLUMN)
+
+    def build(self) -> Any:
+        """Return the columns that are given."""
+        return self.settings()
 
 
 class InputGains(Table):
     """[controller.D]: the direct gain of each input; one that is left out is 0."""
 
-    reference: Number | None = Field(None, description="of the reference")
-    reference_velocity: Number | None = Field(None, description="of the reference's velocity")
-    position: Number | None = Field(None, description="of the motor position, usually negative")
+    reference: float | None = setting(None, "of the reference")
+    reference_velocity: float | None = setting(None, "of the reference's velocity")
+    position: float | None = setting(None, "of the motor position, usually negative")
+
+    def build(self) -> Any:
+        """Return the gains that are given."""
+        return self.settings()
 
 
-@keys_from(StateSpaceController, without=(*_NO_KEYS, "reference_delay"))
 class StateSpaceTable(LawTable):
     """[controller] with law = "state_space": any discrete linear law."""
 
-    law: Literal["state_space"] = Field(description="the controller's law")
-    A: Matrix = Field(description="how the states go on: n rows of n numbers")
-    B: InputColumns = Field(description="how each input moves the states: n numbers")
-    C: Numbers = Field(description="output row: n numbers")
-    D: InputGains = Field(description="direct gain of each input: a number")
+    of = (StateSpaceController,)
+    without = ("ratio", "reference_delay")
+    variants: ClassVar = {}
+
+    A: tuple[tuple[float, ...], ...] = required(
+        "how the states go on: n rows of n numbers", expected="a list of rows, each a list of numbers"
+    )
+    B: InputColumns = required("how each input moves the states: n numbers")
+    C: tuple[float, ...] = required("output row: n numbers", expected="a list of numbers")
+    D: InputGains = required("direct gain of each input: a number")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield faults of the shapes."""
@@ -497,9 +636,7 @@ class StateSpaceTable(LawTable):
 
     def controller(self) -> StateSpaceController:
         """Return the controller."""
-        return StateSpaceController(
-            B=self.B.given_values(), D=self.D.given_values(), **self.given_values("law", "side", "B", "D")
-        )
+        return StateSpaceController(**self.settings("law", "side"))
 
 
 TIMES: Mapping[str, tuple[str, Callable[[float, float], float]]] = {
@@ -522,33 +659,14 @@ def add_gains_of_times(keys: Iterable[str]) -> frozenset[str]:
     return frozenset([*given, *(TIMES[key][0] for key in given if key in TIMES)])
 
 
-def _table_of(word: str, law: Any) -> type[LawTable]:
-    """Return the table of a law with a block diagram."""
-    make: Any = create_model
-    times: dict[str, Typed] = {}
-    types: dict[str, Typed] = {"velocity_filter": (FilterTable, None), "torque_filters": (FilterTables, [])}
-    for (of, time), meaning in _MEANT.items():
-        if of == word:
-            gain = TIMES[time][0]
-            (declared,) = [one for one in settings_of(law) if one.name == gain]
-            times[time] = (with_unit(Positive, "s") | None, Field(None, description=f"{meaning} [s]"))
-            types |= {gain: (annotation_of(declared), None)} if declared.required else {}
-    made: type[LawTable] = make(
-        f"{law.__name__}Table",
-        __base__=BlockDiagramTable,
-        __module__=__name__,
-        __doc__=f'[controller] with law = "{word}".',
-        law=(Literal[word], Field(description="the controller's law")),
-    )
-    return with_keys(times)(keys_from(law, without=_NO_KEYS, types=types)(made))
+def _table_of_law(law: type[Controller]) -> type[LawTable]:
+    """Return the table of a law."""
+    if law is StateSpaceController:
+        return StateSpaceTable
+    return type(f"{law.__name__}Table", (BlockDiagramTable,), {"of": (law,), "__module__": __name__})
 
 
-LAW_TABLES: tuple[type[LawTable], ...] = tuple(
-    StateSpaceTable if law is StateSpaceController else _table_of(word, law) for word, law in LAWS.items()
-)
-"""The tables of the laws there are."""
-
-ControllerTable: TypeAlias = Annotated[Union[LAW_TABLES], Field(discriminator="law")]  # type: ignore[valid-type] # noqa: UP007
+LawTable.variants = {word: _table_of_law(law) for word, law in LAWS.items()}
 
 
 class ParameterTable(Table):
@@ -556,11 +674,11 @@ class ParameterTable(Table):
 
     shorthand = "value"
 
-    value: Number | None = Field(None, description="what the parameter is fixed at")
-    start: Number | None = Field(None, description="where the search begins")
-    lower: Bound | None = Field(None, description="lower bound")
-    upper: Bound | None = Field(None, description="upper bound")
-    free: Flag | None = Field(None, description="whether the parameter is identified")
+    value: float | None = setting(None, "what the parameter is fixed at")
+    start: float | None = setting(None, "where the search begins")
+    lower: float | None = setting(None, "lower bound", infinite=True, expected="a number, inf or -inf")
+    upper: float | None = setting(None, "upper bound", infinite=True, expected="a number, inf or -inf")
+    free: bool | None = setting(None, "whether the parameter is identified")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield contradictions between bounds, value, start and free."""
@@ -574,9 +692,10 @@ class ParameterTable(Table):
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
 
 
-@keys_from(AxisLimits)
 class LimitsTable(Table):
     """[limits]: what the axis may do in a test that is planned, on the side that is reported."""
+
+    of = (AxisLimits,)
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the fault of an empty band of frequencies or range of positions."""
@@ -587,57 +706,42 @@ class LimitsTable(Table):
 class FileTable(Table):
     """A joint file."""
 
-    decided_by: ClassVar = {"controller": "law"}
+    tolerant = True
 
-    joint: JointTable = Field(description="what is identified")
-    transmission: TransmissionTable | None = Field(None, description="what lies between motor and load")
-    gravity: GravityTable | None = Field(None, description="what its load weighs, if that matters")
-    ripple: RippleTable | None = Field(None, description="a force that comes back with the position, if there is one")
-    record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
-    drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
-    controller: ControllerTable | None = Field(None, description="the controller's law, if it is known")
-    filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
-    method: MethodTable = Field(default_factory=MethodTable, description="how the joint is identified")
-    parameters: dict[str, ParameterTable] = Field(
-        default_factory=dict, description="what is known of the parameters, by name"
+    joint: JointTable = required("what is identified")
+    transmission: TransmissionTable | None = setting(None, "what lies between motor and load")
+    gravity: GravityTable | None = setting(None, "what its load weighs, if that matters")
+    ripple: RippleTable | None = setting(None, "a force that comes back with the position, if there is one")
+    record: RecordTable = part(RecordTable, "the file of the record, and its channels")
+    drive: DriveTable = part(DriveTable, "whose traces they are, and its own units")
+    controller: LawTable | None = setting(None, "the controller's law, if it is known")
+    filtering: FilteringTable = part(FilteringTable, "how signals are filtered")
+    method: MethodTable = part(MethodTable, "how the joint is identified")
+    parameters: Mapping[str, ParameterTable] = part(dict, "what is known of the parameters, by name")
+    records: tuple[RunTable, ...] = setting(
+        (), "records that are identified together", expected="one [[records]] table for each record"
     )
-    records: Annotated[list[RunTable], Says("one [[records]] table for each record")] = Field(
-        default_factory=list, description="records that are identified together"
-    )
-    together: TogetherTable = Field(
-        default_factory=TogetherTable, description="how several records are identified together"
-    )
-    limits: LimitsTable = Field(
-        default_factory=LimitsTable, description="what the axis may do in a test that is planned"
-    )
-    _wrong: frozenset[Place] = PrivateAttr(default=frozenset())
-    _axis: int | None = PrivateAttr(default=None)  # in a robot file, from 0
-    _own: Collection[str] = PrivateAttr(default=())  # channels and tables that the axis says itself
+    together: TogetherTable = part(TogetherTable, "how several records are identified together")
+    limits: LimitsTable = part(LimitsTable, "what the axis may do in a test that is planned")
+
+    wrong: Collection[Place] = ()
+    _axis: int | None = None  # in a robot file, from 0
+    _own: Collection[str] = ()  # channels and tables that the axis says itself
 
     @classmethod
-    def read(cls, raw: Mapping[str, Any]) -> tuple[Self, list[Fault]]:
+    def read(cls, raw: Mapping[str, Any]) -> tuple[FileTable, list[Fault]]:
         """Return the file without the parts that are wrong, and the faults of these parts.
 
         The parts that are left can still be checked against each other.
-
-        Args:
-            raw: the tables as `tomllib` reads them; they stay as they are.
         """
-        kept, wrong, faults = copy.deepcopy(dict(raw)), set[Place](), list[Fault]()
-        while True:
-            try:
-                table = cls.model_validate(kept)
-            except ValidationError as error:
-                found = faults_of(error)
-                faults += [] if wrong else found  # later ones may follow from what is left out
-                for part in {_part(fault.place) for fault in found}:
-                    wrong.add(part)
-                    _leave_out(kept, part)
-            else:
-                table._wrong = frozenset(wrong)
-                return table, faults
+        reader = Reader()
+        table = reader.read(cls, raw)
+        table.wrong = reader.wrong
+        if table.is_wrong("joint"):
+            table.joint = JointTable({"kind": "revolute"})
+        return table, reader.faults
 
-    def as_axis(self, number: int, own: Collection[str]) -> Self:
+    def as_axis(self, number: int, own: Collection[str]) -> FileTable:
         """Return the table with its faults placed in a robot file.
 
         Args:
@@ -669,7 +773,7 @@ class FileTable(Table):
 
     def is_wrong(self, *part: str) -> bool:
         """Return whether a part is in the file, but left out because it is wrong."""
-        return part in self._wrong
+        return part in self.wrong
 
     @property
     def kinds(self) -> Collection[Kind]:
@@ -699,8 +803,7 @@ class FileTable(Table):
     @property
     def channels(self) -> Mapping[str, ChannelTable]:
         """Channels that are right."""
-        found: dict[str, ChannelTable] = self.record.channels.given_values()
-        return found
+        return self.record.channels.given
 
     @property
     def computes_torque(self) -> bool:
@@ -725,47 +828,7 @@ class FileTable(Table):
         drive = self.drive_of_joint
         if drive is None:  # of a drive that is wrong nobody knows which channels its profile finds
             return CHANNELS
-        wrong = [str(part[2]) for part in self._wrong if len(part) == _OF_CHANNEL]
+        wrong = [str(at[2]) for at in self.wrong if at[:2] == ("record", "channels") and len(at) > 2]
         computed = ["torque"] if self.computes_torque else []
         found = [*self.channels, *wrong, *(drive.traces.channels if drive.traces else ()), *computed]
         return tuple(dict.fromkeys(found))
-
-
-_OF_CHANNEL = len(("record", "channels", "torque"))
-_STAND_IN: Mapping[str, Any] = {"joint": {"kind": "revolute"}}  # of a table that is needed
-
-
-def _part(place: Place) -> Place:
-    """Return the part of a joint file that is left out for a fault: a table, a channel or a parameter."""
-    match place:
-        case ("record", "channels", *_):
-            return place[:_OF_CHANNEL]
-        case ("record" | "parameters", *_):
-            return place[:2]
-        case _:
-            return place[:1]
-
-
-def _leave_out(tables: Any, part: Place) -> None:
-    *above, key = part
-    for name in above:
-        tables = tables[name]
-    tables.pop(key, None)
-    if not above and key in _STAND_IN:
-        tables[key] = _STAND_IN[str(key)]
-
-
-class _WithoutNull(GenerateJsonSchema):
-    """TOML has no null: what has no default is left out."""
-
-    def nullable_schema(self, schema: NullableSchema) -> JsonSchemaValue:
-        return self.generate_inner(schema["schema"])
-
-    def default_schema(self, schema: WithDefaultSchema) -> JsonSchemaValue:
-        described = super().default_schema(schema)
-        return {key: value for key, value in described.items() if (key, value) != ("default", None)}
-
-
-def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of the joint file, for documentation and forms."""
-    return FileTable.model_json_schema(schema_generator=_WithoutNull)

@@ -1,59 +1,33 @@
-"""A table of the joint file and its keys: pydantic checks it, and what is wrong comes out in sentences of our own.
+"""Tables of a TOML file, read by the declarations of their keys; a fault is a sentence with its place and a code.
 
-Every kind of value says in words what is expected of it (`Says`). A fault then needs no more than the value that
-was received, whichever rule was broken, and none of pydantic's wording reaches the user.
-
-Keys are made from the settings of dataclasses: what a key may hold, its default and its description are those of the
-setting's declaration (`jointid.common.settings`).
+A key is a setting of a table, or of the dataclasses that the table describes (`jointid.common.settings`): type, unit,
+bounds, default and words are those of its declaration.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import chain
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, TypeVar, get_args, get_origin
-
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ModelWrapValidatorHandler,
-    ValidationError,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    create_model,
-    model_validator,
-)
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, get_args, get_origin
 
 from jointid.common import messages
-from jointid.common.errors import Fault, JointidError
+from jointid.common.errors import Fault, JointFileError, JointidError
 from jointid.common.messages import Says
-from jointid.common.settings import Declared, settings_of
-from jointid.common.units import units_of
+from jointid.common.settings import Declared, declare, settings_of
 from jointid.config.deleted import sentence_of
 from jointid.config.quantities import Stated, is_quantity, list_units, misfit, to_si
-
-if TYPE_CHECKING:
-    from pydantic import GetJsonSchemaHandler
-    from pydantic.fields import FieldInfo
-    from pydantic.json_schema import JsonSchemaValue
-    from pydantic_core import CoreSchema, ErrorDetails
-
-_OURS = "joint_file"  # pydantic's type of the errors that are sentences already
 
 Place: TypeAlias = tuple[int | str, ...]
 """Keys and indices that lead to a value."""
 
-Located: TypeAlias = tuple[Place, str, str]
-"""Place of a fault below some table, its code, and its sentence without the place at its beginning."""
-
 CONTRADICTION = "contradiction"
 """Code of a fault of values that are right by themselves."""
+
+_MOST = 10**9  # of what is counted
+WRONG: Any = object()
+"""Stands for a value that has a fault."""
 
 
 def fault_at(place: Place, rest: str, code: str = CONTRADICTION) -> Fault:
@@ -63,419 +37,383 @@ def fault_at(place: Place, rest: str, code: str = CONTRADICTION) -> Fault:
     return Fault(f"{messages.dot_path(place)}{rest}", place, code)
 
 
-class Table(BaseModel):
-    """A table of the joint file; its fields are its keys, and what defaults to None may be left out."""
+class Table:
+    """A table of a file as it was read; keys that are not given have their defaults."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
+    of: ClassVar[tuple[type, ...]] = ()
+    """Dataclasses whose settings are keys, too; a key of several is described once for each."""
 
-    shorthand: ClassVar[str | None] = None
+    without: ClassVar[Collection[str]] = ()
+    """Settings of these that are no keys."""
+
+    shorthand: ClassVar[str] = ""
     """The key whose value may be written instead of the whole table."""
 
-    decided_by: ClassVar[Mapping[str, str]] = {}
-    """Keys whose table depends on one of its own keys: controller on law."""
+    decided_by: ClassVar[str] = ""
+    """The key that says which of `variants` the table is."""
+
+    variants: ClassVar[Mapping[str, type[Table]]] = {}
+
+    tolerant: ClassVar[bool] = False
+    """Whether a wrong key is left out, so that the others can be checked against each other."""
+
+    _declared: ClassVar[Mapping[str, Declared]]
 
     ambiguous: ClassVar[Mapping[str, str]] = {}
     """Ambiguous names that are refused, with the rest of the sentence on the choices."""
 
-    builds: ClassVar[Any] = None
-    """The dataclass whose settings its keys are, where that is one."""
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Take the settings of the class's body as keys."""
+        super().__init_subclass__(**options)
+        dataclass(init=False, repr=False, eq=False)(cls)
+
+    def __init__(self, given: Mapping[str, Any] | None = None) -> None:
+        self.given = dict(given or {})
+        self.__dict__.update({name: _default(one) for name, one in self.declared().items()} | self.given)
+
+    @classmethod
+    def declared(cls) -> Mapping[str, Declared]:
+        """Return the declaration of each key."""
+        if "_declared" not in cls.__dict__:
+            cls._declared = cls.declare()
+        return cls._declared
+
+    @classmethod
+    def declare(cls) -> dict[str, Declared]:
+        """Make the declaration of each key from the settings of the table and of its dataclasses."""
+        own: Any = cls
+        found = {one.name: one for one in settings_of(own)}
+        shared: dict[str, list[Declared]] = {}
+        owners: tuple[Any, ...] = cls.of
+        for owner in owners:
+            for one in settings_of(owner):
+                if one.name not in found and one.name not in cls.without:
+                    shared.setdefault(one.name, []).append(one)
+        return found | {name: merge_settings(same) for name, same in shared.items()}
 
     def build(self) -> Any:
         """Return the object that the table describes."""
-        return self.builds(**self.settings())
+        (made,) = self.of
+        return made(**self.settings())
+
+    def settings(self, *without: str) -> dict[str, Any]:
+        """Return the given values as settings of a dataclass, by key, without those named."""
+        return {key: _built(value) for key, value in self.given.items() if key not in without}
+
+    def written(self) -> dict[str, Any]:
+        """Return the given values as TOML has them."""
+        return {key: _written(value) for key, value in self.given.items()}
+
+    def quantities(self, before: str = "") -> Iterator[tuple[str, str]]:
+        """Yield the texts of the numbers that are given with a unit, each after the path of its key."""
+        for key, value in self.given.items():
+            if isinstance(value, Stated):
+                yield f"{before}{key}", value.text
+            for place, below in enumerate(value if isinstance(value, tuple) else [value]):
+                if isinstance(below, Table):
+                    yield from below.quantities(f"{before}{key}.{place}." if below is not value else f"{before}{key}.")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield contradictions between the values: a key, or "" for the table, and a sentence without its place."""
-        if self.builds is not None and (refused := refusal(self.build)):
+        if len(self.of) == 1 and (refused := refusal(self.build)):
             yield "", refused
-
-    def given_values(self, *without: str) -> dict[str, Any]:
-        """Return the values that stand in the file, by key, without those named."""
-        keys = [key for key in type(self).model_fields if key in self.model_fields_set and key not in without]
-        given = {key: getattr(self, key) for key in keys}
-        return {key: float(value) if isinstance(value, Stated) else value for key, value in given.items()}
-
-    def settings(self, *without: str) -> dict[str, Any]:
-        """Return the values that stand in the file as the settings of a dataclass, by key, without those named."""
-        given = self.given_values(*without)
-        return {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
-
-    @classmethod
-    def correct_keys(cls, raw: Mapping[str, Any], *path: str) -> tuple[dict[str, Any], list[Fault]]:
-        """Return nested tables with corrected misspelt keys, and a fault for each.
-
-        A required key that is misspelt is then not reported as missing as well.
-        """
-        found, faults = dict[str, Any](), list[Fault]()
-        for key, value in raw.items():
-            meant = key
-            if key not in cls.model_fields and key not in cls.ambiguous and sentence_of((*path, key)) is None:
-                near = messages.nearest(key, cls.model_fields)
-                if near is not None and near not in raw and near not in found:
-                    meant = near
-                    faults.append(
-                        fault_at((*path, key), messages.describe_unknown_name(key, cls.model_fields), "unknown")
-                    )
-            field = cls.model_fields.get(meant)
-            below = [] if field is None or get_origin(field.annotation) in (dict, list) else _tables(field)
-            found[meant] = value
-            if len(below) == 1 and isinstance(value, dict):
-                found[meant], more = below[0].correct_keys(value, *path, key)
-                faults += more
-        return found, faults
 
     @classmethod
     def find_missing(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
-        """Yield missing keys, where one of several is needed beside the given keys."""
-        yield from ()
+        """Yield missing keys beside the given ones, each with the rest of the sentence."""
+        for key, one in cls.declared().items():
+            if one.required and key not in given:
+                yield key, cls.lacks(key)
 
     @classmethod
     def lacks(cls, key: str) -> str:
         """Return the rest of the sentence on a missing key."""
-        field = cls.model_fields[key]
-        return messages.missing(_expectation(field).expected, field.description or "")
+        one = cls.declared()[key]
+        return messages.missing(one.says.expected, one.setting.description)
 
-    if TYPE_CHECKING:  # keys that are generated
+    if TYPE_CHECKING:  # keys that are settings of other classes
 
         def __getattr__(self, name: str) -> Any: ...
 
-    @model_validator(mode="wrap")
-    @classmethod
-    def _check_table(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        short = cls.shorthand is not None and not isinstance(data, dict)
-        raw = {cls.shorthand: data} if short else data
+
+def required(help: str, **declared: Any) -> Any:  # noqa: A002
+    """Key without a default; see `jointid.common.settings.Setting`."""
+    return field(metadata=declare(help, **declared))
+
+
+def part(make: Callable[[], Any], help: str, **declared: Any) -> Any:  # noqa: A002
+    """Key whose default is made; see `jointid.common.settings.Setting`."""
+    return field(default_factory=make, metadata=declare(help, **declared))
+
+
+@cache
+def table_of(kind: Any) -> type[Table] | None:
+    """Return the table by which values of a type are written; None for a type of single values."""
+    if not isinstance(kind, type) or get_origin(kind) is not None:
+        return None
+    if issubclass(kind, Table):
+        return kind
+    owner: Any = kind  # mypy does not take a type for something with a hash
+    is_table = hasattr(kind, "__dataclass_fields__") and settings_of(owner)
+    return type(f"{kind.__name__}Table", (Table,), {"of": (kind,), "__module__": __name__}) if is_table else None
+
+
+def table_of_items(kind: Any) -> type[Table] | None:
+    """Return the table of each item of a list, or of each value of a mapping; None for other types."""
+    arguments = get_args(kind)
+    return table_of(arguments[0 if get_origin(kind) is tuple else -1]) if arguments else None
+
+
+def merge_settings(same: list[Declared]) -> Declared:
+    """Return one declaration of a setting that several classes have; its default is that of all, or none."""
+    help_text = "; ".join(dict.fromkeys(one.setting.help for one in same))
+    merged = replace(same[0], setting=replace(same[0].setting, help=help_text))
+    return merged if len({str(one.default) for one in same}) == 1 else replace(merged, default=None, optional=True)
+
+
+def _default(one: Declared) -> Any:
+    if one.factory is not None:
+        return one.factory()
+    return None if one.default is MISSING else one.default
+
+
+def _built(value: Any) -> Any:
+    """Return a value of a table as the setting of a dataclass."""
+    match value:
+        case Table():
+            return value.build()
+        case Stated():
+            return float(value)
+        case tuple() | list():
+            return tuple(map(_built, value))
+        case dict():
+            return {key: _built(one) for key, one in value.items()}
+    return value
+
+
+def _written(value: Any) -> Any:
+    """Return a value of a table as TOML has it."""
+    match value:
+        case Table():
+            return value.written()
+        case Stated():
+            return value.text
+        case tuple():
+            return [_written(one) for one in value]
+        case dict():
+            return {key: _written(one) for key, one in value.items()}
+    return value
+
+
+class Reader:
+    """Reads tables, and keeps what is wrong in them.
+
+    Attributes:
+        faults: a sentence for each fault.
+        wrong: places of what is left out because it is wrong.
+    """
+
+    def __init__(self) -> None:
+        self.faults = list[Fault]()
+        self.wrong = set[Place]()
+
+    def read(self, owner: type[Table], raw: object, place: Place = ()) -> Any:
+        """Return a table; `WRONG` if it has a fault."""
+        if owner.shorthand and not isinstance(raw, dict):
+            return self._read_shorthand(owner, raw, place)
+        if not isinstance(raw, dict):
+            return self._refuse(place, messages.no_table(raw), "table")
+        if owner.variants:
+            kind = raw.get(owner.decided_by)
+            if not isinstance(kind, str) or kind not in owner.variants:
+                return self._refuse((*place, owner.decided_by), _describe_choice(owner, raw), "choice")
+            owner = owner.variants[kind]
+        given, seen = dict[str, Any](), set[str]()
+        for key, value in raw.items():
+            meant = self._meant(owner, key, raw, place)
+            if meant is not None:
+                seen.add(meant)
+                given[meant] = self.value(owner.declared()[meant], value, (*place, key))
+            else:
+                given[key] = WRONG
+        for key, rest in () if set(raw) & set(owner.ambiguous) else owner.find_missing(seen):
+            given[key] = self._refuse((*place, key), rest, "missing")
+        wrong = [key for key, value in given.items() if value is WRONG]
+        self.wrong.update((*place, key) for key in wrong)
+        if wrong and not owner.tolerant:
+            return WRONG
+        made = owner({key: value for key, value in given.items() if value is not WRONG})
+        found = [] if wrong else list(made.faults())
+        for key, rest in found:
+            self._refuse((*place, key) if key else place, rest)
+        if found and owner.tolerant:
+            self.wrong.update((*place, key) for key, _ in found)
+            return owner({key: value for key, value in given.items() if key not in dict(found)})
+        return WRONG if found else made
+
+    def _read_shorthand(self, owner: type[Table], raw: object, place: Place) -> Any:
+        """Return a table from the value of its shorthand; faults are at the table, as the key is not in the file."""
+        own = Reader()
+        one = owner.declared()[owner.shorthand]
+        value = own.value(one, raw, place, beside=", or a table")
+        made = owner({owner.shorthand: value}) if value is not WRONG else None
+        self.faults += own.faults
+        for _, rest in () if made is None else made.faults():
+            return self._refuse(place, rest)
+        return made or WRONG
+
+    def value(self, one: Declared, raw: object, place: Place, beside: str = "") -> Any:
+        """Return a value of a key as its declaration has it."""
+        if (table := table_of(one.type)) is not None:
+            return self.read(table, raw, place)
+        if (below := table_of_items(one.type)) is not None:
+            return self._values(one, below, raw, place)
         try:
-            table = handler(raw)
-            found: list[Located] = [((key,) if key else (), CONTRADICTION, rest) for key, rest in table.faults()]
-        except ValidationError as error:
-            given = set(raw) if isinstance(raw, dict) else set[str]()
-            faulty = error.errors(include_url=False)
-            absent = [((key,), "missing", rest) for key, rest in cls.find_missing(given)] if given else []
-            if given & set(cls.ambiguous):  # which may be what is missing
-                faulty, absent = [one for one in faulty if one["type"] != "missing"], []
-            found = [*(cls._fault(one, raw, short) for one in faulty), *absent]
-        else:
-            if not found:
-                return table
-        if short:  # its key is not in the file
-            found = [((), code, rest) for _, code, rest in found]
-        errors: list[InitErrorDetails] = [
-            {"type": _our_error(code, rest), "loc": place, "input": None} for place, code, rest in dict.fromkeys(found)
-        ]
-        raise ValidationError.from_exception_data(cls.__name__, errors)
+            if one.type is float and isinstance(raw, str) and is_quantity(raw) and list_units(one.setting.unit):
+                if fault := misfit(raw, one.setting.unit):
+                    return self._refuse(place, fault, "unit")
+                found: Any = to_si(raw, one.setting.unit)
+                _convert(one, float(found))
+            else:
+                found = raw if one.setting.none and raw == one.setting.none else _convert(one, raw)
+        except (ValueError, OverflowError):
+            return self._refuse_value(one, raw, place, beside)
+        refused = None if one.setting.accept is None else refusal(one.setting.accept, found)
+        return found if refused is None else self._refuse(place, refused, "refused")
 
-    @classmethod
-    def _fault(cls, error: ErrorDetails, raw: Any, short: bool) -> Located:
-        """Return one of pydantic's errors as a fault of ours."""
-        if not error["loc"]:
-            return (), "table", messages.no_table(raw)
-        key, *below = error["loc"]
-        if error["type"] == _OURS:
-            # Pydantic puts the decision into the location, below the key that holds the table.
-            place = (key, *(below[1:] if key in cls.decided_by else below))
-            return place, error["ctx"]["code"], error["ctx"]["rest"]
-        field = cls.model_fields.get(str(key))
-        if field is None:
-            rest = cls.ambiguous.get(str(key)) or messages.describe_unknown_name(str(key), cls.model_fields)
-            return (key,), "unknown", rest
-        if error["type"].startswith("union_tag"):
-            deciding = cls.decided_by[str(key)]
-            return (key, deciding), "choice", _describe_choice(deciding, field, raw[key])
-        if error["type"] == "missing":
-            return (key,), "missing", cls.lacks(str(key))
-        return (key,), "value", _describe_value(field, raw[key], short)
+    def _values(self, one: Declared, below: type[Table], raw: Any, place: Place) -> Any:
+        """Return the tables of a list, or by their names; one that is wrong by its name is left out."""
+        if get_origin(one.type) is tuple:
+            if not isinstance(raw, list) or (one.required and not raw):
+                return self._refuse_value(one, raw, place)
+            made = [self.read(below, value, (*place, number)) for number, value in enumerate(raw)]
+            return WRONG if any(value is WRONG for value in made) else tuple(made)
+        if not isinstance(raw, dict):
+            return self._refuse(place, messages.no_table(raw), "value")
+        named = {name: self.read(below, value, (*place, name)) for name, value in raw.items()}
+        self.wrong.update((*place, name) for name, value in named.items() if value is WRONG)
+        return {name: value for name, value in named.items() if value is not WRONG}
 
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Describe a table with a shorthand as what it is: that value, or the table."""
-        table = handler(core)
-        if cls.shorthand is None:
-            return table
-        return {"anyOf": [handler.resolve_ref_schema(table)["properties"][cls.shorthand], table]}
+    def _meant(self, owner: type[Table], key: str, raw: Mapping[str, Any], place: Place) -> str | None:
+        """Return the key that a name is, or that a misspelt one is near; a required key is then not missing, too."""
+        keys = owner.declared()
+        if key in keys:
+            return key
+        rest = owner.ambiguous.get(key) or messages.describe_unknown_name(key, keys)
+        self.faults.append(fault_at((*place, key), rest, "unknown"))
+        if key in owner.ambiguous or sentence_of((*place, key)) is not None:
+            return None
+        near = messages.nearest(key, keys)
+        return None if near in raw else near
+
+    def _refuse(self, place: Place, rest: str, code: str = CONTRADICTION) -> Any:
+        self.faults.append(fault_at(place, rest, code))
+        return WRONG
+
+    def _refuse_value(self, one: Declared, raw: object, place: Place, beside: str = "") -> Any:
+        if one.choices and one.setting.accept is None:
+            return self._refuse(place, messages.no_choice(raw, one.choices), "value")
+        says = Says(one.says.expected + beside, one.says.negative)
+        optional = not (beside or one.required)
+        return self._refuse(place, messages.describe_unexpected_value(raw, says, optional), "value")
+
+    def require(self) -> None:
+        """Raise a `JointFileError` if there are faults."""
+        if self.faults:
+            raise JointFileError(dict.fromkeys(self.faults))
 
 
-def faults_of(error: ValidationError) -> list[Fault]:
-    """Return the faults of a `Table`."""
-    found = error.errors(include_url=False, include_input=False)
-    return [fault_at(details["loc"], details["ctx"]["rest"], details["ctx"]["code"]) for details in found]
+def _describe_choice(owner: type[Table], raw: Mapping[str, object]) -> str:
+    """Return the rest of the sentence on a missing or unknown kind of table."""
+    if owner.decided_by in raw:
+        return messages.no_choice(raw[owner.decided_by], owner.variants)
+    return messages.missing(messages.either(owner.variants), owner.declared()[owner.decided_by].setting.help)
 
 
-def refusal(make: Callable[[], object]) -> str | None:
+def _convert(one: Declared, raw: Any) -> Any:
+    """Return a value of TOML as the setting's type has it.
+
+    Raises:
+        ValueError: it is not of that type, or out of its bounds.
+    """
+    if one.type in (float, int, bool) or (one.choices and one.setting.accept is None):
+        if one.fault(raw) is not None or (one.type is int and abs(raw) > _MOST):
+            raise ValueError
+        return float(raw) if one.type is float else raw
+    if one.type == tuple[float, ...] and raw == [] and not one.setting.expected:
+        raise ValueError
+    return _convert_parts(one.type, raw)
+
+
+def _convert_parts(kind: Any, raw: Any) -> Any:
+    """Return a text, or a list or a table of texts or numbers, as a type has it.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if kind is Any:
+        return raw
+    arguments = get_args(kind)
+    if get_origin(kind) is tuple and isinstance(raw, list):
+        if arguments[-1] is Ellipsis:
+            return tuple(_convert_parts(arguments[0], one) for one in raw)
+        return tuple(_convert_parts(inner, one) for inner, one in zip(arguments, raw, strict=True))
+    if get_origin(kind) is Mapping and isinstance(raw, dict):
+        return {name: _convert_parts(arguments[1], one) for name, one in flatten_keys(raw).items()}
+    fits = {
+        str: isinstance(raw, str) and raw != "",
+        float: isinstance(raw, int | float) and not isinstance(raw, bool) and math.isfinite(raw),
+        int: isinstance(raw, int) and not isinstance(raw, bool) and 0 <= raw <= _MOST,
+    }
+    if not fits.get(kind, False):
+        raise ValueError
+    return float(raw) if kind is float else raw
+
+
+def flatten_keys(table: Any) -> Any:
+    """Return nested tables as one with dotted names: TOML nests ``filter.depth = 0.1``."""
+    if not isinstance(table, dict):
+        return table
+    found: dict[str, Any] = {}
+    for key, below in table.items():
+        inner = {f".{name}": one for name, one in flatten_keys(below).items()} if isinstance(below, dict) else {}
+        found |= {f"{key}{name}": one for name, one in inner.items()} if inner else {key: below}
+    return found
+
+
+def refusal(make: Callable[..., object], *arguments: object) -> str | None:
     """Return the rest of the sentence with which `make` refuses; None if it does not."""
     try:
-        make()
+        make(*arguments)
     except JointidError as error:
         return f": {error}"
     return None
 
 
-def accept_by(make: Callable[[Any], object]) -> AfterValidator:
-    """Return the validator of a value that `make` must not refuse."""
+@dataclass(frozen=True, slots=True)
+class FileKey:
+    """A key of a file, for documentation and forms.
 
-    def check(value: object) -> object:
-        if refused := refusal(lambda: make(value)):
-            raise _our_error("refused", refused)
-        return value
-
-    return AfterValidator(check)
-
-
-def _our_error(code: str, rest: str) -> PydanticCustomError:
-    return PydanticCustomError(_OURS, "{rest}", {"code": code, "rest": rest})
-
-
-def _describe_choice(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> str:
-    """Return the rest of the sentence on a missing or unknown deciding key."""
-    deciders = [table.model_fields[deciding] for table in _tables(field)]
-    choices = [choice for decider in deciders for choice in _choices(decider)]
-    if deciding in raw:
-        return messages.no_choice(raw[deciding], choices)
-    return messages.missing(messages.either(choices), deciders[0].description or "")
-
-
-def _describe_value(field: FieldInfo, value: object, short: bool) -> str:
-    """Return the rest of the sentence on a value of the wrong type."""
-    if choices := _choices(field):
-        return messages.no_choice(value, choices)
-    says = _expectation(field)
-    if _tables(field) and says not in field.metadata:
-        return messages.no_table(value)
-    expected = f"{says.expected}, or a table" if short else says.expected
-    return messages.describe_unexpected_value(
-        value, Says(expected, says.negative), optional=not (short or field.is_required())
-    )
-
-
-def _expectation(field: FieldInfo) -> Says:
-    """Return the expected value of a key, in words."""
-    says = [part for part in _parts(field) if isinstance(part, Says)]
-    return says[0] if says else Says(messages.either(_choices(field)) or "a table")
-
-
-def _choices(field: FieldInfo) -> list[str]:
-    """Return the words among which a key chooses."""
-    return [word for part in _parts(field) if get_origin(part) is Literal for word in get_args(part)]
-
-
-def _tables(field: FieldInfo) -> list[type[Table]]:
-    """Return the tables that a key may hold."""
-    return [part for part in _parts(field) if isinstance(part, type) and issubclass(part, Table)]
-
-
-def _parts(field: FieldInfo) -> Iterator[Any]:
-    """Yield the metadata and the types of a key's annotation."""
-    return chain(field.metadata, _flatten(field.annotation))
-
-
-def _flatten(annotation: Any) -> Iterator[Any]:
-    """Yield types and metadata of an annotation, or of the items of a container."""
-    origin = get_origin(annotation)
-    if origin is Annotated:
-        yield from annotation.__metadata__
-        yield from _flatten(annotation.__origin__)
-    elif origin in (None, Literal):
-        yield annotation
-    else:
-        yield from chain.from_iterable(map(_flatten, get_args(annotation)))
-
-
-# Keys made from settings
-
-T = TypeVar("T", bound=Table)
-Typed = tuple[Any, Any]
-"""Annotation of a key, and its default or factory; ... for a required key."""
-
-_LENGTH_UNITS = units_of("length")
-MOST = 10**9
-"""Of what is counted."""
-
-
-def _not_nan(value: float) -> float:
-    if math.isnan(value):
-        raise ValueError
-    return value
-
-
-def flatten_keys(value: object) -> object:
-    """Return nested tables as one with dotted names: TOML nests ``filter.depth = 0.1``."""
-    if not isinstance(value, dict):
-        return value
-    found: dict[str, object] = {}
-    for key, below in value.items():
-        inner = flatten_keys(below)
-        found |= {f"{key}.{name}": one for name, one in inner.items()} if isinstance(inner, dict) else {key: inner}
-    return found
-
-
-def _length_unit(name: str) -> str:
-    if name not in _LENGTH_UNITS:
-        raise ValueError
-    return name
-
-
-Text = Annotated[str, Field(min_length=1), Says("text in quotes")]
-LengthUnit = Annotated[str, AfterValidator(_length_unit), Says(f"a unit of length, one of {', '.join(_LENGTH_UNITS)}")]
-Flag = Annotated[bool, Says("true or false")]
-
-Number = Annotated[float, Field(allow_inf_nan=False), Says("a number")]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), Says("a positive number")]
-Bound = Annotated[float, AfterValidator(_not_nan), Says("a number, inf or -inf")]
-
-Size = Annotated[
-    float, Field(gt=0, allow_inf_nan=False), Says("a positive number", "use sign = -1 to turn the load round")
-]
-
-Natural = Annotated[int, Field(ge=0, le=MOST), Says("a whole number, 0 or more")]
-Borders = Annotated[list[Natural], Field(min_length=2, max_length=2), Says("a list of two whole numbers, 0 or more")]
-
-Names = Annotated[list[Text], Says("a list of names in quotes")]
-Numbers = Annotated[list[Number], Says("a list of numbers")]
-Coefficients = Annotated[list[Number], Field(min_length=1), Says("a list of one or more numbers")]
-Matrix = Annotated[list[list[Number]], Says("a list of rows, each a list of numbers")]
-ControllerNumbers = Annotated[dict[str, Number], BeforeValidator(flatten_keys)]
-"""By their names, those of a filter with points."""
-
-_PLAIN: Mapping[Any, Any] = {
-    bool: Flag, str: Text, tuple[str, ...]: Names, tuple[int, int]: Borders, tuple[float, ...]: Coefficients,
-    Mapping[str, float]: ControllerNumbers,
-}  # fmt: skip
-
-
-def keys_from(
-    *owners: type,
-    without: Collection[str] = (),
-    types: Mapping[str, Typed] | None = None,
-) -> Callable[[type[T]], type[T]]:
-    """Return the decorator that gives a table a key for each setting of some dataclasses.
-
-    A key that several of them have is optional and says what it means in each, unless they declare it alike.
-
-    Args:
-        owners: the dataclasses.
-        without: names of settings that are no keys, or that the table declares itself.
-        types: annotation and default of keys that hold a table, or something else that is not a setting's own type.
-    """
-    declared: dict[str, list[Declared]] = {}
-    for owner in owners:
-        for one in settings_of(owner):
-            if one.name not in without:
-                declared.setdefault(one.name, []).append(one)
-    keys = {name: _key(same, (types or {}).get(name)) for name, same in declared.items()}
-    return with_keys(keys, owners[0] if len(owners) == 1 else None)
-
-
-def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
-    """Return the decorator that gives a table every key of several kinds, each optional and described by its kinds.
-
-    Args:
-        kinds: the dataclass of each kind, by the word for it.
-    """
-    declared: dict[str, list[Declared]] = {}
-    for kind, owner in kinds.items():
-        for one in settings_of(owner):
-            described = replace(one.setting, help=f"of {kind}: {one.setting.help}")
-            declared.setdefault(one.name, []).append(replace(one, setting=described))
-    return with_keys({name: _key(same, (annotation_of(same[0]), None)) for name, same in declared.items()})
-
-
-def with_keys(keys: Mapping[str, Typed], builds: type | None = None) -> Callable[[type[T]], type[T]]:
-    """Return the decorator that gives a table further keys."""
-
-    def complete(table: type[T]) -> type[T]:
-        make: Any = create_model
-        made: type[T] = make(table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys)
-        made.builds = builds
-        return made
-
-    return complete
-
-
-def _key(same: Sequence[Declared], typed: Typed | None) -> Typed:
-    """Return annotation and field of a key, from its declarations."""
-    unit = same[0].setting.unit
-    described = "; ".join(dict.fromkeys(one.setting.help for one in same)) + (f" [{unit}]" if unit else "")
-    annotation, default = typed or (annotation_of(same[0]), _default(same))
-    if callable(default):
-        return annotation, Field(default_factory=default, description=described)
-    return annotation if default is not None else annotation | None, Field(default, description=described)
-
-
-def _default(same: Sequence[Declared]) -> Any:
-    """Return a key's default; None where declarations differ or there is none."""
-    defaults = {str(one.default): one for one in same}
-    if len(defaults) > 1:
-        return None
-    if same[0].required:
-        return ...
-    if same[0].factory is not None:
-        return same[0].factory
-    value = same[0].default
-    if isinstance(value, float) and not math.isfinite(value):
-        return None  # which TOML cannot write
-    if isinstance(value, tuple):
-        return list(value)
-    return str(value) if isinstance(value, str) else value
-
-
-def annotation_of(one: Declared) -> Any:
-    """Return the pydantic annotation of a setting."""
-    found = _annotation_of(one)
-    if one.setting.accept is not None:
-        found = Annotated[found, accept_by(one.setting.accept)]
-    return found | Literal[one.setting.none] if one.setting.none else found
-
-
-def _annotation_of(one: Declared) -> Any:
-    declared = one.setting
-    if declared.choices and declared.accept is not None:
-        return Annotated[Text, Field(json_schema_extra={"enum": list(declared.choices)})]
-    if one.choices:
-        return Literal[*one.choices]
-    allowed = AfterValidator(_make_validator(one))
-    if declared.only:  # a Literal would take true for 1
-        return Annotated[int, allowed, Field(json_schema_extra={"enum": [*declared.only]}), one.says]
-    if one.type is float:
-        bounds = Field(gt=declared.above, ge=declared.at_least, le=declared.at_most, allow_inf_nan=declared.infinite)
-        number = Annotated[float, bounds, allowed, one.says]
-        return with_unit(number, declared.unit) if list_units(declared.unit) else number
-    if one.type is int:
-        return Annotated[int, Field(gt=declared.above, ge=declared.at_least, le=declared.at_most or MOST), one.says]
-    return _PLAIN[one.type]
-
-
-def with_unit(number: Any, declared: str) -> Any:
-    """Return the annotation of a number that may be given with a unit too, as a text.
-
-    Args:
-        number: its annotation.
-        declared: its unit, see `list_units`.
+    Attributes:
+        place: its path; ``<name>`` stands for any name.
+        declared: type, unit, bounds, default and words.
+        kind: what decides the table that it is in, where a key holds one of several: the law of a controller.
     """
 
-    def read(value: object, handler: ValidatorFunctionWrapHandler) -> object:
-        if not isinstance(value, str) or not is_quantity(value):
-            return handler(value)
-        if (fault := misfit(value, declared)) is not None:
-            raise _our_error("unit", fault)
-        said = to_si(value, declared)
-        handler(float(said))
-        return said
-
-    return Annotated[number, WrapValidator(read), Field(json_schema_extra=_or_text)]
+    place: str
+    declared: Declared
+    kind: str = ""
 
 
-def _or_text(described: dict[str, Any]) -> None:
-    """Add to the schema of a number that it may be a text with a unit."""
-    said = ("title", "description", "default")
-    number = {key: described.pop(key) for key in list(described) if key not in said}
-    described["anyOf"] = [number, {"type": "string", "description": "a number with its unit"}]
-
-
-def _make_validator(one: Declared) -> Callable[[float], float]:
-    """Return the validator of a setting apart from its bounds: NaN, 0, or a choice."""
-
-    def check(value: float) -> float:
-        if one.fault(value) is not None:
-            raise ValueError
-        return value
-
-    return check
+def list_keys(owner: type[Table], place: str = "", kind: str = "") -> Iterator[FileKey]:
+    """Yield the keys of a table, each before those below it."""
+    for word, table in owner.variants.items() or [(kind, owner)]:
+        for name, one in table.declared().items():
+            at, below = f"{place}{name}", table_of(one.type) or table_of_items(one.type)
+            yield FileKey(at, one, word)
+            if get_origin(one.type) is Mapping:
+                at = f"{at}.<name>"
+                item = replace(one, name="<name>", type=get_args(one.type)[1], default=None, factory=None)
+                yield FileKey(at, item, word)
+            if below is not None:
+                yield from list_keys(below, f"{at}.", word)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +21,9 @@ from jointid.apps.web.form import (
 from jointid.apps.web.guesses import guess_draft
 from jointid.apps.web.preview import build_preview, draw_svg
 from jointid.common.errors import JointFileError
-from jointid.config import json_schema, load, loads
+from jointid.config import load, loads
+from jointid.config.schema import FileTable
+from jointid.config.table import list_keys
 from jointid.models.controllers import FILTERS, Cascade, FirstOrder, MovingAverage
 from jointid.records.formats import Table
 
@@ -46,48 +47,28 @@ LAG = "controller.torque_filters.0.kind"
 MOTOR = {"record.channels.motor_position.column": "q"}
 
 
-def keys(schema: dict[str, Any], inside: dict[str, Any], law: str) -> dict[str, dict[str, Any]]:
-    """Return the schema of every key, by its dotted path."""
-    if "$ref" in inside:
-        inside = schema["$defs"][inside["$ref"].rsplit("/", 1)[1]]
-    for other in inside.get("oneOf", []):
-        table = schema["$defs"][other["$ref"].rsplit("/", 1)[1]]
-        if table["properties"]["law"]["const"] == law:
-            inside = table
-    if "properties" not in inside:
-        return {"": inside}
-    return {
-        f"{key}.{below}".rstrip("."): found
-        for key, value in inside["properties"].items()
-        for below, found in keys(schema, value, law).items()
-    }
-
-
 def test_every_field_is_a_key_of_the_joint_file_with_its_words() -> None:
-    schema = json_schema()
+    declared = {(key.place, key.kind): key.declared for key in list_keys(FileTable)}
     for one in FIELDS:
-        laws = one.when.get("controller.law", LAWS)
-        for law in set(laws) & set(LAWS):
-            known = keys(schema, schema, law)
-            if "_filter" in one.key:
-                path, _, setting = one.key.rpartition(".")
-                assert path in ("controller.velocity_filter", "controller.torque_filters.0")
-                kind = one.when.get(f"{path}.kind", ("digital",))[0]
-                assert setting == "kind" or setting in {each.name for each in dataclasses.fields(FILTERS[kind])}
-                continue
-            if one.key == "controller.law":
-                assert {word for word, _ in one.choices} == {"", *LAWS, LEARN, WITHOUT, EXTRA_LAW}
-                continue
-            assert one.key in known, one.key
-            if one.form == "choice" and "enum" in known[one.key]:
-                assert {word for word, _ in one.choices} - {""} == set(known[one.key]["enum"]), one.key
+        laws = set(one.when.get("controller.law", LAWS)) & set(LAWS)
+        if "_filter" in one.key:
+            path, _, setting = one.key.rpartition(".")
+            assert path in ("controller.velocity_filter", "controller.torque_filters.0")
+            kind = one.when.get(f"{path}.kind", ("digital",))[0]
+            assert setting == "kind" or setting in {each.name for each in dataclasses.fields(FILTERS[kind])}
+        elif one.key == "controller.law":
+            assert {word for word, _ in one.choices} == {"", *LAWS, LEARN, WITHOUT, EXTRA_LAW}
+        else:
+            for law in laws if one.key.startswith("controller.") else ("",):
+                choices = declared[one.key, law].choices
+                assert one.form != "choice" or {word for word, _ in one.choices} - {""} == set(choices), one.key
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_a_joint_file_comes_through_the_form_unchanged(path: Path) -> None:
     file = load(path)
     again = loads(make_order(read_joint_file(path.read_text(encoding="utf-8")), file.source.file or "record.csv")[0])
-    assert again == file if file.source.file else again.tables()["joint"] == file.tables()["joint"]
+    assert again == file if file.source.file else again.joint == file.joint
 
 
 def test_what_is_filled_in_is_what_is_written() -> None:

@@ -72,7 +72,7 @@ def test_the_joint_file_keeps_its_text_and_gives_the_values_back(
     assert "# ZZ1 motor_inertia: 70.200 kg (+- 0.020, 2 sigma)" in text
     assert "# record run" in text
     plain = ji.load(folder / "joint.toml")
-    assert replace(file, parameters={}, path=plain.path).tables() == replace(plain, parameters={}).tables()
+    assert replace(file, parameters={}, path=plain.path) == replace(plain, parameters={})
 
 
 def test_an_interval_holds_what_the_model_lacks() -> None:

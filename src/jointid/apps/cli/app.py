@@ -263,7 +263,7 @@ def _setting(error: UnknownOptionError) -> str:
     from jointid.config.schema import MethodTable
 
     key = (error.token.keyword or "").removeprefix("--").partition("=")[0].replace("-", "_")
-    known = key in MethodTable.model_fields and any("--set" in argument.names for argument in error.argument_collection)
+    known = key in MethodTable.declared() and any("--set" in argument.names for argument in error.argument_collection)
     return f"It is a setting of the joint file: give --set method.{key}=VALUE. " if known else ""
 
 

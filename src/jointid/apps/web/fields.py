@@ -1,6 +1,6 @@
 """Fields of the page's form: the key of the joint file that each one sets, and how its text is read.
 
-The type, the words and the unit of a field come from the JSON schema of the joint file. `form.toml` has its label and
+The type, the words and the unit of a field come from the declaration of its key. `form.toml` has its label and
 explains its words. Keys without a field stay in further lines of the joint file ("extra").
 """
 
@@ -14,8 +14,10 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any, Literal, TypeAlias
 
+from jointid.common.settings import Declared
 from jointid.common.units import units_of
-from jointid.config import json_schema
+from jointid.config.schema import FileTable
+from jointid.config.table import list_keys
 from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS
 from jointid.records.columns import known_units, unit_in_name
@@ -162,29 +164,14 @@ def _decimals(text: str) -> list[float]:
     return [_decimal(part) for part in _BETWEEN.split(text)]
 
 
-def _find_property(key: str, table: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the JSON schema of a key in a table; empty for an unknown key.
-
-    If several controllers have the key, the first one is returned.
-    """
-    if "$ref" in table:
-        table = _SCHEMA["$defs"][table["$ref"].rpartition("/")[2]]
-    if not key:
-        return table
-    name, _, rest = key.partition(".")
-    if name in table.get("properties", {}):
-        return _find_property(rest, table["properties"][name])
-    return next(filter(None, (_find_property(key, law) for law in table.get("oneOf", ()))), {})
-
-
 def _define_entry(name: str, said: Mapping[str, Any], key: str = "") -> Field:
-    """Return the field of a key; `said` is its entry in `form.toml`, which goes before the schema."""
+    """Return the field of a key; `said` is its entry in `form.toml`, which goes before the declaration."""
     path, _, variant = name.partition("@")
-    known = _find_property(key or path, _SCHEMA)
+    known = _KEYS.get(key or path)
     meant = _LABELS.get(path, said.get("words", {}))
-    others = {word: word for word in map(str, known.get("enum", ())) if word not in meant}
-    unit = _UNIT.search(known.get("description", ""))
-    # A schema has the units of a prismatic and a revolute joint as "controller units per m/s or rad/s".
+    others = {word: word for word in _choices(known) if word not in meant}
+    unit = None if known is None else _UNIT.search(known.setting.description)
+    # A declaration has the units of a prismatic and a revolute joint as "controller units per m/s or rad/s".
     straight, _, turning = (unit[1] if unit else "").partition(" or ")
     before, per, _ = straight.rpartition(" per ")
     units = straight, f"{before}{per}{turning}" if turning else straight
@@ -197,7 +184,7 @@ def _define_entry(name: str, said: Mapping[str, Any], key: str = "") -> Field:
         tuple({**meant, **others}.items()),
         {other: _expand_laws(values) for other, values in said.get("when", {}).items()},
         said.get("usual", ""),
-        said.get("whole", known.get("type") == "integer"),
+        said.get("whole", known is not None and known.type is int),
         variant,
     )
 
@@ -207,12 +194,15 @@ def _expand_laws(values: Sequence[str]) -> tuple[str, ...]:
     return tuple(each for value in values for each in (LAWS if value == _ANY_LAW else (value,)))
 
 
-def _find_form(known: Mapping[str, Any]) -> Form:
-    kind = known.get("type", "number")  # a schema of several types is a number, or a text with a number and its unit
-    if "enum" in known:
-        return "sign" if kind == "integer" else "choice"
-    forms: dict[str, Form] = {"boolean": "flag", "string": "text", "array": "numbers"}
-    return forms.get(kind, "number")
+def _choices(known: Declared | None) -> tuple[str, ...]:
+    return () if known is None else known.choices or tuple(map(str, known.setting.only))
+
+
+def _find_form(known: Declared | None) -> Form:
+    if known is not None and _choices(known):
+        return "sign" if known.type is int else "choice"
+    forms: dict[Any, Form] = {bool: "flag", str: "text", tuple[float, ...]: "numbers", tuple[int, int]: "numbers"}
+    return "number" if known is None else forms.get(known.type, "number")
 
 
 def _define_group(group: str) -> tuple[Field, ...]:
@@ -236,12 +226,15 @@ def _define_channel(channel: str) -> tuple[Field, ...]:
     rest = tuple(
         _define_entry(key, said, f"{path}.{key}")
         for key, said in _FORM["of_channel"].items()
-        if channel in said.get("of", CHANNELS) and _find_property(f"{path}.{key}", _SCHEMA)
+        if channel in said.get("of", CHANNELS) and f"{path}.{key}" in _KEYS
     )
     return (_define_entry("column", {**_FORM["channel"][channel], "form": "column"}, f"{path}.column"), *units, *rest)
 
 
-_SCHEMA = json_schema()
+_OWN_WORDS = ("controller.law", "controller.velocity_filter.kind")  # some of their choices have no fields
+_KEYS = {  # of several laws that of the first
+    key.place: key.declared for key in reversed(list(list_keys(FileTable))) if key.place not in _OWN_WORDS
+}
 _FORM: dict[str, dict[str, dict[str, Any]]] = tomllib.loads(
     files("jointid.apps.web").joinpath("form.toml").read_text(encoding="utf-8")
 )

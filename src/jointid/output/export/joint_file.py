@@ -58,13 +58,12 @@ def joint_file(
     lost = [f"what the record does not tell: {', '.join(refused)}"] if refused else []
     lost += [*outside, *model.effects_lost]
 
-    filled = replace(file, parameters=kept)
     head = [*remarks(model, lost), *([_STARTS] if values == "start" else [])]
     symbols = {p.name: p for p in file.joint.parameters}
     lines = [f"{name} = {_toml(p, symbols[name])}" for name, p in kept.items()]
     written = "\n".join(["[parameters]", *(f"# {line}" for line in head), *lines, ""])
     before = file.path.parent
-    made = with_paths(_fill_in(file, filled, written), before, before if folder is None else folder)
+    made = with_paths(_fill_in(file, written), before, before if folder is None else folder)
     loads(made)  # which refuses what could not be read again
     return made, tuple(lost)
 
@@ -89,15 +88,15 @@ def _require_same_joint(file: JointFile | None, model: JointModel) -> JointFile:
     return file
 
 
-def _fill_in(file: JointFile, filled: JointFile, written: str) -> str:
-    """Return the file's text with new parameters; written anew if the text no longer matches."""
+def _fill_in(file: JointFile, written: str) -> str:
+    """Return the file's text with new parameters; written anew if it was loaded with changes, or changed since."""
     try:
         text = with_table(file.path.read_text(encoding="utf-8-sig"), written)
-        if loads(text).tables() == filled.tables():
+        if replace(loads(text), parameters=file.parameters) == file:
             return text
-    except (OSError, JointFileError):  # it was made by a program, or changed since
+    except (OSError, JointFileError):  # it is a joint of a robot file, or changed since
         pass
-    return with_table(dumps(filled), written)
+    return with_table(dumps(file), written)
 
 
 def _toml(parameter: Parameter, model: Parameter) -> str:

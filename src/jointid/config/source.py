@@ -1,0 +1,124 @@
+"""The files of a record, and how they are read; records that are identified together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from jointid.common.settings import add_settings_to_docstring, declare, setting
+from jointid.common.units import units_of
+from jointid.records.clock import CLOCK_TOLERANCE
+from jointid.records.formats import Table as RecordedTable
+from jointid.records.formats import format_of, read_table
+from jointid.records.joining import choose_resampling, join_files
+from jointid.records.resampling import Resampling
+
+
+@add_settings_to_docstring
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The file of the record, and how it is read; see `jointid.records.reading`."""
+
+    file: str | None = setting(None, "path of the record, from the joint file's folder", accept=format_of)
+    time: str | None = setting(
+        None, "name of the time column; without it, and without a sample time, the column called t or time"
+    )
+    time_unit: str | None = setting(
+        None, "unit of the time column; without it the one in its name, as in Time [ms], or s", choices=units_of("time")
+    )
+    sample_time: float | None = setting(
+        None, "time between samples, where there is no time column; beside one the two must agree", unit="s", above=0
+    )
+    clock_tolerance: float = setting(
+        CLOCK_TOLERANCE,
+        "largest jitter of the time stamps that is not remarked on, as a share of the sample time",
+        at_least=0,
+    )
+    start: float | None = setting(None, "first instant to read, of the log's own clock", unit="s")
+    stop: float | None = setting(None, "last instant to read, of the log's own clock", unit="s")
+    torque: Literal["logged", "from_controller"] | None = setting(
+        None,
+        "whether the torque is a channel of the record, or what the controller outputs for the motor position; without "
+        "it logged, or for DIDIM from the controller where no torque channel is declared",
+    )
+    part: int | None = setting(
+        None, "which part between jumps of the clock to read, counted from 1; 0 takes the longest", at_least=0
+    )
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the format's reader
+    resample: Resampling | None = setting(
+        None,
+        "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
+    )
+    files: tuple[str, ...] = setting(
+        (),
+        "paths of a record in several files, such as positions and torques apart; they are joined on their clocks, and "
+        "a column whose name an earlier file has is called FILE: NAME",
+    )
+    offsets: tuple[float, ...] = setting(
+        (),
+        "what to add to the clock of each of the files, where they do not share one",
+        unit="s",
+    )
+
+    @property
+    def first(self) -> str | None:
+        """Path of the record, or of its first file."""
+        return self.files[0] if self.files else self.file
+
+    def read(self, path: str | os.PathLike[str], folder: Path) -> RecordedTable:
+        """Read the table of a record; the path of the first file stands for all of them."""
+        if not self.files or Path(path) != folder / self.files[0]:
+            return read_table(path, **self.options)
+        paths = [folder / file for file in self.files]
+        return join_files(
+            paths,
+            offsets=self.offsets,
+            time=self.time,
+            time_unit=self.time_unit,
+            sample_time=self.sample_time,
+            **self.options,
+        )
+
+    def reading(self, table: RecordedTable) -> dict[str, Any]:
+        """Return how a table is read, where it was joined: every column has its clock."""
+        if not (self.files and table.clocks):
+            return {}
+        joined = {"time": None, "time_unit": None, "sample_time": None}
+        return joined if self.resample else joined | {"resample": choose_resampling(table)}
+
+
+@add_settings_to_docstring
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One of several records that are identified together."""
+
+    file: str = field(metadata=declare("path of the record, from the joint file's folder", accept=format_of))
+    added_inertia: float = setting(
+        0.0,
+        "what is known to have been added to the load, as it is there, beyond what is shared",
+        unit="kg or kg m2",
+        at_least=0,
+    )
+    own: tuple[str, ...] = setting(
+        (),
+        "names of parameters of this record's own, which the others do not share; the motor's state at the first "
+        "sample always is",
+    )
+    controller: Mapping[str, float] = field(
+        default_factory=dict,
+        metadata=declare("numbers of the controller that were others in this record, by the keys of [controller]"),
+    )
+
+
+@add_settings_to_docstring
+@dataclass(frozen=True, slots=True)
+class Together:
+    """How several records are identified together."""
+
+    free: tuple[str, ...] = setting((), "names of what surrounds the joint and is identified too")
+    weighting: Literal["spectrum", "level"] = setting(
+        "spectrum", "what of their record's residual the rows are weighed by"
+    )
