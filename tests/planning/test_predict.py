@@ -53,7 +53,7 @@ def test_intervals_scale_as_they_must() -> None:
     assert after == pytest.approx(0.5 * before, rel=0.15)
     (roughly,) = predict_roughly(LOOP, [TRUTH], test, Noise(log=0.01), filtering=Filtering(), parameters={})
     assert np.sqrt(np.diag(roughly.covariance)) == pytest.approx(once, rel=0.35)  # from one run
-    assert roughly.reached["stroke"] == pytest.approx(2.0, rel=0.02)
+    assert [roughly.reached[name] for name in ("stroke", "acceleration")] == pytest.approx([2.0, 8.0], rel=0.02)
 
 
 def test_a_fixed_parameter_is_not_predicted_and_narrows_the_others() -> None:
