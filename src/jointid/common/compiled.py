@@ -8,7 +8,6 @@ from typing import Any, TypeAlias, TypeVar, cast
 import numba
 import numpy as np
 from numba import types
-from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -33,25 +32,10 @@ def compile_kernel(function: F) -> F:
     kernel: Any = _njit(function)
     if kernel is not function:  # Numba may be configured not to compile
         try:
-            kernel._cache = kept = KernelCache(function, kernel.targetoptions)
+            kernel._cache = KernelCache(function, kernel.targetoptions)
         except RuntimeError:  # there is no such folder
             warn_of_no_place()
-        else:
-            kernel.compile = _releasing_lock(kernel.compile, kept)
     return cast("F", kernel)
-
-
-def _releasing_lock(compile_form: Callable[[Any], Any], kept: KernelCache) -> Callable[[Any], Any]:
-    """Release the compilation lock of a kernel after compilation, including failed ones."""
-
-    def compile_and_release(sig: Any) -> Any:
-        with global_compiler_lock:
-            try:
-                return compile_form(sig)
-            finally:
-                kept.lock.release()
-
-    return compile_and_release
 
 
 def has_cache(kernel: object) -> bool:

@@ -1,22 +1,19 @@
-"""Disk cache of compiled kernels that tolerates damage and concurrency.
+"""Disk cache of compiled kernels that tolerates damage.
 
 A kernel's stamp covers its code, the functions it calls and the constants it reads; Numba's own stamp covers its file
-only. One process compiles a kernel while others wait. A checksum protects the machine code. An unreadable entry is
-compiled again; a folder that cannot be written causes a warning.
+only. A checksum protects the machine code. An unreadable entry is compiled again; a folder that cannot be written
+causes a warning.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
 import pickle
 import re
 import sys
-import time
 import warnings
 from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
 
@@ -25,7 +22,6 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.serialize import dumps
 
 _DIGEST = hashlib.sha256().digest_size
-_PATIENCE, _PAUSE = 120.0, 0.05  # seconds to wait for another process, and between two looks
 
 
 class CacheWarning(UserWarning):
@@ -41,37 +37,32 @@ class KernelCache(FunctionCache):
         # Numba's names have the line of the function: that moves with every edit above it.
         base = re.sub(r"-\d+(?=\.py\d)", "", self._impl.filename_base)
         self._cache_file = _CheckedFile(self._cache_path, base, None)
-        self.lock = _CompileLock(Path(self._cache_path) / f"{base}.lock")
 
     def holds_any(self) -> bool:
         """Test whether the cache holds the kernel with its present stamp."""
-        self._require_stamp()
-        try:
-            return bool(self._cache_file._load_index())
-        except PermissionError:
-            return False
+        return bool(self._try(self._cache_file._load_index))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load a compiled kernel; None if it is missing or damaged."""
-        self._require_stamp()
-        found = self._load(sig, target_context)
-        if found is None:
-            self.lock.acquire()
-            found = self._load(sig, target_context)  # another process may have compiled it meanwhile
-        return found
+        return self._try(super().load_overload, sig, target_context)
 
-    def _require_stamp(self) -> None:
+    def _try(self, load: Any, *arguments: Any) -> Any:
+        """Return what is loaded; None of a damaged cache, which is emptied."""
         if self._cache_file._source_stamp is None:  # not before all that it calls is defined
             self._cache_file._source_stamp = _stamp(self._function, self._options)
-
-    def _load(self, sig: Any, target_context: Any) -> Any:
         try:
-            return super().load_overload(sig, target_context)
+            return load(*arguments)
         except PermissionError:  # it cannot be written either, which is said then
             return None
+        except (AttributeError, ModuleNotFoundError):  # of a type of an earlier version
+            pass
         except Exception:  # a damaged pickle raises anything
             _warn_of_damage(self.cache_path)
-            return None
+        try:
+            self.flush()
+        except OSError as error:
+            _warn_of_place(self.cache_path, str(error.strerror))
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save a compiled kernel, if possible."""
@@ -79,43 +70,6 @@ class KernelCache(FunctionCache):
             super().save_overload(sig, data)
         except Exception as error:
             _warn_of_place(self.cache_path, getattr(error, "strerror", None) or type(error).__name__)
-
-
-class _CompileLock:
-    """A file lock on the compilation of one kernel, where file locks exist."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._file = path, -1
-
-    def acquire(self) -> None:
-        """Take the lock; give up after two minutes or without file locks."""
-        try:
-            import fcntl
-
-            if self._file < 0:
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-                self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        except (ImportError, OSError):  # Windows, or a folder that cannot be written
-            return
-        began = time.monotonic()
-        while time.monotonic() - began < _PATIENCE:
-            try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                time.sleep(_PAUSE)
-            except OSError:  # a file system without locks
-                return
-            else:
-                return
-
-    def release(self) -> None:
-        """Release the lock, if it is held."""
-        if self._file >= 0:
-            import fcntl
-
-            fcntl.flock(self._file, fcntl.LOCK_UN)  # a process that was forked meanwhile has the file open, too
-            os.close(self._file)
-            self._file = -1
 
 
 def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
@@ -164,37 +118,19 @@ def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
 
 
 class _CheckedFile(IndexDataCacheFile):
-    """The files of one kernel, with checksums; a damaged index counts as empty.
+    """The files of one kernel, with checksums.
 
     Numba writes the index before the data. If writing the data fails, the stamp in the former data tells them apart.
     """
 
-    def _load_index(self) -> dict[Any, str]:
-        try:
-            found: dict[Any, str] = super()._load_index()
-        except PermissionError:
-            raise
-        except (AttributeError, ModuleNotFoundError):  # it names a type of an earlier version
-            return {}
-        except Exception:
-            _warn_of_damage(self._cache_path)
-            return {}
-        return found
-
     def _load_data(self, name: str) -> Any:
         kept = super()._load_data(name)
-        if not isinstance(kept, bytes):  # of an earlier version, without a checksum
-            return None
-        digest, content = kept[:_DIGEST], kept[_DIGEST:]
+        digest, content, stamp = kept[:_DIGEST], kept[_DIGEST:], str(self._source_stamp).encode()
         if hashlib.sha256(content).digest() != digest:
             raise ValueError("the checksum does not fit")
-        stamp = str(self._source_stamp).encode()
         if not content.startswith(stamp):
             return None
-        try:
-            return pickle.loads(content[len(stamp) :])  # noqa: S301 - the user's own folder, as compiled modules are
-        except (AttributeError, ModuleNotFoundError):  # the same code stood in another module
-            return None
+        return pickle.loads(content[len(stamp) :])  # noqa: S301 - the user's own folder, as compiled modules are
 
     def _save_data(self, name: str, data: Any) -> None:
         content = str(self._source_stamp).encode() + dumps(data)
