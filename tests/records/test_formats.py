@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jointid.common.errors import ExtraError, RecordError
-from jointid.records.chunks import Log
 from jointid.records.columns import Column
 from jointid.records.formats import Table, read_blocks, read_table, write_table
 from jointid.records.reading import read
@@ -52,27 +51,6 @@ def test_a_record_is_made_of_any_of_them(name: str, tmp_path: Path) -> None:
     assert record.reference.sample_time == pytest.approx(1e-3, abs=1e-15)
 
 
-@pytest.mark.parametrize("name", ["csv", "npy", "parquet"])
-@pytest.mark.parametrize("rows", [1, 64, 99, 100, ROWS, 10_000])
-def test_pieces_are_the_whole(name: str, rows: int, tmp_path: Path) -> None:
-    path = made(name, tmp_path)
-    tables = [block.table() for block in read_blocks(path, rows)]
-    assert [max(v.size for v in t.columns.values()) for t in tables[:-1]] == [rows] * (len(tables) - 1)
-    for column, values in read_table(path).columns.items():
-        pieces = np.concatenate([table.columns[column] for table in tables])
-        np.testing.assert_allclose(pieces, values, rtol=0, atol=0)
-
-
-def test_a_long_record_is_read_in_pieces(tmp_path: Path) -> None:
-    time, position, torque = LOGGED["parquet"].names
-    columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
-    log = Log(made("parquet", tmp_path), columns, {"time": time, "kind": "revolute"})
-    pieces = list(log.chunks(80, 20))
-    assert [len(piece.record.torque) for piece in pieces if piece.record.torque] == [100, 100, 100, 60]
-    joined = [piece.record.torque.values[:80] for piece in pieces if piece.record.torque]
-    np.testing.assert_array_equal(np.concatenate(joined), TORQUE)
-
-
 @pytest.mark.parametrize("name", ["mat", "hdf5", "mat73", "tdms", "mcap", "db3", "npz", "jsonl"])
 def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
@@ -87,7 +65,7 @@ def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path:
 values = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=2, max_size=5)
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".parquet", ".npy", ".csv"])
+@pytest.mark.parametrize("suffix", [".mat", ".parquet", ".npy"])
 @settings(max_examples=10)  # some of them start a process for each
 @given(data=st.data())
 def test_what_is_written_is_read_to_the_last_bit(

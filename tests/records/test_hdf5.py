@@ -126,16 +126,3 @@ def test_matlabs_own_layout_is_read_as_version_7_is(tmp_path: Path) -> None:
         "cell": "a cell array", "none": "it is empty", "phasor": "it holds complex numbers",
         "remark": "it holds text", "sparse": "a sparse matrix",
     }  # fmt: skip
-
-
-def test_sides_of_one_number_do_not_count(tmp_path: Path) -> None:
-    path, matrix = tmp_path / "run.h5", np.arange(21.0).reshape(3, 7)
-    with h5py.File(path, "w") as file:
-        file["plain"], file["telemetry"], file["one"] = matrix, matrix[:, None, :], matrix[None, :1, :]
-        file["packed"] = file.create_dataset("p", data=matrix[None], chunks=(1, 2, 3), compression="gzip")
-    table = read_table(path)
-    for name in ("plain", "telemetry", "packed"):
-        found = [table.columns[f"{name}[{channel}]"] for channel in range(3)]
-        np.testing.assert_array_equal(found, matrix)
-    np.testing.assert_array_equal(table.columns["one"], matrix[0])
-    assert not table.passed

@@ -31,14 +31,6 @@ def test_vectors_are_columns_and_single_numbers_scalars(tmp_path: Path) -> None:
     assert table.source == "run.mat"
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_the_samples_of_a_matrix_run_along_its_longer_side(turned: bool, tmp_path: Path) -> None:
-    matrix = np.arange(12.0).reshape(6, 2)
-    table = read_variables(tmp_path / "run.mat", {"q": matrix.T if turned else matrix})
-    assert list(table.columns) == ["q[0]", "q[1]"]
-    np.testing.assert_array_equal(table.columns["q[1]"], matrix[:, 1])
-
-
 def test_fields_of_structures_are_found_by_their_path(tmp_path: Path) -> None:
     axes = np.array([(np.arange(2.0), 1), (np.arange(3.0), 2)], dtype=[("q", object), ("n", object)])
     table = read_variables(tmp_path / "run.mat", {"rec": {"motor": {"q": np.arange(3.0)}, "dt": 0.004}, "axis": axes})

@@ -13,6 +13,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.records.clock import find_clock
 from jointid.records.formats import Table, read_table
+from jointid.records.formats.table import Found
 from jointid.records.resampling import Resampling
 
 _TOGETHER = 0.5  # of the shorter file, that two files cover together at least
@@ -28,11 +29,6 @@ class _Part:
     stamps: FloatArray
     period: float
     time: str
-
-    @property
-    def stamped(self) -> bool:
-        """Whether the file states the instants."""
-        return bool(self.time)
 
     @property
     def channels(self) -> Mapping[str, FloatArray]:
@@ -75,11 +71,10 @@ def join_files(
         _read_part(name, read_table(path, **options), time, time_unit, sample_time)
         for name, path in zip(names, paths, strict=True)
     ]
-    if not offsets:
-        for part in parts[1:]:
-            _require_common_clock(parts[0], part)
-        return _join(parts)
-    return _join([replace(part, stamps=part.stamps + offset) for part, offset in zip(parts, offsets, strict=True)])
+    for part in () if offsets else parts[1:]:
+        _require_common_clock(parts[0], part)
+    moved = zip(parts, offsets or [0.0] * len(parts), strict=True)
+    return _join([replace(part, stamps=part.stamps + offset) for part, offset in moved])
 
 
 def choose_resampling(table: Table) -> Resampling | None:
@@ -108,7 +103,7 @@ def _require_common_clock(first: _Part, part: _Part) -> None:
     """Refuse two files whose clocks have different beginnings, as far as stamps and a channel of both tell."""
     both = min(first.stamps[-1], part.stamps[-1]) - max(first.stamps[0], part.stamps[0])
     shorter = min(one.stamps[-1] - one.stamps[0] for one in (first, part))
-    shared = first.stamped and part.stamped and both >= _TOGETHER * shorter
+    shared = bool(first.time and part.time) and both >= _TOGETHER * shorter
     common = [name for name in part.channels if name in first.channels]
     own_zero = all(abs(one.stamps[0]) <= one.period for one in (first, part))
     equal = any(np.array_equal(first.channels[name], part.channels[name]) for name in common)
@@ -123,25 +118,18 @@ def _require_common_clock(first: _Part, part: _Part) -> None:
 
 def _join(parts: Sequence[_Part]) -> Table:
     """Return all columns in one table; files of equal instants have one clock."""
-    columns, units, passed = dict[str, FloatArray](), dict[str, str](), dict[str, str]()
-    scalars, clocks = dict[str, float](), dict[str, str]()
-    kept: list[tuple[str, FloatArray]] = []
+    found, kept = Found(Path()), dict[str, FloatArray]()
     for part in parts:
-        equal = (name for name, stamps in kept if _is_same(stamps, part))
-        clock = next(equal, f"time of {part.name}")
-        if clock not in columns:
-            kept.append((clock, part.stamps))
-        own = {}
+        clock = next((name for name, stamps in kept.items() if _is_same(stamps, part)), f"time of {part.name}")
+        if clock not in kept:
+            kept[clock] = part.stamps
+            found.add(clock, part.stamps.copy(), "s")
         for name, values in part.table.columns.items():
-            own[name] = f"{part.name}: {name}" if name in columns else name
-            columns[own[name]] = values
-            clocks[own[name]] = clock
-        columns[clock] = next(stamps for name, stamps in kept if name == clock)
-        units |= {own[name]: unit for name, unit in part.table.units.items()} | {clock: "s"}
-        passed = {f"{part.name}: {n}" if n in passed else n: why for n, why in part.table.passed.items()} | passed
-        scalars = {**part.table.scalars, **scalars}
-    source = " and ".join(part.table.source for part in parts)
-    return Table(columns, scalars, source, units, passed, clocks)
+            own = f"{part.name}: {name}" if name in found.columns else name
+            found.add(own, values, part.table.units.get(name, ""), clock)
+        for name, why in part.table.passed.items():
+            found.passed[f"{part.name}: {name}" if name in found.passed else name] = why
+    return replace(found.table(), source=" and ".join(part.table.source for part in parts))
 
 
 def _is_same(stamps: FloatArray, part: _Part) -> bool:

@@ -12,7 +12,7 @@ import gzip
 import io
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
@@ -46,6 +46,7 @@ _HEAD, _BEGINNING = 2**25, 2**20  # characters that tell how a file is written, 
 _CELLS = 2**21  # that are read together
 _LONGEST = 2_500_000  # characters of a line: more than the widest table has
 _SAMPLE, _SAMPLE_SIZE = 200, 2**20  # lines, and their characters, that decide, from the end, where the data is
+_FILLED = 1000  # cells that tell what a column holds
 _EXPONENT_OR_WORD = r"(?:e[+-]?\d+)?|nan|inf|infinity)"
 _NUMBERS = {
     ".": re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
@@ -53,8 +54,6 @@ _NUMBERS = {
     ",": re.compile(r"[+-]?(?:\d+(?:,\d+)?" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
 }
 _SPLIT_NUMBER = re.compile(r"[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)  # a cell cut at the wrong mark
-# What numbers alone, but for NaN, do not contain; an exponent is behind a digit or a point.
-_WORDY = re.compile(r"[A-DF-Za-df-z_:/#\[]|(?<![\d.])[Ee]|\d-\d|\.\d*\.")
 _SEPARATOR = re.compile(r"\s*,\s*|\s+")  # of the numbers of a list in a cell
 _BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
 _NO_UNIT = ("", "-")
@@ -64,7 +63,7 @@ _OTHER_UNITS = frozenset({
     "LU", "Inkr", "Inkr.", "Arms", "Aeff", "A_eff", "A rms", "Apk", "Vrms",
 })  # fmt: skip
 _RUN = ("=", "+", "-", "@")  # with these a cell begins that a spreadsheet program takes for a formula
-_KINDS = {"t": "instants", "d": "dates without a time", "w": "words"}
+_KINDS = {"n": "numbers", "l": "lists of numbers", "t": "instants", "d": "dates without a time", "w": "words"}
 
 
 class Line(NamedTuple):
@@ -151,8 +150,7 @@ class Layout:
 
     Attributes:
         closed: whether the rows end with a delimiter.
-        kinds: of the columns, a letter each.
-        stamps: the columns that hold instants, by place.
+        stamps: how the columns of instants count, by place, as the first rows that are read have them.
         passed: see `Table`.
     """
 
@@ -160,37 +158,34 @@ class Layout:
     dialect: Dialect
     names: Sequence[str]
     closed: bool
-    kinds: str
-    stamps: Mapping[int, Stamps] = field(default_factory=dict)
+    stamps: dict[int, Stamps] = field(default_factory=dict)
     passed: Mapping[str, str] = field(default_factory=dict)
 
     def read(self, lines: Sequence[Line], ends: bool, count: int) -> Table:
         """Parse the first `count` lines, which may include the end of the file."""
-        rows = [self.open_row(line) for line in lines[:count]]
-        columns: dict[str, FloatArray] = {}
-        if not self.kinds.strip("n"):
-            mark = None if self.dialect.delimiter == _BLANKS else self.dialect.delimiter
+        rows = [self._open_row(line) for line in lines[:count]]
+        mark = None if self.dialect.delimiter == _BLANKS else self.dialect.delimiter
+        try:
             plain = [self.dialect.plain(row.text) for row in rows]
-            try:
-                values = np.loadtxt(plain, delimiter=mark, comments=None, ndmin=2)
-                columns = dict(zip(self.names, values.T, strict=True))
-            except (ValueError, TypeError):  # quotes, an empty cell or a fault: only the slow way can tell
-                columns = {}
-        if not columns:
+            values = np.loadtxt(plain, delimiter=mark, comments=None, ndmin=2)
+            return Table(dict(zip(self.names, values.T, strict=True)), source=self.file, passed=self.passed)
+        except (ValueError, TypeError):  # words, quotes, an empty cell or a fault: only the slow way can tell
             cells = [self._split_row(row, ends and row is rows[-1]) for row in rows]
-            for place, kind in enumerate(self.kinds):
-                if kind in "ntl":
-                    columns |= self._parse(place, kind, rows, [row[place] for row in cells])
-        clock = [self.names[place] for place in self.stamps]
+        columns, passed, clock = dict[str, FloatArray](), dict(self.passed), list[str]()
+        for place, name in enumerate(self.names):
+            column = [row[place] for row in cells]
+            found = self._parse(place, rows, column)
+            if isinstance(found, str):
+                passed[name] = found
+                continue
+            columns |= found
+            clock += [name] if place in self.stamps else []
+        if not columns:
+            raise RecordError(f"{self.file} has no column of numbers; log the signals as numbers.")
         # A single column of instants is the clock, whatever its name.
         is_clock = len(clock) == 1 and not any(map(TIME_NAME.fullmatch, columns))
-        return Table(
-            columns,
-            source=self.file,
-            units=dict.fromkeys(clock, "s"),
-            passed=self.passed,
-            clocks=dict.fromkeys((name for name in columns if name not in clock), clock[0]) if is_clock else {},
-        )
+        clocks = dict.fromkeys((name for name in columns if name not in clock), clock[0]) if is_clock else {}
+        return Table(columns, {}, self.file, dict.fromkeys(clock, "s"), passed, clocks)
 
     def _split_row(self, line: Line, last: bool) -> list[str]:
         try:
@@ -208,36 +203,34 @@ class Layout:
             )
         return cells
 
-    def _parse(self, place: int, kind: str, rows: Sequence[Line], cells: Sequence[str]) -> dict[str, FloatArray]:
-        """Return the column of some cells; of lists of numbers "name[0]", "name[1]", ..."""
-        name = self.names[place]
-        if kind == "t":
-            try:
-                return {name: self.stamps[place].seconds(cells)}
-            except ValueError:
-                raise self._fault(place, rows, cells, is_stamp, "an instant as in the rows above") from None
+    def _parse(self, place: int, rows: Sequence[Line], cells: Sequence[str]) -> dict[str, FloatArray] | str:
+        """Return the column of some cells, of lists "name[0]", "name[1]", ..., or why it is passed over."""
+        name, dialect = self.names[place], self.dialect
         try:
-            if kind == "n":
-                return {name: np.array([self.dialect.number(cell) for cell in cells])}
-            lists = [_SEPARATOR.split(cell[1:-1].strip()) for cell in cells]
-            return {f"{name}[{k}]": column for k, column in enumerate(np.array(lists, dtype=np.float64).T)}
+            return {name: np.array([dialect.number(cell) for cell in cells])}
         except ValueError:
-            expected = "a number" if kind == "n" else "a list of numbers as long as in the other rows"
-            raise self._fault(
-                place, rows, cells, lambda cell: self.dialect.kind(cell) in f"e{kind}", expected
-            ) from None
+            kind = _commonest(map(dialect.kind, islice(filter(None, cells), _FILLED)))
+        pairs = zip(rows, cells, strict=True)
+        if kind in "dw":
+            row, cell = next((row, cell) for row, cell in pairs if dialect.kind(cell) == kind)
+            return f'it holds {_KINDS[kind]}, such as "{short(cell)}" in line {row.number}'
+        for row, cell in pairs:
+            if dialect.kind(cell) not in (kind, "e"):
+                raise RecordError(
+                    f'{self.file}: line {row.number}, column "{name}" holds "{short(cell)}", which is not one of the '
+                    f"{_KINDS[kind]} as in the other rows; mend it or leave the cell empty."
+                )
+        try:
+            if kind == "t":
+                if place not in self.stamps:
+                    self.stamps[place] = Stamps.of(cells)
+                return {name: self.stamps[place].seconds(cells)}
+            lists = np.array([_SEPARATOR.split(cell[1:-1].strip()) for cell in cells], dtype=np.float64)
+            return {f"{name}[{k}]": column for k, column in enumerate(lists.T)}
+        except ValueError:
+            return "its instants or its lists are not written alike"
 
-    def _fault(
-        self, place: int, rows: Sequence[Line], cells: Sequence[str], is_right: Callable[[str], object], expected: str
-    ) -> RecordError:
-        """Name the first cell at fault."""
-        row, cell = next(((r, c) for r, c in zip(rows, cells, strict=True) if not is_right(c)), (rows[-1], cells[-1]))
-        return RecordError(
-            f'{self.file}: line {row.number}, column "{self.names[place]}" holds "{short(cell)}", which is not '
-            f"{expected}; mend it or leave the cell empty."
-        )
-
-    def open_row(self, row: Line) -> Line:
+    def _open_row(self, row: Line) -> Line:
         """Leave out the delimiter at the end of a row."""
         if not self.closed:
             return row
@@ -383,7 +376,7 @@ def _find_layout(
     count = Counter(names)
     passed = {name: f"the name of {several} columns" for name, several in count.items() if several > 1}
     names = [f"column {i}: {name}" if name in passed else name for i, name in enumerate(names, start=1)]
-    return _sort_columns(Layout(file, dialect, names, unnamed, "n" * width, passed=passed), rows), start
+    return Layout(file, dialect, names, unnamed, passed=passed), start
 
 
 def _find_fit(file: str, lines: Sequence[Line], delimiter: str | None, decimal: str | None) -> Fit:
@@ -436,7 +429,7 @@ def _fit(dialect: Dialect, lines: Sequence[Line]) -> Iterator[Fit]:
     for width, rows in numbers.most_common(1):
         yield Fit(dialect, "n" * width, rows)
     width = Counter(map(len, every)).most_common(1)[0][0] if every else 0
-    kinds = _commonest([found for found in every if len(found) == width], width)
+    kinds = "".join(map(_commonest, zip(*(found for found in every if len(found) == width), strict=True)))
     rows = sum(_is_row(found, kinds) for found in every)
     if width < 2 or "n" not in kinds or not kinds.strip("n") or not rows:
         return
@@ -446,10 +439,10 @@ def _fit(dialect: Dialect, lines: Sequence[Line]) -> Iterator[Fit]:
         yield Fit(dialect, kinds, rows)
 
 
-def _commonest(rows: Sequence[str], width: int) -> str:
-    """Return the commonest kind of each column's filled cells; numbers for an empty column."""
-    found = (Counter(kinds[place] for kinds in rows) for place in range(width))
-    return "".join(max("nltdw", key=lambda kind, count=count: count[kind]) for count in found)  # type: ignore[misc]
+def _commonest(kinds: Iterable[str]) -> str:
+    """Return the commonest kind of filled cells; numbers for empty ones."""
+    count = Counter(kinds)
+    return max("nltdw", key=lambda kind: count[kind])
 
 
 def _prefer_blanks(fits: Sequence[Fit], best: Fit | None) -> Fit | None:
@@ -514,32 +507,6 @@ def _is_unit(text: str) -> bool:
     except UnitError:
         return text in _OTHER_UNITS
     return True
-
-
-def _sort_columns(layout: Layout, rows: Sequence[Line]) -> Layout:
-    """Find the columns of instants, of lists, and those of words, which are passed over."""
-    if not any(_WORDY.search(row.text) for row in rows):
-        return layout
-    width, dialect = len(layout.names), layout.dialect
-    try:
-        split = [(row, dialect.split(layout.open_row(row).text)) for row in rows]
-    except csv.Error:
-        return layout  # the row at fault is named when it is read
-    alike = [(row, cells, "".join(map(dialect.kind, cells))) for row, cells in split if len(cells) == width]
-    kinds = _commonest([found for _, _, found in alike], width)
-    passed, stamps = dict(layout.passed), dict[int, Stamps]()
-    for place, kind in enumerate(kinds):
-        own = ((row.number, cells[place]) for row, cells, found in alike if found[place] == kind)
-        if kind == "t":
-            try:
-                stamps[place] = Stamps.of([cell for _, cell in own])
-            except ValueError:
-                passed[layout.names[place]] = "its instants are not written alike"
-        elif kind in "dw":
-            line, cell = next(own)
-            passed[layout.names[place]] = f'it holds {_KINDS[kind]}, such as "{short(cell)}" in line {line}'
-    kinds = "".join("w" if k == "t" and place not in stamps else k for place, k in enumerate(kinds))
-    return replace(layout, kinds=kinds, stamps=stamps, passed=passed)
 
 
 def write_text(path: Path, table: Table, delimiter: str | None = None, decimal: str | None = None, **_: object) -> None:
