@@ -138,7 +138,7 @@ def test_a_jump_of_the_clock_is_found_where_it_is(tmp_path: Path) -> None:
 
 def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
     with pytest.raises(RecordError):
-        Log(made, {**CHANNELS, "torque": Column("torque", sample_time=0.02)})
+        Log("day.csv", {**CHANNELS, "torque": Column("torque", sample_time=0.02)})
     with pytest.raises(RecordError):
         list(Log(tmp_path / "none.csv", CHANNELS).chunks(20, 4))
 

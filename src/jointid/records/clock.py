@@ -84,8 +84,8 @@ class Clocks:
 
 def find_clock(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
-) -> tuple[Clock, list[str]]:
-    """Determine a table's clock, and its faults.
+) -> Clock:
+    """Determine a table's clock.
 
     Args:
         table: of the samples.
@@ -94,37 +94,26 @@ def find_clock(
         sample_time: seconds; without `time` it alone counts.
         tolerance: largest jitter that is not remarked on, as a share of the sample time; None for stamps that are
             resampled.
+
+    Raises:
+        RecordError: there is none, or it is at fault.
     """
     if sample_time is not None and not 0 < sample_time < np.inf:
-        return Clock(), [f"The sample time is a positive number of seconds; got {sample_time:g}."]
+        raise RecordError(f"The sample time is a positive number of seconds; got {sample_time:g}.")
     if sample_time is not None and time is None:
-        return Clock(sample_time), []
-    return _stamped_clock(table, time, time_unit, sample_time, tolerance)
-
-
-def _stamped_clock(
-    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
-) -> tuple[Clock, list[str]]:
-    """Determine the clock of a time column, and its faults; see `find_clock`."""
-    column, wrong = _time_column(table, time)
-    if wrong:
-        return Clock(), wrong
-    known = units.units_of("time")
-    named = unit_in_name(column, known)
+        return Clock(sample_time)
+    column, known = _find_time_column(table, time), units.units_of("time")
+    named, unit = unit_in_name(column, known), _find_time_unit(table, column, time_unit)
     if time_unit is not None and named is not None and named != time_unit:
-        return Clock(), [
+        raise RecordError(
             f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
             "rename the column."
-        ]
-    stated = units.normalise_unit(table.units.get(column, ""))
-    named = stated if named not in known and stated in known else named  # "time [hh:mm:ss]" was counted in seconds
-    unit = time_unit or named or stated or "s"
+        )
     if unit not in known:
-        return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
+        raise RecordError(unit_fault(f'time (column "{column}")', unit, known))
     stamps = table.columns[column] * units.unit(unit).factor
-    wrong = clock_faults(stamps, tolerance, f'The time column "{column}"')
-    if wrong:
-        return Clock(), wrong
+    if faults := clock_faults(stamps, tolerance, f'The time column "{column}"'):
+        raise RecordError(faults)
     first, count = float(stamps[1] - stamps[0]), stamps.size - 1
     jitter = float(np.max(np.abs(np.diff(stamps) * count / (stamps[-1] - stamps[0]) - 1))) if tolerance else 0.0
     if tolerance is None or jitter > tolerance:
@@ -134,11 +123,34 @@ def _stamped_clock(
     else:  # the mean over the record is better than any one step; its thirteenth digit is rounding
         period = float(f"{(stamps[-1] - stamps[0]) / count:.12g}")
     if sample_time is not None and not is_same_rate(sample_time, period):
-        wrong = [
+        raise RecordError(
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
             "mend one, or leave sample_time or time out."
-        ]
-    return Clock(sample_time or period, stamps, column, jitter if jitter > (tolerance or 0.0) else 0.0), wrong
+        )
+    return Clock(sample_time or period, stamps, column, jitter if jitter > (tolerance or 0.0) else 0.0)
+
+
+def _find_time_column(table: Table, time: str | None) -> str:
+    if time is not None:
+        if time not in table.columns:
+            why = table.explain_missing([time])
+            raise RecordError(f'{table.source} has no time column "{time}"{why}; it has {table.list_columns()}.')
+        return time
+    names = [name for name in table.columns if TIME_NAME.fullmatch(name)]
+    if len(names) != 1:
+        several = ", ".join(f'"{name}"' for name in names)
+        why = table.explain_missing(name for name in table.passed if TIME_NAME.fullmatch(name))
+        fact = f"more than one time column ({several})" if names else f'no column called "t" or "time"{why}'
+        raise RecordError(f"{table.source} has {fact}; give sample_time, or the name of the time column as time.")
+    return names[0]
+
+
+def _find_time_unit(table: Table, column: str, time_unit: str | None) -> str:
+    """Return the unit of a time column as it is given, else known in its name or of the file, else as stated there."""
+    known = units.units_of("time")
+    named, stated = unit_in_name(column, known), units.normalise_unit(table.units.get(column, ""))
+    # "time [hh:mm:ss]" was counted in seconds.
+    return time_unit or next((one for one in (named, stated) if one in known), named or stated or "s")
 
 
 def cut_table(
@@ -197,10 +209,9 @@ def own_clocks(table: Table, time: str | None) -> dict[str, str]:
 
 
 def seconds_of(table: Table, clock: str | None, time_unit: str | None) -> float:
-    """Return the seconds of a time column's unit; 1 without a column."""
-    known = units.units_of("time")
-    named = [time_unit, unit_in_name(clock or "", known), units.normalise_unit(table.units.get(clock or "", ""))]
-    return 1.0 if clock is None else units.unit(next((name for name in named if name in known), "s")).factor
+    """Return the seconds of a time column's unit; 1 without a column or a known unit."""
+    unit = "s" if clock is None else _find_time_unit(table, clock, time_unit)
+    return units.unit(unit).factor if unit in units.units_of("time") else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,22 +279,6 @@ def beginning_faults(clocks: Mapping[str, Clock], tolerance: float, *, cuts: boo
         stop = min(float(one.straightened()[-1]) for one in stamped.values()) + 0.5 * shortest
         remedies = [f"start = {start:.9g} and stop = {stop:.9g}, which cut them to one time", remedies[0]]
     return [f"{late} begins {apart:g} s after {early}, by their own time columns; give {', or '.join(remedies)}."]
-
-
-def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
-    """Return the name of the time column, or the fault."""
-    if time is not None:
-        if time in table.columns:
-            return time, []
-        why = table.explain_missing([time])
-        return time, [f'{table.source} has no time column "{time}"{why}; it has {table.list_columns()}.']
-    names = [name for name in table.columns if TIME_NAME.fullmatch(name)]
-    if len(names) == 1:
-        return names[0], []
-    several = ", ".join(f'"{name}"' for name in names)
-    why = table.explain_missing(name for name in table.passed if TIME_NAME.fullmatch(name))
-    fact = f"more than one time column ({several})" if names else f'no column called "t" or "time"{why}'
-    return "", [f"{table.source} has {fact}; give sample_time, or the name of the time column as time."]
 
 
 def measure_irregularity(stamps: FloatArray) -> Irregularity:

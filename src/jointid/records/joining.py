@@ -90,13 +90,10 @@ def _read_part(name: str, table: Table, time: str | None, time_unit: str | None,
     if len(own) > 1:
         raise RecordError(f"{table.source} has {len(own)} clocks; join files of one clock each.")
     named = next(iter(own), None) if time not in table.columns else time
-    clock, faults = find_clock(table, named, time_unit, None if named else sample_time, None)
-    if faults or clock.sample_time is None:
-        raise RecordError(faults)
-    stamps = clock.stamps
-    if stamps is None:
-        stamps = np.asarray(np.arange(table.rows) * clock.sample_time, dtype=np.float64)
-    return _Part(name, table, stamps, clock.sample_time, clock.column)
+    clock = find_clock(table, named, time_unit, None if named else sample_time, None)
+    assert clock.sample_time is not None
+    stamps = np.arange(table.rows) * clock.sample_time if clock.stamps is None else clock.stamps
+    return _Part(name, table, np.asarray(stamps, dtype=np.float64), clock.sample_time, clock.column)
 
 
 def _require_common_clock(first: _Part, part: _Part) -> None:

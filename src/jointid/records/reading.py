@@ -197,13 +197,16 @@ class RecordReader:
         stated = {} if time is None and self.sample_time is not None else own_clocks(table, self.time)
         clocks = {c.time or stated.get(c.column) for c in columns.values() if c.sample_time is None}
         tolerance = None if self.resample else self.clock_tolerance
-        common, own = Clock(self.sample_time), dict[str, Clock]()
-        if time is not None or None in clocks:
-            common, wrong = find_clock(table, time, self.time_unit, self.sample_time, tolerance)
-            faults.extend(wrong)
-        for name in sorted(filter(None, clocks)):
-            own[name], wrong = find_clock(table, name, self.time_unit, None, tolerance)
-            faults.extend(wrong)
+        common, own = Clock(), dict[str, Clock]()
+        try:
+            if time is None and None not in clocks:
+                common = Clock(self.sample_time)
+            else:
+                common = find_clock(table, time, self.time_unit, self.sample_time, tolerance)
+            for name in sorted(filter(None, clocks)):
+                own[name] = find_clock(table, name, self.time_unit, None, tolerance)
+        except RecordError as error:
+            faults.extend(error.faults)
         return Clocks(common, own, stated)
 
     def _gain_faults(self, table: Table) -> Iterator[str]:

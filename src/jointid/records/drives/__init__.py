@@ -172,17 +172,15 @@ class Profile:
             kind: of motion on the measured side.
             tap: of a torque, if it distinguishes signals.
         """
-        signals = self.channels.get(channel, ())
-        if declared is not None and declared.column:
-            signals = tuple(self.signals(channel, declared.column, place))
+        signals, column = self.channels.get(channel, ()), declared or Column(optional=True)
+        if column.column:
+            signals = tuple(self.signals(channel, column.column, place))
         elif tap is not None:
             signals = tuple(s for s in signals if (s.tap or Tap.COMMAND) is tap) or signals
-        named = [(signal, name) for signal in signals for name in signal.names_on(place)]
-        if not named:
-            return declared if declared is not None and declared.column else None
-        signal, name = named[0]
-        column = declared if declared is not None else Column(optional=True)
-        return signal.fill(replace(column, column=column.column or name), known_units(channel, kind))
+        for signal in signals:
+            for name in signal.names_on(place):
+                return signal.fill(replace(column, column=column.column or name), known_units(channel, kind))
+        return declared if column.column else None
 
     def time_column(self, columns: Iterable[str]) -> str | None:
         """The time column, if the trace has exactly one known name."""
@@ -212,33 +210,30 @@ class Profile:
                         f"is meant as the {channel}'s column."
                     )
                 elif column is not None and not column.optional and not names:
-                    faults.append(self._missing_fault(source, channel, place))
+                    faults.append(self._missing_fault(source, columns, place, channel))
                 if len(names) != 1:
                     continue
                 column = replace(column or Column(optional=True), column=names[0])
             signals = self.signals(channel, column.column, place)
             made[channel] = signals[0].fill(column, known) if signals else column
-        return made, faults if made or faults else [self._no_column_fault(source, columns, place)]
+        return made, faults if made or faults else [self._missing_fault(source, columns, place)]
 
-    def _no_column_fault(self, source: str, columns: tuple[str, ...], place: Place) -> str:
+    def _missing_fault(self, source: str, columns: tuple[str, ...], place: Place, channel: str = "") -> str:
+        """Say that no column is known as a channel, or at all."""
+        signals = [s for one, several in self.channels.items() if channel in ("", one) for s in several]
+        known = ", ".join(f'"{next(signal.names_on(place), signal.names[0])}"' for signal in signals) or "none"
         listed = ", ".join(f'"{name}"' for name in columns[:_LISTED]) + (", ..." if len(columns) > _LISTED else "")
-        without, remedy = "", "another profile"
-        if lacking := _find_lacking(self.channels.values(), place):
-            without, remedy = f" without {lacking[0]}", f"the {lacking[1]} of the drive"
+        names = " ".join(name for signal in signals for name in signal.names)
+        lacking, remedy = "", "" if channel else "give another profile, or "
+        if "axis" not in place and ("{axis}" in names or "{index}" in names):
+            lacking, remedy = " without the number of the axis", "give the axis of the drive, or "
+        elif "joint" not in place and "{joint}" in names:
+            lacking, remedy = " without the name of the joint", "give the joint of the drive, or "
+        what = f" as {channel} ({known})" if channel else ""
         return (
-            f'{source} has no column that profile "{self.name}" knows{without} (it has {listed}); give {remedy}, or '
-            "name the columns."
+            f'{source} has no column that profile "{self.name}" knows{what}{lacking} (it has {listed}); {remedy}name '
+            "the column."
         )
-
-    def _missing_fault(self, source: str, channel: str, place: Place) -> str:
-        signals = self.channels.get(channel, ())
-        if lacking := _find_lacking([signals], place):
-            return (
-                f'{source} has no {channel} that profile "{self.name}" knows without {lacking[0]}; give the '
-                f"drive's {lacking[1]}, or the {channel}'s column."
-            )
-        names = ", ".join(f'"{next(signal.names_on(place), signal.names[0])}"' for signal in signals) or "none"
-        return f'{source} has no column that profile "{self.name}" knows as {channel} ({names}); give its column.'
 
 
 def place_of(axis: int | None = None, joint: str | None = None) -> Place:
@@ -252,14 +247,6 @@ def _fill_names(names: Iterable[str], place: Place) -> Iterator[str]:
     for name in names:
         with contextlib.suppress(KeyError):
             yield name.format(**place)
-
-
-def _find_lacking(every: Iterable[Iterable[TraceSignal]], place: Place) -> tuple[str, str] | None:
-    """Missing parts of a place, in words and as settings of the drive."""
-    names = " ".join(name for signals in every for signal in signals for name in signal.names)
-    if "axis" not in place and ("{axis}" in names or "{index}" in names):
-        return "the number of the axis", "axis"
-    return ("the name of the joint", "joint") if "joint" not in place and "{joint}" in names else None
 
 
 @cache
