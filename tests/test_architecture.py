@@ -87,7 +87,7 @@ def test_help_loads_the_command_line_and_nothing_heavy() -> None:
     assert len(each) == 3
     for loaded in each:
         assert {"jointid", "cyclopts"} <= loaded
-        assert not loaded & {"numpy", "scipy", "numba", "matplotlib", "tomli_w", "unittest"}
+        assert not loaded & {"numpy", "scipy", "numba", "matplotlib", "tomlkit", "unittest"}
 
 
 def test_every_public_name_can_be_loaded() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from jointid.common.errors import JointFileError
 from jointid.config import loads
-from jointid.config.loading import apply_changes
+from jointid.config.toml import apply_changes
 from tests.apps.commands import commands
 
 FILE = """

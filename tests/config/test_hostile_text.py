@@ -16,9 +16,9 @@ from jointid.common.errors import JointFileError
 from jointid.config import (
     JointFile,
     load,
+    load_to_learn,
     loads,
 )
-from jointid.config.loading import load_to_learn, split_sections
 from jointid.config.robot_model import load_robot
 from jointid.config.schema import FileTable
 from jointid.config.table import list_keys
@@ -99,21 +99,6 @@ def test_a_key_of_many_parts_is_refused_before_it_is_parsed(line: str) -> None:
     assert time.process_time() - begin < 5
     with pytest.raises(JointFileError, match="names no key"):
         loads("", changes=[f"x{'.a' * 120_000}=1"])
-
-
-def test_a_text_is_cut_before_headings_and_nowhere_else() -> None:
-    text = (
-        "a = [\n[1],\n  [2], # ]\n]\n[b] # [\nc = '[d]'\n[[e]]\nf = '''\n[g]\n'''\n"
-        'h = """\n[i]\\"""\n[j]\n"""\nk = { l = [\n[3]\n] }\n  [m]\n'
-    )
-    assert tomllib.loads(text).keys() == {"a", "b", "e", "m"}
-    sections = split_sections(text)
-    assert "".join(sections) == text
-    assert [section.split("\n")[0] for section in sections] == ["a = [", "[b] # [", "[[e]]", "  [m]"]
-    long = "a = [\n" + "[1],\n" * 100_000 + "]\n[b]\n"  # once the parser had each of these lines anew
-    begin = time.process_time()
-    assert len(split_sections(long)) == 2
-    assert time.process_time() - begin < 5
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")

@@ -11,8 +11,8 @@ import pytest
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.messages import dot_path
 from jointid.config import dumps, load, loads
-from jointid.config.loading import parse_toml
 from jointid.config.robot_file import RobotFile
+from jointid.config.toml import parse_toml
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.robots.payload import identify_payload

@@ -76,7 +76,7 @@ def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) 
             "[record] # two\nfiles = [\"a.csv\",\n  'sub/[b].csv'] # of one run\noffsets = [0, 1]\n",
             '[record] # two\nfiles = ["../runs/a.csv", "../runs/sub/[b].csv"] # of one run\noffsets = [0, 1]\n',
         ),
-        ('record = { file = "a.csv" }\n', '[record]\nfile = "../runs/a.csv"\n'),
+        ('record = { file = "a.csv" }\n', 'record = { file = "../runs/a.csv" }\n'),
         ('[record]\nfile = """a.csv"""\n', '[record]\nfile = "../runs/a.csv"\n'),
         ('[joint]\nfile = "a.csv"\n', '[joint]\nfile = "a.csv"\n'),
     ],
@@ -118,7 +118,7 @@ def test_a_file_is_made_to_name_another_record(record: str) -> None:
     expected["record"].pop("files", None)
     expected["record"]["file"] = "logs/run 1.csv"
     assert tomllib.loads(made) == expected
-    assert made.startswith("# an axis\n") and ("# of Monday" in made) == ("# of Monday" in record)
+    assert made.startswith("# an axis\n") and ("# of Monday" in made) == ("file = 'old.csv'  # of" in record)
 
 
 def test_units_stand_beside_the_gains_of_a_written_controller() -> None:

@@ -21,7 +21,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, cast
 
-import tomli_w
+import tomlkit
 
 from jointid import __version__
 from jointid.common.errors import Fault, JointFileError, RecordError, extra
@@ -29,8 +29,8 @@ from jointid.common.files import open_file
 from jointid.common.messages import Says, describe_unexpected_value, describe_unknown_name, format_value, missing
 from jointid.common.text import join, pluralise
 from jointid.config import loads
-from jointid.config.loading import apply_changes, parse_toml, read_text
 from jointid.config.table import fault_at, flatten_keys
+from jointid.config.toml import apply_changes, parse_toml, read_text
 
 _NAMED, _FAULTS = 5, 20  # names in a sentence, and faults that are listed at once
 _LARGEST, _MOST_CELLS = 2**26, 5_000_000  # bytes and cells of a table: of 100,000 joints and fifty columns
@@ -313,7 +313,7 @@ def _read_joint(path: Path) -> str:
         return text  # likewise
     place = (path.parent / model).absolute()
     robot["model"] = str(place)
-    return f"# the model's SHA-256: {hashlib.sha256(place.read_bytes()).hexdigest()}\n{tomli_w.dumps(tables)}"
+    return f"# the model's SHA-256: {hashlib.sha256(place.read_bytes()).hexdigest()}\n{tomlkit.dumps(tables)}"
 
 
 def _record_of(path: Path, text: str, settings: tuple[str, ...]) -> str:

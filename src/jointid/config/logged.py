@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import tomli_w
+import tomlkit
 
 from jointid.common.errors import RecordError
 from jointid.common.text import show
@@ -66,7 +66,7 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
         said.append(f"# {_MODEL} is the robot's model; its joints are named here in the log's order: correct both.")
         joints = [{"name": one.name, **_controller(log, one, columns)} for one in every]
         tables = {"robot": {"model": _MODEL}, "record": record, "drive": drive, "joints": joints}
-    text = "\n".join(said) + "\n\n" + tomli_w.dumps(tables)
+    text = "\n".join(said) + "\n\n" + tomlkit.dumps(tables)
     known = all("controller" in table for table in (tables.get("joints") or [tables]))
     return text if known else text + _ASKED.format(*_PLACES[chosen is None], log.profile.law or "pd")
 

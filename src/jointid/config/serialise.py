@@ -1,17 +1,34 @@
-"""A controller and a parameter as the tables of a joint file: what is at its default is left out."""
+"""A controller and a parameter as the text of a joint file: what is at its default is left out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, Field, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomlkit
 
-from jointid.common.errors import JointFileError
-from jointid.common.parameters import Parameter
+from jointid.common.errors import JointFileError, RecordError
+from jointid.common.files import write_whole
+from jointid.common.parameters import POSITION_UNIT, Parameter
+from jointid.common.text import number
 from jointid.common.transmission import SIDES, Transmission
-from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
+from jointid.config.contents import JointFile
+from jointid.config.toml import relocate_path, with_paths, with_record, with_table
+from jointid.models.controllers import (
+    CONTROLLER_UNITS,
+    FILTERS,
+    LAWS,
+    Controller,
+    DigitalFilter,
+    numbers_of,
+    unit_of_number,
+)
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import Joint
 
 _KINDS: Mapping[type, str] = {made: kind for kind, made in FILTERS.items()}
 _LAWS: Mapping[type, str] = {made: law for law, made in LAWS.items()}
@@ -59,6 +76,90 @@ def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | 
         return table if parameter.start is None else {"start": float(parameter.start), **table}
     value = float(parameter.start or 0.0)
     return {"value": value, **table} if table else value
+
+
+def save_with_controller(
+    file: JointFile, controller: Controller, path: Path, record: str | os.PathLike[str] | None = None
+) -> None:
+    """Write a joint file with its [controller] another one; all else of its text, comments too, stays as it is.
+
+    But for the paths of records: in another folder they lead to the same files from there.
+
+    Args:
+        file: the joint file, loaded from a path: its text is taken from there.
+        controller: what takes the place of the one there.
+        path: to write to; a file that is there is replaced.
+        record: the record that the file is to name, instead of the one it names.
+
+    Raises:
+        JointFileError: a file cannot be read or written.
+    """
+    try:
+        written = learned_text(file, controller)
+        text = with_table(file.path.read_text(encoding="utf-8-sig"), written)
+        text = with_paths(text, file.path.parent, path.parent)
+        if record is not None and not file.runs:
+            text = with_record(text, relocate_path(os.fspath(record), Path.cwd(), path.parent))
+    except OSError as error:
+        raise JointFileError(f"{error.filename} cannot be used ({error.strerror}); check the folder.") from error
+    _write(path, text)
+
+
+def _write(path: str | os.PathLike[str], text: str) -> None:
+    try:
+        write_whole(path, text)
+    except RecordError as error:
+        raise JointFileError(error.faults) from error
+
+
+def controller_text(
+    controller: Controller,
+    transmission: Transmission | None = None,
+    torque_per_unit: float | None = None,
+    joint: Joint | None = None,
+    shown: Iterable[DriveNumber] = (),
+) -> str:
+    """Return the table [controller] of a joint file as TOML.
+
+    Args:
+        controller: any of the laws there are.
+        transmission: between the joint and the controller, if there is one.
+        torque_per_unit: the torque constant of the joint file, which a gain need not say again.
+        joint: whose units stand beside the gains, as comments; without it none do.
+        shown: how the drive shows the numbers, which stands there, too.
+
+    Raises:
+        JointFileError: a joint file has no word for the controller.
+    """
+    text = tomlkit.dumps({"controller": controller_table(controller, transmission, torque_per_unit)})
+    return text if joint is None else _with_units(text, controller, joint, {one.number: one for one in shown})
+
+
+def learned_text(file: JointFile, controller: Controller) -> str:
+    """Return [controller] as TOML for a joint file whose controller was learned: units, and what the drive shows."""
+    shown = file.drive_numbers(controller)
+    return controller_text(controller, file.joint.transmission, file.torque_per_unit, file.joint, shown)
+
+
+def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[str, DriveNumber]) -> str:
+    """Return the lines of a controller, with units and the drive's numbers as comments."""
+    law = numbers_of(controller)
+
+    def name_unit(name: str, value: float) -> str:
+        unit = unit_of_number(controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
+        there = shown.get(name)
+        if there is None or not there.unit:
+            return unit
+        if there.factor == 1.0 and not (there.inverse or there.per):
+            return there.unit
+        in_si = "" if CONTROLLER_UNITS in unit else f"{unit}; "
+        other = "" if there.name.endswith(name) else f"{there.name} "
+        return f"{in_si}{other}{number(there.of(value, law), 4)} {there.unit} in the drive" if value else unit
+
+    units = {f"{name.rpartition('.')[2]} = {value!r}": name_unit(name, value) for name, value in law.items()}
+    return "".join(
+        f"{line}{f'  # {units[line]}' if units.get(line) else ''}\n" for line in text.rstrip("\n").split("\n")
+    )
 
 
 def _default(field: Field[Any]) -> Any:

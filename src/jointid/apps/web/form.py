@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import tomli_w
+import tomlkit
 
 from jointid.apps.web.fields import (
     EXTRA,
@@ -28,7 +28,7 @@ from jointid.apps.web.guesses import find_unit
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
 from jointid.config import JointFile, dumps, loads
-from jointid.config.loading import parse_toml
+from jointid.config.toml import parse_toml
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
@@ -211,7 +211,7 @@ def make_robot_order(draft: Draft, sent: Sequence[str], folder: Path) -> tuple[s
     text = draft.get(EXTRA, "")
     said = _parse(text, EXTRA)
     named = _name_files(dict(said), sent)
-    made = text if named == said else tomli_w.dumps(named)
+    made = text if named == said else tomlkit.dumps(named)
     file = loads(made, folder)
     first = file.runs[0].file if file.runs else str(file.source.first)
     others = [] if file.source.files else [one for one in sent if one != first and not one.lower().endswith(MODELS)]
@@ -306,7 +306,7 @@ def read_joint_file(text: str) -> dict[str, str]:
     if law is None and _at(rest, ["method", "name"]) == "idim":
         _drop(rest, ["method", "name"])
     _lay_out_filters(rest)
-    return draft | {EXTRA: tomli_w.dumps(_without_empty(rest))}
+    return draft | {EXTRA: tomlkit.dumps(_without_empty(rest))}
 
 
 def _lay_out_fields(tables: dict[str, Any]) -> None:
