@@ -109,8 +109,9 @@ def draw_faults(count: int) -> list[Fault]:
     found: list[Fault] = []
     for room, tests in DRAWN.items():
         chosen = random.Random(f"{SEED} {room}")
-        places = [(p, *one) for p in sorted((ROOT / PACKAGE / room).rglob("*.py")) for one in _exchanges(p)]
-        for path, line, right, wrong in chosen.sample(places, count // len(DRAWN)):
+        paths = sorted((ROOT / PACKAGE / room).rglob("*.py"))
+        places = {(path, line): texts for path in paths for line, *texts in _exchanges(path)}  # one for each line
+        for (path, line), (right, wrong) in chosen.sample(sorted(places.items()), count // len(DRAWN)):
             file = path.relative_to(ROOT / PACKAGE).as_posix()
             found.append(Fault(f"drawn in {file}, line {line}", file, right, wrong, (tests,)))
     return found
@@ -119,14 +120,13 @@ def draw_faults(count: int) -> list[Fault]:
 def _exchanges(path: Path) -> Iterator[tuple[int, str, str]]:
     """Yield each line of a file with one token exchanged: its number, its text and the faulty one, if it is unique."""
     text = path.read_text(encoding="utf-8")
-    lines = text.splitlines()
     tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
     for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):
         if token.string not in _EXCHANGED or before.string == "kw_only":
             continue
         operand = before.type in (tokenize.NAME, tokenize.NUMBER) or before.string in (")", "]")
         unary = token.string in ("*", "/") and not (operand and after.string not in (",", ")"))
-        line = lines[token.start[0] - 1]
+        line = token.line.removesuffix("\n")
         if unary or text.count(line) > 1:
             continue
         wrong = line[: token.start[1]] + _EXCHANGED[token.string] + line[token.end[1] :]
