@@ -188,7 +188,7 @@ def test_times_of_day_go_on_over_midnight(tmp_path: Path) -> None:
     rows = "".join(f"{s // 3600 % 24:02d}:{s // 60 % 60:02d}:{s % 60:02d},{k}\n" for k, s in enumerate(seconds))
     (tmp_path / "run.csv").write_text(f"t,q\n{rows}")
     np.testing.assert_array_equal(read_table(tmp_path / "run.csv").columns["t"], np.arange(20_000) * 10.0)
-    _, second, *_ = (block.table() for block in read_blocks(tmp_path / "run.csv", 2800))
+    _, second, *_ = (block for block in read_blocks(tmp_path / "run.csv", 2800))
     np.testing.assert_array_equal(second.columns["t"], np.arange(2800, 5600) * 10.0)
 
 
@@ -197,7 +197,7 @@ def test_a_packed_text_is_read(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"run{suffix}"
     path.write_bytes(gzip.compress(b"t;q\n0;1,5\n"))
     assert_same(read_table(path), {"t": [0], "q": [1.5]})
-    assert next(read_blocks(path, 5)).table().rows == 1
+    assert next(read_blocks(path, 5)).rows == 1
     path.write_bytes(gzip.compress(b"t;q\n" + b"0;1\n" * 9000)[:-20])
     with pytest.raises(RecordError):
         read_table(path)

@@ -160,7 +160,7 @@ def test_a_thousand_columns_of_npy_come_back_and_more_than_are_read_are_refused(
         file.truncate(file.tell() + 2**28)
     with pytest.raises(RecordError):
         read_table(path)
-    assert next(read_blocks(path, 100)).table().rows == 100
+    assert next(read_blocks(path, 100)).rows == 100
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")

@@ -44,7 +44,7 @@ def test_every_kind_of_number_is_a_column(tmp_path: Path) -> None:
     }  # fmt: skip
     assert dict(table.units) == {"when": "s", "held": "s"}
     assert set(table.passed) == {"text", "joint.name", "lists"}
-    pieces = [block.table().columns["when"] for block in read_blocks(path, 1)]
+    pieces = [block.columns["when"] for block in read_blocks(path, 1)]
     assert np.concatenate(pieces).tolist() == [0, 0.0015, 0.003]
 
 

@@ -36,8 +36,8 @@ def test_blocks_together_are_the_whole(path: Path, rows: int) -> None:
     whole, blocks = read_table(path), list(read_blocks(path, rows))
     assert [block.rows for block in blocks[:-1]] == [rows] * (len(blocks) - 1)
     for name, values in whole.columns.items():
-        np.testing.assert_array_equal(np.concatenate([b.table().columns[name] for b in blocks]), values)
-        np.testing.assert_array_equal(blocks[0].table(3).columns[name], values[: min(3, rows)])
+        np.testing.assert_array_equal(np.concatenate([b.columns[name] for b in blocks]), values)
+        np.testing.assert_array_equal(blocks[0].head(3).columns[name], values[: min(3, rows)])
 
 
 def test_comments_and_empty_lines_are_no_rows(tmp_path: Path) -> None:
@@ -45,7 +45,7 @@ def test_comments_and_empty_lines_are_no_rows(tmp_path: Path) -> None:
     lines[9:9] = ["# paused", "", "  "]
     made = tmp_path / "log.csv"
     made.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8")
-    whole, blocks = read_table(made), [block.table() for block in read_blocks(made, 7)]
+    whole, blocks = read_table(made), list(read_blocks(made, 7))
     assert list(whole.columns) == ["t", "pos [mm]"]
     assert [b.columns["t"].size for b in blocks] == [7, 7, 6]
     np.testing.assert_array_equal(np.concatenate([b.columns["pos [mm]"] for b in blocks]), whole.columns["pos [mm]"])
@@ -158,7 +158,7 @@ def test_the_samples_of_a_numpy_matrix_run_along_its_longer_side(name: str, tmp_
     table = read_table(made)
     assert list(table.columns) == ["1", "2", "3"]
     np.testing.assert_array_equal(np.stack(list(table.columns.values()), axis=1), expected)
-    pieces = join_tables([block.table() for block in read_blocks(made, 4)])
+    pieces = join_tables(list(read_blocks(made, 4)))
     np.testing.assert_array_equal(np.stack(list(pieces.columns.values()), axis=1), expected)
 
 
@@ -170,7 +170,7 @@ def test_numpy_vectors_instants_and_fields_of_arrays(tmp_path: Path) -> None:
     rows["t"] = np.datetime64("2031-05-06T00:00:00.000250") + np.arange(3) * np.timedelta64(4, "ms")
     rows["q"], rows["d"] = [[1, 2], [3, 4], [5, 6]], [5, 6, 7]
     np.save(made, rows)
-    for table in (read_table(made), join_tables([block.table() for block in read_blocks(made, 2)])):
+    for table in (read_table(made), join_tables(list(read_blocks(made, 2)))):
         assert {name: values.tolist() for name, values in table.columns.items()} == {
             "t": [0, 0.004, 0.008], "q[0]": [1, 3, 5], "q[1]": [2, 4, 6], "d": [0.005, 0.006, 0.007]
         }  # fmt: skip

@@ -139,11 +139,11 @@ class Log:
     def _tables(self, length: int, overlap: int, every: int) -> Iterator[tuple[int, Table, bool]]:
         """Yield start index, table and end flag of every `every`-th chunk."""
         held: tuple[int, Table] | None = None
-        for number, block in enumerate(read_blocks(self.path, length, **self.options)):
-            rest = number > 0 and block.rows < overlap
+        for number, table in enumerate(read_blocks(self.path, length, **self.options)):
+            rest = number > 0 and table.rows < overlap
             if held is not None:
-                yield held[0], join_tables([held[1], block.table(overlap)]) if overlap else held[1], rest
-            held = (number, block.table()) if number % every == 0 and not rest else None
+                yield held[0], join_tables([held[1], table.head(overlap)]) if overlap else held[1], rest
+            held = (number, table) if number % every == 0 and not rest else None
         if held is not None:
             yield *held, True
 

@@ -6,17 +6,15 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import beside
 from jointid.records.formats import arrays, bags, columnar, folder, json, text
-from jointid.records.formats.table import Block, Table, require_file
+from jointid.records.formats.table import Table, require_file
 
 __all__ = [
     "FORMATS",
-    "Block",
     "Format",
     "Table",
     "check_options",
@@ -45,7 +43,7 @@ class Format:
     name: str
     suffixes: tuple[str, ...]
     read: Callable[..., Table]
-    blocks: Callable[..., Iterator[Block]] | None = None
+    blocks: Callable[..., Iterator[Table]] | None = None
     write: Callable[..., None] | None = None
     is_text: bool = False
 
@@ -122,8 +120,10 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
         return reader.read(path, **options)
 
 
-def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Block]:
-    """Yield blocks of `rows` rows in bounded memory, read on demand.
+def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
+    """Yield so many rows after so many, in bounded memory.
+
+    Short columns are absent from blocks behind their end.
 
     Raises:
         RecordError: see `read_table`; or the format has no consecutive rows.
@@ -132,16 +132,9 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
     if reader.blocks is None:
         streamed = ", ".join(entry.name for entry in FORMATS if entry.blocks is not None)
         raise RecordError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
-
-    def read(block: Block, count: int) -> Table:
-        """Read a block outside of this generator."""
-        with _explain_failure(path, reader):
-            return block.table(count)
-
     with _explain_failure(path, reader):
         require_file(path)
-        for block in reader.blocks(path, rows, **options):
-            yield Block(block.rows, partial(read, block))
+        yield from reader.blocks(path, rows, **options)
 
 
 @contextmanager

@@ -12,7 +12,6 @@ import re
 import warnings
 import zipfile
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeAlias
@@ -21,7 +20,6 @@ import numpy as np
 
 from jointid.common.errors import RecordError, extra
 from jointid.records.formats.table import (
-    Block,
     Found,
     Table,
     find_columns,
@@ -60,12 +58,12 @@ def read_npy(path: Path) -> Table:
     return _read_rows(path, views, passed, 0, max(view.size for view in views.values()))
 
 
-def read_npy_blocks(path: Path, rows: int) -> Iterator[Block]:
+def read_npy_blocks(path: Path, rows: int) -> Iterator[Table]:
     """Yield so many rows after so many; instants count from that of the file's first row."""
     views, passed = _map_columns(path)
     total = max(view.size for view in views.values())
     for first in range(0, total, rows):
-        yield Block(min(rows, total - first), partial(_read_rows, path, views, passed, first))
+        yield _read_rows(path, views, passed, first, rows)
 
 
 def _map_columns(path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, str]]:

@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Block, Found, Table, require_columns, require_size, to_numbers
+from jointid.records.formats.table import Found, Table, require_columns, require_size, to_numbers
 
 _GROUP = 65536  # rows of Parquet that are written, and decoded, together
 _LONGEST_LIST = 1000  # columns of a column of lists
@@ -43,18 +42,12 @@ def read_parquet(path: Path) -> Table:
         return _decode(path, file, file.read(columns=_list_wanted(file), use_threads=False), {})
 
 
-def read_parquet_blocks(path: Path, rows: int) -> Iterator[Block]:
+def read_parquet_blocks(path: Path, rows: int) -> Iterator[Table]:
     """Yield so many rows after so many; instants count from the file's first one."""
     begins: dict[str, np.datetime64] = {}
     with _open_parquet(path) as file:
         for batch in file.iter_batches(rows, columns=_list_wanted(file), use_threads=False):
-            table = _decode(path, file, batch, begins)
-            yield Block(table.rows, partial(_cut, table))
-
-
-def _cut(table: Table, rows: int) -> Table:
-    columns = {name: values[:rows] for name, values in table.columns.items()}
-    return Table(columns, source=table.source, units=table.units, passed=table.passed)
+            yield _decode(path, file, batch, begins)
 
 
 @contextmanager

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -90,25 +90,9 @@ class Table:
         """Count of rows: the length of the longest column."""
         return max((values.size for values in self.columns.values()), default=0)
 
-
-class Block(NamedTuple):
-    """Consecutive rows of a file, read on demand.
-
-    Attributes:
-        rows: how many, 1 or more.
-        read: the function that reads so many of them, from the first on.
-    """
-
-    rows: int
-    read: Callable[[int], Table]
-
-    def table(self, rows: int | None = None) -> Table:
-        """Read all or the first `rows` rows.
-
-        Raises:
-            RecordError: a row is damaged; the sentence names its line.
-        """
-        return self.read(self.rows if rows is None else min(rows, self.rows))
+    def head(self, rows: int) -> Table:
+        """Return the first rows."""
+        return replace(self, columns={name: values[:rows] for name, values in self.columns.items()})
 
 
 def join_tables(tables: Sequence[Table]) -> Table:

@@ -14,7 +14,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -29,7 +28,6 @@ from jointid.records.formats.scope import find_scope, read_scope
 from jointid.records.formats.stamps import Stamps, is_date, is_stamp
 from jointid.records.formats.table import (
     TIME_NAME,
-    Block,
     Table,
     join_tables,
     require_columns,
@@ -161,9 +159,9 @@ class Layout:
     stamps: dict[int, Stamps] = field(default_factory=dict)
     passed: Mapping[str, str] = field(default_factory=dict)
 
-    def read(self, lines: Sequence[Line], ends: bool, count: int) -> Table:
-        """Parse the first `count` lines, which may include the end of the file."""
-        rows = [self._open_row(line) for line in lines[:count]]
+    def read(self, lines: Sequence[Line], ends: bool) -> Table:
+        """Parse lines, which may include the end of the file."""
+        rows = [self._open_row(line) for line in lines]
         mark = None if self.dialect.delimiter == _BLANKS else self.dialect.delimiter
         try:
             plain = [self.dialect.plain(row.text) for row in rows]
@@ -270,16 +268,16 @@ def read_text(
     if scope is not None:
         return read_scope(path, scope, [line for line in chain(beginning, lines) if not line.is_remark], decimal)
     tables, size = list[Table](), 0
-    for block in _split_blocks(path, beginning, lines, None, (delimiter, decimal, header)):
-        tables.append(block.table())
-        size += sum(values.size for values in tables[-1].columns.values())
+    for table in _split_blocks(path, beginning, lines, None, (delimiter, decimal, header)):
+        tables.append(table)
+        size += sum(values.size for values in table.columns.values())
         require_size(path, size)
     return join_tables(tables)
 
 
 def read_text_blocks(
     path: Path, rows: int, delimiter: str | None = None, decimal: str | None = None, header: bool | None = None
-) -> Iterator[Block]:
+) -> Iterator[Table]:
     """Yield blocks of `rows` rows; the first lines determine the dialect."""
     lines = stream_lines(path, _BEGINNING)
     beginning = list(_take(lines, _BEGINNING))
@@ -297,7 +295,7 @@ def _split_blocks(
     lines: Iterator[Line],
     rows: int | None,
     options: tuple[str | None, str | None, bool | None],
-) -> Iterator[Block]:
+) -> Iterator[Table]:
     layout, start = _find_layout(path.name, beginning, *options)
     found = chain(beginning[start:], lines)
     content = (line for line in found if not line.is_remark)
@@ -305,7 +303,7 @@ def _split_blocks(
     block = list(islice(content, rows))
     while block:
         following = list(islice(content, rows))
-        yield Block(len(block), partial(layout.read, block, not following))
+        yield layout.read(block, not following)
         block = following
 
 
