@@ -18,16 +18,14 @@ from jointid.common.errors import Fault, JointFileError, JointidError, MethodErr
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.units import Kind
-from jointid.config.consistency import (
+from jointid.config.axis_units import controller_gain, drive_numbers, translate_gains, unit_faults
+from jointid.config.rules import (
     change_parameter,
     choose_method,
     find_contradictions,
     needed_channels,
     torque_unit,
 )
-from jointid.config.controller_gain import controller_gain, unit_faults
-from jointid.config.drive_gains import translate_gains
-from jointid.config.drive_numbers import drive_numbers
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.source import Run, Source, Together
 from jointid.estimation.methods.didim import DIDIM

@@ -15,9 +15,9 @@ import tomlkit
 
 from jointid.common.errors import MethodError
 from jointid.common.settings import settings_of
-from jointid.config.consistency import choose_method
+from jointid.config.axis_units import keys_of_controller, table_at
 from jointid.config.contents import File, JointFile
-from jointid.config.drive_gains import keys_of_controller, table_at
+from jointid.config.rules import choose_method
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.toml import apply_changes, parse_toml, read_text
 from jointid.models.controllers import LAWS

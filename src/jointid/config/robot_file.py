@@ -23,9 +23,9 @@ from jointid.common.parameters import Parameter
 from jointid.common.settings import setting, settings_of
 from jointid.common.text import join
 from jointid.common.units import Kind
-from jointid.config.consistency import foreign_settings
 from jointid.config.contents import FeedForward, File, JointFile, name_axes, resolve_place
 from jointid.config.robot_model import load_robot, reorder_joints
+from jointid.config.rules import foreign_settings
 from jointid.config.schema import (
     ChannelsTable,
     ChannelTable,
