@@ -13,9 +13,10 @@ from typing import Any
 import pytest
 
 from jointid.campaigns.campaign import Case
-from jointid.campaigns.run import digest, run_case
+from jointid.campaigns.run import run_case
 from jointid.campaigns.store import Outcome, Row, open_store
 from jointid.common.errors import RecordError
+from jointid.common.files import digest
 from tests.campaigns.conftest import JOINT
 
 HASH = "a" * 64

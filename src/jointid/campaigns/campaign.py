@@ -25,7 +25,7 @@ import tomlkit
 
 from jointid import __version__
 from jointid.common.errors import Fault, JointFileError, RecordError, extra
-from jointid.common.files import open_file
+from jointid.common.files import files_of, open_file
 from jointid.common.messages import Says, describe_unexpected_value, describe_unknown_name, format_value, missing
 from jointid.common.text import join, pluralise
 from jointid.config import loads
@@ -323,11 +323,6 @@ def _record_of(path: Path, text: str, settings: tuple[str, ...]) -> str:
         found = "a record in several files, and a campaign reads each from one" if source.files else "no record"
         raise JointFileError(f"{path} names {found}; name one file in its [record], or name records in this file.")
     return str((path.parent / source.file).absolute())
-
-
-def files_of(record: Path) -> list[Path]:
-    """Return the files of a record, which is a file or a folder, in order."""
-    return sorted(record.iterdir()) if record.is_dir() else [record]
 
 
 def stamp_of(record: Path) -> str:

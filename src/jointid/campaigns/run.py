@@ -7,7 +7,6 @@ with it. The culprit is unknown, so each affected case is retried alone; one tha
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import math
 import multiprocessing
@@ -27,10 +26,10 @@ from pathlib import Path
 from typing import Any
 
 from jointid import Estimate, __version__
-from jointid.campaigns.campaign import Case, files_of
+from jointid.campaigns.campaign import Case
 from jointid.campaigns.store import Found, Outcome, Row, Store
 from jointid.common.errors import JointidError, MethodError, RecordError, extra
-from jointid.common.files import open_file
+from jointid.common.files import digest
 from jointid.common.messages import Progress, Work, ignore_progress
 from jointid.common.parallel import BLAS_THREADS, THREADS, cores, end_with_parent
 from jointid.common.text import pluralise
@@ -87,20 +86,6 @@ def versions() -> dict[str, str]:
         "python": platform.python_version(),
         **{name: version(name) for name in ("numpy", "scipy", "numba")},
     }
-
-
-def digest(record: Path) -> str:
-    """Return the SHA-256 of a record's bytes, of a folder over its files in order."""
-    made = hashlib.sha256()
-    try:
-        for each in files_of(record):
-            with open_file(each) as file:
-                while block := file.read(_BLOCK):
-                    made.update(block)
-    except OSError as error:
-        reason = (error.strerror or type(error).__name__).lower()
-        raise RecordError(f"{record} cannot be opened ({reason}); check the path.") from error
-    return made.hexdigest()
 
 
 def _finite(value: float | None) -> float | None:

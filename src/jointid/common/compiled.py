@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiler_cache import KernelCache, warn_of_no_place
+from jointid.common.compiler_cache import KernelCache, warn
 
 F = TypeVar("F", bound=Callable[..., object])
 MODES = 4
@@ -34,7 +34,7 @@ def compile_kernel(function: F) -> F:
         try:
             kernel._cache = KernelCache(function, kernel.targetoptions)
         except RuntimeError:  # there is no such folder
-            warn_of_no_place()
+            warn("The compiler's cache has no folder, so that every start compiles again; name one by NUMBA_CACHE_DIR.")
     return cast("F", kernel)
 
 

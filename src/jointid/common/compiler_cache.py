@@ -57,11 +57,14 @@ class KernelCache(FunctionCache):
         except (AttributeError, ModuleNotFoundError):  # of a type of an earlier version
             pass
         except Exception:  # a damaged pickle raises anything
-            _warn_of_damage(self.cache_path)
+            warn(
+                f"The compiler's cache in {self.cache_path} is damaged, and what is needed of it is compiled again; if "
+                "this is said again, delete that folder."
+            )
         try:
             self.flush()
         except OSError as error:
-            _warn_of_place(self.cache_path, str(error.strerror))
+            self._warn_of_place(error)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -69,7 +72,14 @@ class KernelCache(FunctionCache):
         try:
             super().save_overload(sig, data)
         except Exception as error:
-            _warn_of_place(self.cache_path, getattr(error, "strerror", None) or type(error).__name__)
+            self._warn_of_place(error)
+
+    def _warn_of_place(self, error: Exception) -> None:
+        reason = str(getattr(error, "strerror", None) or type(error).__name__).lower()
+        warn(
+            f"The compiler's cache in {self.cache_path} cannot be written ({reason}), so that every start compiles "
+            "again; free space there, delete that folder, or name another by NUMBA_CACHE_DIR."
+        )
 
 
 def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
@@ -138,31 +148,6 @@ class _CheckedFile(IndexDataCacheFile):
 
 
 @cache  # said once
-def _warn_of_damage(folder: str) -> None:
-    warnings.warn(
-        f"The compiler's cache in {folder} is damaged, and what is needed of it is compiled again; if this is said "
-        "again, delete that folder.",
-        CacheWarning,
-        stacklevel=2,
-    )
-
-
-@cache
-def _warn_of_place(folder: str, reason: str) -> None:
-    warnings.warn(
-        f"The compiler's cache in {folder} cannot be written ({reason.lower()}), so that every start compiles again; "
-        "free space there, delete that folder, or name another by NUMBA_CACHE_DIR.",
-        CacheWarning,
-        stacklevel=2,
-    )
-
-
-@cache
-def warn_of_no_place() -> None:
-    """Warn that no cache folder is writable."""
-    warnings.warn(
-        "There is no folder that the compiler's cache can be written to, so that every start compiles again; name one "
-        "by NUMBA_CACHE_DIR.",
-        CacheWarning,
-        stacklevel=2,
-    )
+def warn(said: str) -> None:
+    """Warn that the cache is of no use."""
+    warnings.warn(said, CacheWarning, stacklevel=3)

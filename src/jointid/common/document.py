@@ -15,13 +15,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from jointid.common.files import write_whole
 from jointid.common.text import align, encodable, wrap
-
-if TYPE_CHECKING:
-    pass
 
 Mark: TypeAlias = bool | Literal["noted"] | None
 """The answer to a question; None if undecided, noted if it is no but changes nothing."""
@@ -345,16 +342,9 @@ def p_value(value: float) -> str:
 
 
 def typeset_block(block: Block) -> Block:
-    """Typeset the texts of a block, except code and names with values."""
-    if isinstance(block, Code):
+    """Typeset the texts of a block, except code and names with values: hashes and names of files are among them."""
+    if isinstance(block, Code | Facts):
         return block
-    if isinstance(block, Picture):
-        return replace(block, text=typeset(block.text))
-    if isinstance(block, Facts):  # hashes and names of files are among them
-        return block
-    if isinstance(block, Table):
-        rows = tuple(tuple(map(typeset, row)) for row in block.rows)
-        return replace(block, header=tuple(map(typeset, block.header)), rows=rows, caption=typeset(block.caption))
     changed: dict[str, Any] = {one.name: _deep(getattr(block, one.name)) for one in fields(block)}
     return replace(block, **changed)
 

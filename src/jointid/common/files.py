@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
 import secrets
 import shutil
@@ -21,6 +22,7 @@ from jointid.common.errors import RecordError
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 _NO_STORING = (errno.EINVAL, errno.ENOSYS, getattr(errno, "ENOTSUP", errno.EINVAL))
 _SYSTEM = ("/dev/", "/proc/")  # what is opened there may be a file, and is still no place to put another
+_BLOCK = 2**20  # bytes that are read at once
 _rooms: set[Path] = set()
 
 
@@ -123,6 +125,29 @@ def open_file(path: str | os.PathLike[str]) -> IO[bytes]:
     raise OSError(errno.EINVAL, "it is a pipe or a device, no file", os.fspath(path))
 
 
+def files_of(record: Path) -> list[Path]:
+    """Return the files of a record, which is a file or a folder, in order."""
+    return sorted(each for each in record.rglob("*") if each.is_file()) if record.is_dir() else [record]
+
+
+def digest(record: Path) -> str:
+    """Return the SHA-256 of a record's bytes, of a folder over its files in order.
+
+    Raises:
+        RecordError: a file cannot be read.
+    """
+    made = hashlib.sha256()
+    try:
+        for each in files_of(record):
+            with open_file(each) as file:
+                while block := file.read(_BLOCK):
+                    made.update(block)
+    except OSError as error:
+        reason = (error.strerror or type(error).__name__).lower()
+        raise RecordError(f"{record} cannot be opened ({reason}); check the path.") from error
+    return made.hexdigest()
+
+
 def lock(descriptor: int) -> bool | None:
     """Lock an open file or folder; False if another process has it.
 
@@ -205,11 +230,7 @@ def _settle(fresh: Path, place: Path) -> None:
         return
     _store(fresh)
     with contextlib.suppress(FileNotFoundError):
-        before = place.stat()
-        fresh.chmod(stat.S_IMODE(before.st_mode))
-        if hasattr(os, "chown") and (before.st_uid, before.st_gid) != (fresh.stat().st_uid, fresh.stat().st_gid):
-            with contextlib.suppress(OSError):  # only root can give a file away
-                os.chown(fresh, before.st_uid, before.st_gid)
+        fresh.chmod(stat.S_IMODE(place.stat().st_mode))
     fresh.replace(place)
 
 

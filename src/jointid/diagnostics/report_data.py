@@ -10,7 +10,7 @@ logarithm of the response, so that it never passes 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -105,7 +105,7 @@ class ReportData:
         channels: of the record, by name.
         motion: of the motor, at the samples of the estimate's `measured`; None where the record has no position.
         motion_source: of that motion.
-        validation: the direct test; None where there is none, as the next ones.
+        validation: the direct test, of a robot that on another record; None where there is none, as the next ones.
         diagnosis: of loop, log and residual.
         spectra: of measured, predicted and error.
         response: of the joint.
@@ -116,17 +116,17 @@ class ReportData:
     """
 
     estimate: Estimate
-    channels: Mapping[str, Channel]
-    motion: Motion | None
-    motion_source: MotionSource
-    validation: Validation | None
     diagnosis: Diagnosis | None
-    spectra: Spectra | None
-    response: FrequencyResponse | None
-    profiles: tuple[ProfileInterval, ...]
-    parabolic: tuple[str, ...]
-    checks: tuple[Validation, ...]
-    absent: dict[str, str]
+    validation: Validation | None
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+    motion: Motion | None = None
+    motion_source: MotionSource = "measured"
+    spectra: Spectra | None = None
+    response: FrequencyResponse | None = None
+    profiles: tuple[ProfileInterval, ...] = ()
+    parabolic: tuple[str, ...] = ()
+    checks: tuple[Validation, ...] = ()
+    absent: dict[str, str] = field(default_factory=dict)
 
     @property
     def faults(self) -> AxisFaults | None:

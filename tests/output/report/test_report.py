@@ -84,6 +84,8 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     os.utime(record, (86400.0 * 366, 86400.0 * 366))
     assert repetition(joint, record, {}).date == "1971-01-02"
     assert repetition(joint, emps_path, {}).date == "2018-11-06"  # of its header, however it was copied
+    of_folder = repetition(joint, tmp_path, {})
+    assert of_folder.date and len(of_folder.record_sha256) == 64
 
 
 def test_the_three_frequencies_are_marked() -> None:
@@ -190,7 +192,7 @@ def test_a_page_needs_its_extra_before_anything_runs(tmp_path: Path, monkeypatch
     assert not list(tmp_path.iterdir())
 
 
-def test_thinning_keeps_every_peak() -> None:
+def test_thinning_keeps_every_peak_and_gap() -> None:
     rng = np.random.default_rng(0)
     x, y = np.arange(100_000.0), rng.standard_normal(100_000)
     y[54_321], y[777] = 50.0, -60.0
@@ -200,9 +202,6 @@ def test_thinning_keeps_every_peak() -> None:
     assert (kept.max(), at[kept.argmax()]) == (50.0, 54_321.0)
     assert (kept.min(), at[kept.argmin()]) == (-60.0, 777.0)
     assert decimate(x[:10], y[:10], most=1000)[0].size == 10
-
-
-def test_thinning_keeps_gaps_and_the_peaks_beside_them() -> None:
     x, y = np.arange(10_000.0), np.zeros(10_000)
     y[5_000:5_010], y[5_012] = np.nan, 3.0
     at, kept = decimate(x, y, most=1000)

@@ -15,6 +15,7 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.diagnose import FeedForwardName, diagnose
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
@@ -23,10 +24,10 @@ from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.output.figures.charts import report_charts
 from jointid.output.json import plain
-from jointid.output.json.documents import REPORT_SCHEMA
+from jointid.output.json.documents import REPORT_SCHEMA, ROBOT_REPORT_SCHEMA
 from jointid.output.report.page import page
 from jointid.output.report.pages import Repetition, repetition, require_page
-from jointid.output.report.sections import RobotReportData, report_blocks, robot_blocks, robot_charts, robot_contents
+from jointid.output.report.sections import report_blocks, robot_blocks, robot_charts
 from jointid.tuning.tuned import Tuned
 
 __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
@@ -46,12 +47,14 @@ class Report:
         name: of the joint; that of the record when empty.
         repetition: what it takes to do it again.
         tuned: what to set in the drive; None where that was not asked for.
+        controllers: of each joint of a robot, as far as they are known.
     """
 
-    data: ReportData | RobotReportData
+    data: ReportData
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
+    controllers: Sequence[Controller | None] = ()
 
     @classmethod
     def of(
@@ -106,7 +109,7 @@ class Report:
                 )
             found = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
             (validation,) = checks or (None,)
-            return cls(RobotReportData(estimate, found, validation, controllers), name, again)
+            return cls(ReportData(estimate, found, validation), name, again, controllers=controllers)
         estimate.require_joint()
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)
@@ -119,8 +122,8 @@ class Report:
     @property
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
-        given = self.data
-        drawn = robot_charts(given.diagnosis) if isinstance(given, RobotReportData) else report_charts(given)
+        robot = self._robot
+        drawn = report_charts(self.data) if robot is None else robot_charts(robot)
         found = {chart.name: chart for chart in drawn if chart is not None}
         if self.tuned is not None:
             found["tuning"] = Chart("tuning", _TUNING, self.tuned.draw)
@@ -129,24 +132,28 @@ class Report:
     @property
     def title(self) -> str:
         """The axis, the date of its record if it is known, and the version of this program."""
-        given, again = self.data, self.repetition
-        own = given.diagnosis.name if isinstance(given, RobotReportData) else given.estimate.data.record
+        robot, again = self._robot, self.repetition
+        own = self.estimate.data.record if robot is None else robot.name
         return ", ".join(filter(None, (self.name or own, again.date, f"jointid {again.version}")))
 
     def _repr_html_(self) -> str:
         """Return the answer and the parameters, as a notebook shows them; `save` writes the whole."""
         return self.estimate._repr_html_()
 
+    @property
+    def _robot(self) -> Diagnosis | None:
+        """The diagnosis of a robot; None of a joint."""
+        return None if self.estimate.robot is None else self.data.diagnosis
+
     def _contents(self) -> dict[str, Any]:
         given = self.data
-        if isinstance(given, RobotReportData):
-            return robot_contents(given)
+        both = {"estimate": given.estimate, "diagnosis": given.diagnosis, "validation": given.validation}
+        if self._robot is not None:
+            return {"schema": ROBOT_REPORT_SCHEMA, **both}
         return {
             "schema": REPORT_SCHEMA,
-            "estimate": given.estimate,
-            "validation": given.validation,
+            **both,
             "checks": given.checks,
-            "diagnosis": given.diagnosis,
             "profiles": given.profiles,
             "frequencies": {} if given.response is None else given.response.modes,
             "parabolic": given.parabolic,
@@ -155,10 +162,10 @@ class Report:
         }
 
     def _blocks(self) -> Iterable[Block]:
-        given, charts, again = self.data, self.charts, self.repetition
-        if isinstance(given, RobotReportData):
-            return robot_blocks(given, charts, again)
-        return report_blocks(given, charts, again, self.tuned)
+        robot, charts = self._robot, self.charts
+        if robot is None:
+            return report_blocks(self.data, charts, self.repetition, self.tuned)
+        return robot_blocks(self.data, robot, charts, self.repetition, self.controllers)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.title!r})"

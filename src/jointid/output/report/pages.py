@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import re
 import shlex
 from collections.abc import Callable, Iterable, Mapping
@@ -17,10 +16,9 @@ from jointid import __version__
 from jointid.common.charts import Chart, svg
 from jointid.common.document import Block, Code, Paragraph, Picture
 from jointid.common.errors import RecordError
-from jointid.common.files import open_file
+from jointid.common.files import digest
 
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
-_BLOCK = 1 << 20  # bytes that are read at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +48,8 @@ class Repetition:
     @property
     def facts(self) -> tuple[tuple[str, str], ...]:
         """The names and hashes that are known."""
-        found = [
-            ("jointid", self.version),
-            ("Record", self.record_name),
-            ("Its date", self.date),
-            ("Its SHA-256", self.record_sha256),
-        ]
+        names = ("jointid", "Record", "Its date", "Its SHA-256")
+        found = zip(names, (self.version, self.record_name, self.date, self.record_sha256), strict=True)
         return tuple((name, value) for name, value in found if value)
 
     @property
@@ -103,18 +97,13 @@ def repetition(
     for change in changes:
         words += ["--set", change]
     try:
-        text = joint.read_text(encoding="utf-8")
-        digest = hashlib.sha256()
-        date = _find_date(record)
-        with open_file(record) as file:
-            while block := file.read(_BLOCK):
-                digest.update(block)
+        text, date = joint.read_text(encoding="utf-8"), _find_date(record)
     except OSError as error:
         why = (error.strerror or type(error).__name__).lower()
         raise RecordError(f"{error.filename} cannot be opened ({why}); check the path.") from None
     return Repetition(
         record_name=record.name,
-        record_sha256=digest.hexdigest(),
+        record_sha256=digest(record),
         date=date,
         joint_name=joint.name,
         joint_file=text,
@@ -125,10 +114,8 @@ def repetition(
 
 def _find_date(record: Path) -> str:
     """Return the date of a record's file; a copy that keeps no times still has that of its header, where it has one."""
-    with record.open("rb") as file:
-        created = _CREATED.search(file.read(128))
-    if created is not None:
-        with contextlib.suppress(ValueError):
+    with contextlib.suppress(IsADirectoryError, ValueError), record.open("rb") as file:
+        if created := _CREATED.search(file.read(128)):
             return datetime.strptime(created[1].decode("ascii"), "%b %d %H:%M:%S %Y").date().isoformat()
     return datetime.fromtimestamp(record.stat().st_mtime, UTC).date().isoformat()
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from jointid.common.charts import Chart
 from jointid.common.document import (
@@ -24,7 +23,7 @@ from jointid.diagnostics.axis_parameters import Told
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.fault import Measure
 from jointid.diagnostics.report_data import ReportData, Spectra, estimate_spectra
-from jointid.diagnostics.validation import Prediction, Validation, axes_table
+from jointid.diagnostics.validation import Prediction, axes_table
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import (
     bands_table,
@@ -35,7 +34,6 @@ from jointid.estimation.result.summary import (
 )
 from jointid.models.controllers import Controller
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
-from jointid.output.json.documents import ROBOT_REPORT_SCHEMA
 from jointid.output.report.data_sheet import data_sheets
 from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import summary_blocks, verdicts_in_full
@@ -234,51 +232,24 @@ def _channels_table(given: ReportData) -> Table:
 _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotReportData:
-    """Results of a robot to present.
-
-    Attributes:
-        estimate: by any method.
-        diagnosis: of its record, joint by joint.
-        validation: on another record; None without one.
-        controllers: of each joint, as far as they are known.
-        absent: reasons for missing parts, by name.
-    """
-
-    estimate: Estimate
-    diagnosis: Diagnosis
-    validation: Validation | None = None
-    controllers: Sequence[Controller | None] = ()
-    absent: dict[str, str] = field(default_factory=dict)
-
-
-def robot_contents(given: RobotReportData) -> dict[str, Any]:
-    """JSON of a robot's report except for the repetition."""
-    return {
-        "schema": ROBOT_REPORT_SCHEMA,
-        "estimate": given.estimate,
-        "diagnosis": given.diagnosis,
-        "validation": given.validation,
-    }
-
-
 def robot_blocks(
-    given: RobotReportData,
+    given: ReportData,
+    found: Diagnosis,
     charts: dict[str, Chart],
     repetition: Repetition,
+    controllers: Sequence[Controller | None],
 ) -> Iterator[Block]:
     """Yield a robot's report, with a section of each joint."""
-    found, picture = given.diagnosis, pictures_of(charts)
+    picture = pictures_of(charts)
     yield Heading("Result")
-    yield from _result(given)
+    yield from _result(given, found)
     yield Heading("Joints")
     yield from found.to_document().blocks[2:]  # the result has the record and the answer
     yield Heading("Parameters")
     yield from _parameters(given.estimate, found)
     yield Heading("Data sheets")
     yield Paragraph("What a simulator asks of each actuator; export writes it. All numbers are behind the gears.")
-    yield from data_sheets(given.estimate, given.controllers)
+    yield from data_sheets(given.estimate, controllers)
     yield Heading("Torque")
     yield from picture("torque")
     if given.validation is not None:
@@ -306,9 +277,8 @@ def robot_blocks(
     yield from repetition.blocks
 
 
-def _result(given: RobotReportData) -> Iterator[Block]:
+def _result(given: ReportData, found: Diagnosis) -> Iterator[Block]:
     """Yield the verdict, what it rests on, and how the robot was identified."""
-    found = given.diagnosis
     if given.validation is not None:
         tone: Tone = "good" if given.validation.answer.code is Prediction.PREDICTED else "bad"
         yield Paragraph(given.validation.sentence, lead=True, tone=tone)
