@@ -20,8 +20,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number as shown
-from jointid.config.model_file import read_model
-from jointid.config.robot_model import carried_bodies
+from jointid.config.robot_model import carried_bodies, read_model
 from jointid.models.robots.inertial import inertial_of, mass_properties, pseudo_inertia
 from jointid.models.robots.robot import Robot
 from jointid.output.export.bodies import (
