@@ -72,9 +72,7 @@ def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> Non
     assert not spares_answer(doubted, follows)
 
 
-def test_it_is_said_where_loop_and_log_pass_their_check(
-    of_a_gap: PredictedResidual, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_is_said_where_loop_and_log_pass(of_a_gap: PredictedResidual, monkeypatch: pytest.MonkeyPatch) -> None:
     case = prismatic(1)
     fit = fit_records(case.noisy(0.01, 1), case.loop, ji.DIDIM(frequency=case.mode))
     repeats = Message(Reason.RESIDUAL_REPEATS, "it repeats")
