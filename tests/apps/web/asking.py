@@ -17,14 +17,12 @@ from tests.apps.web.testclient import TestClient
 TOKEN = "kept-secret"
 ADDRESS = f"http://127.0.0.1:8765/{TOKEN}/"
 LAW = {"controller.law": "cascade", "controller.position_gain": "60", "controller.velocity_gain": "500"}
-MADE = {"name": "joint.toml", "text": "[joint]", "records": ["log.csv"], "learn": False}
-"""What `order` makes of a form."""
-
 UNITS = {
     "joint.kind": "prismatic",
-    "record.channels.torque.unit@prismatic": "N",
-    "record.channels.reference.unit@prismatic": "m",
-    "record.channels.motor_position.unit@prismatic": "m",
+    **{f"record.channels.{name}.column": name for name in ("torque", "reference", "motor_position")},
+    "record.channels.torque.unit": "N",
+    "record.channels.reference.unit": "m",
+    "record.channels.motor_position.unit": "m",
 }
 
 
@@ -84,16 +82,6 @@ def ended(run: Run, most: float = 400.0) -> str:
             return str(run.status["state"])
         time.sleep(0.1)
     raise AssertionError(f"still {run.status} after {most} s: {run.read_progress()}")
-
-
-def running(run: Run, line: str, most: float = 60.0) -> None:
-    """Wait until an identification has told that it is there."""
-    for _ in range(int(most / 0.05)):
-        if any(line in told for told in run.read_progress()):
-            return
-        assert run.active, run.status
-        time.sleep(0.05)
-    raise AssertionError(f"{run.status}: {run.read_progress()}")
 
 
 WAIT = 300.0  # seconds that a machine which is busy may take

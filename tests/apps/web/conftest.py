@@ -35,7 +35,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def limits() -> Limits:
     """Small enough to be reached."""
-    return Limits(upload=2_000_000, joint_file=20_000, form=120.0, planning=3.0)
+    return Limits(upload=2_000_000, joint_file=20_000, form=120.0)
 
 
 @pytest.fixture

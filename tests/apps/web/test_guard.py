@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from jointid.apps.web.application import build_application
-from tests.apps.web.asking import MADE, TOKEN, UNITS, Asker
+from tests.apps.web.asking import TOKEN, UNITS, Asker
 from tests.apps.web.testclient import TestClient
 
 PAGE = "http://127.0.0.1:8765"
@@ -36,8 +36,8 @@ def test_with_a_wrong_token_neither(client: TestClient, wrong: str) -> None:
 def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
     asker.post("/channels", UNITS)
-    (asker.folder.path / "log.csv").write_bytes(log)
-    asker.folder.new_run({"log.csv": "log.csv"}, MADE).update(state="done")
+    (asker.folder.now / "joint.toml").write_text("[joint]")
+    asker.folder.new_run().update(state="done")
     paths = ["/", "/channels", "/joint", "/runs/1", "/runs/1/joint.toml", "/plot/0.svg", "/static/page.js", "/nothing"]
     answers = [client.get(path) for path in paths] + [client.post("/runs/1/cancel"), client.get(f"{PAGE}/wrong/")]
     assert not any("set-cookie" in one.headers for answer in answers for one in [*answer.history, answer])
@@ -45,7 +45,7 @@ def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> 
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
-@pytest.mark.parametrize("path", ["/record", "/example", "/draft", "/joint", "/runs/1/cancel", "/runs/1/plan"])
+@pytest.mark.parametrize("path", ["/record", "/example", "/draft", "/joint", "/runs/1/cancel"])
 def test_other_sites_cannot_have_a_browser_send_forms(client: TestClient, path: str, site: str) -> None:
     answer = client.post(path, headers={"sec-fetch-site": site})
     assert answer.status_code == 403

@@ -12,7 +12,7 @@ import pytest
 
 from jointid.apps.cli import main
 from jointid.apps.web.folder import Run
-from jointid.apps.web.form import fill_in_form, make_order, make_reading_tables, make_robot_order, make_tables
+from jointid.apps.web.form import fill_in_form, make_joint_file, make_reading_tables, make_robot_file, make_tables
 from jointid.common.errors import JointFileError
 from jointid.config import JointFile, loads
 from jointid.models.robots.robot import Robot
@@ -42,24 +42,22 @@ def test_a_joint_file_of_several_records_comes_through_the_form() -> None:
     made = fill_in_form(JOINT)
     assert not made["robot"]
     assert made["draft"]["controller.position_gain"] == "60.0"
-    text, _ = make_order(made["draft"], "one.csv", "two.csv")
-    file = loads(text)
+    file = loads(make_joint_file(made["draft"], ["one.csv", "two.csv"]))
     assert [(run.file, run.added_inertia) for run in file.runs] == [("one.csv", 0.0), ("two.csv", 2.5)]
     assert file.together == loads(JOINT).together
-    tables = make_reading_tables(made["draft"], "one.csv", "two.csv")
+    tables = make_reading_tables(made["draft"], ["one.csv", "two.csv"])
     assert JointFile.of(tables).columns["torque"].unit == "N"
 
 
 def test_every_record_that_is_sent_is_one_of_several() -> None:
     draft = fill_in_form(JOINT)["draft"]
-    tables = make_tables(draft, "one.csv", "two.csv", "three.csv")
+    tables = make_tables(draft, ["one.csv", "two.csv", "three.csv"])
     assert [row["file"] for row in tables["records"]] == ["one.csv", "two.csv", "three.csv"]
     alone = {key: text for key, text in draft.items() if key != "extra"}
-    assert make_tables(alone, "a.csv", "b.csv")["records"] == [{"file": "a.csv"}, {"file": "b.csv"}]
-    assert "file" not in make_tables(alone, "a.csv", "b.csv")["record"]
-    assert make_tables(alone, "a.csv")["record"]["file"] == "a.csv"
+    assert make_tables(alone, ["a.csv", "b.csv"])["records"] == [{"file": "a.csv"}, {"file": "b.csv"}]
+    assert "file" not in make_tables(alone, ["a.csv", "b.csv"])["record"]
     joined = alone | {"extra": '[record]\nfiles = ["x/a.csv", "b.csv"]'}
-    assert loads(make_order(joined, "a.csv", "b.csv")[0]).source.first == "a.csv"
+    assert loads(make_joint_file(joined, ["a.csv", "b.csv"])).source.first == "a.csv"
 
 
 def write_model(robot: Robot, folder: Path) -> Path:
@@ -72,24 +70,21 @@ def test_a_robot_file_names_files_that_were_sent(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
     write_model(arm(2), tmp_path)
     sent = ["one.csv", "arm.xml", "two.csv"]
-    made = fill_in_form(ROBOT)
-    assert made["robot"]
-    assert make_robot_order(made["draft"], sent, tmp_path) == (ROBOT, ["one.csv", "two.csv"])
-    text, records = make_robot_order({"extra": ROBOT.replace("one.csv", "logs/one.csv")}, sent[:2], tmp_path)
-    assert records == ["one.csv"]
-    assert loads(text, tmp_path).source.file == "one.csv"
+    draft = fill_in_form(ROBOT)["draft"]
+    assert loads(make_robot_file(draft, sent, tmp_path), tmp_path).source.file == "one.csv"
+    other = {"extra": ROBOT.replace("one.csv", "logs/one.csv")}
+    assert loads(make_robot_file(other, sent[:2], tmp_path), tmp_path).source.file == "one.csv"
     listed = f'{ROBOT}\n[[records]]\nfile = "logs/two.csv"\npayload_mass = 2.0\n'
-    text, records = make_robot_order({"extra": listed}, sent, tmp_path)
-    assert records == ["two.csv", "one.csv"]
-    assert [bool(loads(text, tmp_path).payloads.get(tmp_path / name)) for name in records] == [True, False]
+    found = loads(make_robot_file({"extra": listed}, sent, tmp_path), tmp_path)
+    assert [run.file for run in found.runs] == ["two.csv", "one.csv"]
     for path in ("/etc/passwd", "../robot.xml", "C:\\\\other.xml"):
         with pytest.raises(JointFileError, match=r"^robot\.model is .* which was not sent"):
-            make_robot_order({"extra": ROBOT.replace("arm.xml", path)}, sent, tmp_path)
+            make_robot_file({"extra": ROBOT.replace("arm.xml", path)}, sent, tmp_path)
         several = f'{ROBOT}\n[[records]]\nfile = "one.csv"\n[[records]]\nfile = "{path}"\n'
         with pytest.raises(JointFileError, match=r"records\.2\.file is .* which was not sent"):
-            make_robot_order({"extra": several}, sent, tmp_path)
+            make_robot_file({"extra": several}, sent, tmp_path)
     with pytest.raises(JointFileError, match="joints"):
-        make_robot_order({"extra": ROBOT.replace("joint2", "joint3")}, sent, tmp_path)
+        make_robot_file({"extra": ROBOT.replace("joint2", "joint3")}, sent, tmp_path)
 
 
 def send(asker: Asker, files: dict[str, bytes], to: str = "/record") -> str:
@@ -101,10 +96,10 @@ def send(asker: Asker, files: dict[str, bytes], to: str = "/record") -> str:
 def test_files_that_do_not_belong_together_are_refused_and_not_kept(asker: Asker, log: bytes) -> None:
     assert "send the robot file" in send(asker, {"arm.xml": b"<robot/>", "a.csv": log})
     assert "Expected one joint file" in send(asker, {"a.toml": b"", "b.toml": b"", "a.csv": log})
-    assert "is a robot file, and its model and its record did not come" in send(asker, {"r.toml": ROBOT.encode()})
+    assert "is a robot file" in send(asker, {"r.toml": ROBOT.encode()})
     assert "came without its record" in send(asker, {"a.toml": b"[joint]"})
     assert "Two files are called a.csv" in asker.client.post("/record", files=[("file", ("a.csv", log))] * 2).text
-    assert not [name for name in asker.kept if name.startswith("upload-")]
+    assert not asker.kept
 
 
 @pytest.mark.slow
@@ -119,9 +114,8 @@ def test_records_are_added_and_left_out_again(asker: Asker, log: bytes) -> None:
     assert all(name in page for name in ("one.csv", "two.csv", "three.csv"))
     assert asker.post("/only")[0] == 200
     assert [*asker.folder.sent] == ["one.csv"]
-    assert len([name for name in asker.kept if name.endswith(".csv")]) == 1
     assert send(asker, {"again.csv": log}) == "channels"  # another log with the same columns
-    assert asker.folder.draft["record.channels.torque.unit@prismatic"] == "N"
+    assert asker.folder.draft["record.channels.torque.unit"] == "N"
 
 
 def answer_of(run: Run, folder: Path, *words: str) -> tuple[Any, Any]:
@@ -144,9 +138,7 @@ def test_several_records_are_identified_as_by_the_command(asker: Asker, log: byt
     page, command = answer_of(run, tmp_path)
     assert page["parameters"] == command["parameters"]
     assert len(page["records"]) == 2
-    text = asker.get(f"/runs/{run.number}")
-    assert "A report is of one record" in text
-    assert "They are computed from one record" in text
+    assert run.status["sentence"] and not run.has("report.html")
 
 
 @pytest.mark.slow
@@ -166,10 +158,6 @@ def test_a_robot_is_identified_as_by_the_command(asker: Asker, tmp_path: Path) -
     assert ended(run) == "done", run.status
     page, command = answer_of(run, tmp_path)
     assert page["parameters"] == command["parameters"]
-    text = asker.get(f"/runs/{run.number}")
-    assert "joint2.viscous" in text
-    assert "Share of the torque that is not explained" in text
-    assert "kg m2" not in text.split("As the command line prints it")[0]
     assert run.has("report.html")
     archive = zipfile.ZipFile(io.BytesIO(asker.client.get(f"/runs/{run.number}/all.zip").content))
     assert {"robot.toml", "arm.xml", "one.csv", "report.html", "answer.json"} <= set(archive.namelist())

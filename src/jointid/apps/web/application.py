@@ -133,7 +133,7 @@ def build_application(folder: Path, token: str, limits: Limits | None = None) ->
 
     @contextlib.asynccontextmanager
     async def live(_: Starlette) -> AsyncIterator[None]:
-        state.folder.finish_interrupted_runs()
+        state.folder.finish_interrupted()
         yield
         await state.jobs.close()
 
@@ -170,7 +170,6 @@ _ROUTES = [
     Route("/runs/{number:number}", routes.show_run),
     Route("/runs/{number:number}/events", routes.stream_progress),
     Route("/runs/{number:number}/cancel", routes.cancel_run, methods=["POST"]),
-    Route("/runs/{number:number}/plan", routes.plan_test, methods=["POST"]),
     Route("/runs/{number:number}/{name:str}", routes.send_file),
     Mount("/static", StaticFiles(packages=[("jointid.apps.web", "static")])),
 ]

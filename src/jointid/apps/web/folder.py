@@ -1,4 +1,4 @@
-"""The folder in which the page keeps everything: record, entries of the form, a folder of each run; and its bounds."""
+"""The folder in which the page keeps everything: the files of `now/`, and those of each identification in `runs/N/`."""
 
 from __future__ import annotations
 
@@ -9,36 +9,28 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import beside, is_full, open_file, write_whole
-from jointid.records.formats import format_of
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Addresses that only this machine reaches."""
+MODELS = (".urdf", ".xml", ".mjcf")
+"""Suffixes of a robot's model."""
+FULL = "The disk on which this page keeps its files is full; free space there, and try again."
 
-_OF_A_RUN = ("answer.txt", "learned.txt", "log.txt", "progress.txt", "test.csv", "test.mat")
-"""Names of ours, in a format of records."""
-
-_LONGEST = 255  # bytes of a file's name
-_LONGEST_CLEAN = 80  # characters
+_OURS = ("answer.txt", "learned.txt", "log.txt", "progress.txt")  # in a format of records
+_THEIRS = "record-"
+_LONGEST = 80  # characters of a file's name
 _OTHER = re.compile(r"[^\w .()+-]")
-_UPLOAD = "upload-"
-
-DRAFT, PREVIEW, CHECKED = ".draft.json", ".preview.json", ".checked.json"
-"""What follows the name of a record's file in those of what belongs to it."""
 
 
 class PageError(JointidError):
     """A request that the page refuses, in a sentence."""
-
-
-FULL = "The disk on which this page keeps its files is full; free space there, and try again."
-"""What is said wherever that ends something."""
 
 
 def refusal_of(error: JointidError | OSError) -> JointidError:
@@ -66,7 +58,6 @@ class Limits:
         seconds: after which an identification is stopped.
         reading: seconds after which the reading of a record is stopped.
         form: seconds after which that of a joint file, or of a form, is.
-        planning: seconds that the search for the next test takes.
     """
 
     upload: int = 256 * 2**20
@@ -75,7 +66,6 @@ class Limits:
     seconds: float = 3600.0
     reading: float = 300.0
     form: float = 20.0
-    planning: float = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,44 +83,21 @@ class Run:
     def status(self) -> dict[str, Any]:
         """State, sentence, and when it started and ended, in seconds since the epoch.
 
-        The state is "running", "done", "refused", "failed", "cancelled", or "planning" while the next test is planned
-        after it; `unplanned` is then the sentence on why there is none, and `before` the state that comes back.
+        The state is "running", "done", "refused", "failed" or "cancelled"; "gone" where that is not known.
         """
         found = read_json(self.folder / "run.json") or {}
-        times = [found.get(key) or 0 for key in ("started", "ended")]
+        times = [found.get(key, 0) for key in ("started", "ended")]
         if isinstance(found.get("state"), str) and all(
             isinstance(one, int | float) and 0 <= one < 1e10 for one in times
         ):
-            return found
-        return {
-            "state": "gone",
-            "sentence": "How it ended is not known: its folder was removed or damaged, or the disk is full.",
-        }
+            return {"sentence": "", "started": 0, **found}
+        sentence = "How it ended is not known: its folder was removed or damaged, or the disk is full."
+        return {"state": "gone", "sentence": sentence, "started": 0}
 
     @property
     def active(self) -> bool:
-        """Whether it is running or a test is being planned."""
-        return self.status["state"] in ("running", "planning")
-
-    @property
-    def work(self) -> dict[str, Any]:
-        """The names of the files it identifies: `file`, the first record, and `files`, all.
-
-        Raises:
-            PageError: `work.json` is damaged, or names what is no file of its folder.
-        """
-        work = read_json(self.folder / "work.json") or {}
-        files = work.get("files")
-        if not isinstance(files, list) or not all(map(self.has, [work.get("file"), *files])):
-            raise PageError(
-                f"work.json of identification {self.number} is damaged: it names no file of its folder; press Identify "
-                "again."
-            )
-        return work
-
-    def end_planning(self, sentence: str = "") -> None:
-        """Go back to how the identification ended; the sentence says why there is no test."""
-        self.update(state=self.status.get("before", "done"), unplanned=sentence)
+        """Whether it is running."""
+        return bool(self.status["state"] == "running")
 
     @property
     def file(self) -> str:
@@ -138,30 +105,10 @@ class Run:
         return "robot.toml" if self.has("robot.toml") else "joint.toml"
 
     @property
-    def answered(self) -> bool:
-        """Whether its answer is there; its report may still be missing."""
-        return self.has("answer.json")
-
-    @property
-    def stamps(self) -> dict[str, str]:
-        """Stamps of the versions of answer and report; empty if missing."""
-        return {
-            name: _stamp(self.folder / file) for name, file in (("answer", "answer.json"), ("report", "report.html"))
-        }
-
-    @property
-    def plan_stamp(self) -> str:
-        """Stamp of the version of the plan."""
-        return _stamp(self.folder / "plan.json")
-
-    @property
     def seconds(self) -> float:
-        """How long it has taken: to its answer, its end, or now."""
+        """How long it has taken: to its end, or now."""
         status = self.status
-        ended = status.get("ended") or time.time()
-        if self.answered:
-            ended = (self.folder / "answer.json").stat().st_mtime
-        return float(max(ended - (status.get("started") or ended), 0.0))
+        return float(max(status.get("ended", time.time()) - status["started"], 0.0))
 
     def update(self, **values: object) -> None:
         """Change its status; it has none from then on where it cannot be kept."""
@@ -184,7 +131,7 @@ class Run:
 
     def has(self, name: object) -> bool:
         """Return whether its folder has a file."""
-        return _is_in(self.folder, name)
+        return is_in(self.folder, name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,104 +141,74 @@ class Folder:
     path: Path
 
     @property
+    def now(self) -> Path:
+        """The folder of the record and of what the forms say."""
+        return self.path / "now"
+
+    @property
     def draft(self) -> dict[str, str]:
-        """The entries of the form, by field."""
-        return {key: text for key, text in (self._read(DRAFT) or {}).items() if isinstance(text, str)}
+        """The entries of the forms, by field."""
+        found = read_json(self.now / "draft.json") or {}
+        return {key: text for key, text in found.items() if isinstance(text, str)}
 
     def save_draft(self, draft: Mapping[str, str]) -> None:
-        """Keep the entries of the form."""
-        write_json(self.path / f"{self._file}{DRAFT}", draft)
+        """Keep the entries of the forms."""
+        self.now.mkdir(exist_ok=True)
+        write_json(self.now / "draft.json", draft)
 
     @property
-    def record(self) -> dict[str, Any] | None:
-        """The record: `file` in this folder, `name` for the eye, `size` in bytes, `format`; None if none is as stated.
-
-        `more` has `file` and `name` of each further file, and `robot` says whether they are of a robot file.
-        """
-        found = {"more": [], "robot": False, "size": None, "format": "", **(read_json(self.path / "record.json") or {})}
-        every = [found, *(found["more"] if isinstance(found["more"], list) else [None])]
-        for one in every:
-            if not (isinstance(one, dict) and isinstance(one.get("name"), str) and _is_in(self.path, one.get("file"))):
-                return None
-        return found if isinstance(found["size"], int) else None
+    def sent(self) -> list[str]:
+        """The names of the files that were sent, records first; empty where one is missing."""
+        sent = (read_json(self.now / "sent.json") or {}).get("files")
+        return sent if isinstance(sent, list) and all(is_in(self.now, one) for one in sent) else []
 
     @property
-    def sent(self) -> dict[str, str]:
-        """The files of the record and of its robot's model: by their names in a run, the first record first."""
-        record = self.record
-        every = [] if record is None else [record, *record["more"]]
-        return {name_in_run(one["name"]): one["file"] for one in every}
-
-    def save_record(
-        self,
-        fresh: Path,
-        name: str,
-        draft: Mapping[str, str],
-        more: Sequence[tuple[Path, str]] = (),
-        *,
-        robot: bool = False,
-    ) -> None:
-        """Put a file of this folder in the record's place, with the name it came with and its entries of the form.
-
-        Beside it come further files of this folder, of one robot or one joint.
-
-        All that belongs to a record is called by its file, so that `record.json`, written last, is the one switch: on a
-        disk that is full the record before stays, with all that belongs to it.
-        """
-        old = ["", *self.sent.values()]
-        size, kind = fresh.stat().st_size, format_of(fresh).name
-        stated = {"file": fresh.name, "name": name, "size": size, "format": kind, "robot": robot}
-        others = [{"file": path.name, "name": called} for path, called in more]
-        write_json(self.path / f"{fresh.name}{DRAFT}", draft)
-        write_json(self.path / "record.json", {**stated, "more": others})
-        for file in old:
-            self.discard(file)
-
-    def discard(self, file: str) -> None:
-        """Remove a rejected upload and its companions; keep the current record and what belongs to it."""
-        if file not in (self._file, *self.sent.values()):
-            for of_it in (DRAFT, PREVIEW, CHECKED, *([""] if file else [])):
-                (self.path / f"{file}{of_it}").unlink(missing_ok=True)
+    def robot(self) -> bool:
+        """Whether the files are of a robot."""
+        return any(name.lower().endswith(MODELS) for name in self.sent)
 
     @property
     def preview(self) -> dict[str, Any] | None:
-        """The columns of the record, see `jointid.apps.web.preview`; None if it could not be read yet."""
-        return self._read(PREVIEW)
+        """The columns of the first record, see `jointid.apps.web.preview`; None if it could not be read."""
+        return read_json(self.now / "columns.json")
 
     @property
     def checked(self) -> dict[str, Any] | None:
         """Summary of the record from the check of its channels; None if unchecked."""
-        return self._read(CHECKED)
+        return read_json(self.now / "checked.json")
 
-    def drop_preview(self) -> None:
-        """Remove the preview of a record that cannot be read as the form says."""
-        (self.path / f"{self._file}{PREVIEW}").unlink(missing_ok=True)
+    @contextlib.contextmanager
+    def receiving(self) -> Iterator[Path]:
+        """Yield a folder for files that come in; it goes at the end, unless `replace` took it."""
+        fresh = self.path / f"upload-{secrets.token_hex(6)}"
+        fresh.mkdir()
+        try:
+            yield fresh
+        finally:
+            shutil.rmtree(fresh, ignore_errors=True)
 
-    @property
-    def _file(self) -> str:
-        """The name of the record's file here; empty where there is none, whose entries are kept as well."""
-        return str((self.record or {}).get("file", ""))
-
-    def _read(self, of_it: str) -> dict[str, Any] | None:
-        return read_json(self.path / f"{self._file}{of_it}")
+    def replace(self, fresh: Path, sent: list[str], draft: Mapping[str, str]) -> None:
+        """Put a folder with files that were sent in the place of the record before."""
+        write_json(fresh / "sent.json", {"files": sent})
+        write_json(fresh / "draft.json", draft)
+        with self.receiving() as old:
+            if self.now.exists():
+                self.now.rename(old / "now")
+            fresh.rename(self.now)
 
     @property
     def runs(self) -> list[Run]:
         """All identifications, the latest first."""
         paths = [path for path in (self.path / "runs").glob("*") if re.fullmatch("[0-9]{1,9}", path.name)]
-        return sorted((Run(path) for path in paths if _is_own(path)), key=lambda run: -run.number)
+        return sorted((Run(path) for path in paths if not path.is_symlink()), key=lambda run: -run.number)
 
     def run(self, number: int) -> Run | None:
         """Return an identification by its number; None if unknown."""
         run = Run(self.path / "runs" / str(number))
-        return run if _is_own(run.folder) and run.folder.is_dir() else None
+        return run if run.folder.is_dir() and not (run.folder.is_symlink() or run.folder.parent.is_symlink()) else None
 
-    def new_run(self, files: Mapping[str, str], made: Mapping[str, Any]) -> Run:
-        """Make the folder of an identification that begins; its records have the names in it that its file says.
-
-        Args:
-            files: those of this folder, by their names in the run; the first is the record.
-            made: `name` and `text` of the joint file or robot file, `records` that it names, and whether to `learn`.
+    def new_run(self) -> Run:
+        """Make the folder of an identification that begins, with the files it takes.
 
         Raises:
             RecordError: it cannot be written; there is nothing of it then.
@@ -299,84 +216,61 @@ class Folder:
         """
         runs = self.runs
         run = Run(self.path / "runs" / str(runs[0].number + 1 if runs else 1))
-        refuse_link(run.folder.parent, run.folder)
+        refuse_links(self.path)
         run.folder.parent.mkdir(exist_ok=True)
+        file = "robot.toml" if self.robot else "joint.toml"
         with beside(run.folder) as fresh:
             fresh.mkdir()
-            link_files(self.path, files, fresh)
-            write_whole(fresh / made["name"], made["text"])
-            work = {"file": made["records"][0], "records": made["records"], "learn": made["learn"], "files": [*files]}
-            write_json(fresh / "work.json", work)
+            for name in (*self.sent, file):
+                link(self.now / name, fresh / name)
+            write_json(fresh / "work.json", {"files": self.sent, "learn": self.draft.get("controller.law") == "learn"})
             write_json(fresh / "run.json", {"state": "running", "sentence": "", "started": time.time()})
         return run
 
-    def new_upload(self, suffix: str) -> Path:
-        """Return the path for a file that comes in; no word of a sentence is like its name."""
-        return self.path / f"{_UPLOAD}{secrets.token_hex(6)}{suffix}"
-
-    def finish_interrupted_runs(self) -> None:
-        """Mark an interrupted run as ended, and remove partial uploads."""
-        kept = tuple(self.sent.values())
-        for path in self.path.glob(f"{_UPLOAD}*"):
-            if not path.name.startswith(kept):
-                path.unlink(missing_ok=True)
+    def finish_interrupted(self) -> None:
+        """Mark an interrupted run as ended, put back a record that was being replaced, and remove partial uploads."""
+        for path in self.path.glob("upload-*"):
+            if (path / "now").is_dir() and not self.now.exists():
+                (path / "now").rename(self.now)
+            shutil.rmtree(path, ignore_errors=True)
         for run in self.runs:
-            if run.status["state"] == "planning":
-                run.end_planning("The page was stopped before a test was planned.")
-            elif run.active:
+            if run.active:
                 sentence = "The page was stopped before this had ended; press Identify again."
                 run.update(state="failed", sentence=sentence, ended=time.time())
 
 
-def _is_in(folder: Path, name: object) -> bool:
-    """Whether something is the name of a file in a folder, and no link or path to another one."""
+def is_in(folder: Path, name: object) -> bool:
+    """Return whether something is the name of a file in a folder, and no link or path to another one."""
     if not isinstance(name, str) or "\0" in name or Path(name).name != name:
         return False
     return (folder / name).is_file() and not (folder / name).is_symlink()
 
 
-def _is_own(folder: Path) -> bool:
-    """Whether a run's folder is no link to another one, nor the folder of all runs."""
-    return not (folder.is_symlink() or folder.parent.is_symlink())
-
-
-def refuse_link(*paths: Path) -> None:
-    """Refuse symbolic links, through which files elsewhere would be overwritten.
+def refuse_links(folder: Path) -> None:
+    """Refuse symbolic links in a folder, through which files elsewhere would be overwritten.
 
     Raises:
-        PageError: one of the paths is a link.
+        PageError: there is one.
     """
-    for path in paths:
+    for path in folder.iterdir():
         if path.is_symlink():
             raise PageError(f"{path} is a symbolic link, which may lead out of the page's folder; remove it.")
 
 
-def link_files(folder: Path, files: Mapping[str, str], into: Path) -> None:
-    """Put files of a folder into another one under other names; without a copy where the disk can."""
-    for name, file in files.items():
-        try:
-            os.link(folder / file, into / name)
-        except OSError:
-            shutil.copyfile(folder / file, into / name)
+def link(file: Path, into: Path) -> None:
+    """Put a file at another place; without a copy where the disk can."""
+    try:
+        os.link(file, into)
+    except OSError:
+        shutil.copyfile(file, into)
 
 
 def clean_name(raw: str) -> str:
-    """Return the last part of a path without any character that has a meaning; fit to be shown and for an archive."""
-    name = _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])
-    return name[-_LONGEST_CLEAN:].strip(" .") or "record"
-
-
-def name_in_run(name: str) -> str:
-    """Return the name of a record in a run's folder: the one it came with, unless ours has it, or it is too long."""
-    unfit = name.lower() in _OF_A_RUN or name.lower().endswith(".json") or len(name.encode()) > _LONGEST
-    return f"record{Path(name).suffix}" if unfit else name
-
-
-def _stamp(path: Path) -> str:
-    try:
-        return str(path.stat().st_mtime_ns)
-    except OSError:
-        return ""
+    """Return the last part of a path without any character that has a meaning, and unlike names of ours."""
+    name = _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])[-_LONGEST:].strip(" .") or "record"
+    if name.lower() in _OURS or (name.lower().endswith(".json") and not name.startswith(_THEIRS)):
+        return f"{_THEIRS}{name[len(_THEIRS) - _LONGEST :]}"
+    return name
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

@@ -1,56 +1,115 @@
-"""Between the form and the joint file: the same tables, checked by the same schema, faults beside their fields."""
+"""The forms of the page, made from the declarations of the joint file's keys, and the joint file that they describe.
+
+A key with one value is a field; its help, unit, choices and type are those of its declaration. All else stands in the
+further lines, as the joint file has it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tomlkit
 
-from jointid.apps.web.fields import (
-    EXTRA,
-    EXTRA_LAW,
-    FIELDS,
-    LAW,
-    LAWS,
-    LEARN,
-    NAMES,
-    TEXT,
-    WITHOUT,
-    Draft,
-    Field,
-    usual,
-)
-from jointid.apps.web.folder import clean_name, name_in_run
-from jointid.apps.web.guesses import find_unit
+from jointid.apps.web.folder import MODELS, clean_name
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
+from jointid.common.settings import Declared
+from jointid.common.text import join
 from jointid.config import JointFile, dumps, loads
+from jointid.config.schema import FileTable
+from jointid.config.table import list_keys
 from jointid.config.toml import parse_toml
+from jointid.models.friction import FRICTIONS
+from jointid.models.springs import SPRINGS
+from jointid.records.columns import known_units, unit_in_name
+from jointid.records.recognition import recognise
+from jointid.records.record import CHANNELS
 
-LONGEST = {EXTRA: 100_000}
-_LONGEST = 300  # characters of any other field
+EXTRA = "extra"
+"""The field of further lines of the joint file."""
+LEARN, WITHOUT = "learn", "none"
+"""Answers to the question for the controller's law that are no laws."""
+
+_LONGEST = {EXTRA: 100_000}
+_LONG = 300  # characters of any other field
+_LAW, _KIND = "controller.law", "joint.kind"
+_DIGITS = r"[+-]?([0-9]+[.,]?[0-9]*|[.,][0-9]+)([eE][+-]?[0-9]+)?"
+_NUMBER, _WITH_UNIT = re.compile(_DIGITS), re.compile(rf"({_DIGITS})\s*([^\s0-9.,;_][^;]*)")
 _STAND_IN = {"law": "cascade", "position_gain": 1.0, "velocity_gain": 1.0}
 """A law that stands where the real one is not known yet, to have the rest checked."""
+_KINDS = ("prismatic", "revolute")
 
-_LAW = "controller.law"
-_FILTER_KINDS = ("controller.velocity_filter.kind", "controller.torque_filters.0.kind")
-_DECIDING = ("joint.kind", "joint.model", "transmission.lead", *_FILTER_KINDS)
-"""Keys on which it depends whether other fields apply."""
-MODELS = (".urdf", ".xml", ".mjcf")
-"""Suffixes of a robot's model."""
+Draft = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a form.
+
+    Attributes:
+        key: its path in the joint file.
+        help: what it means.
+        form: how it is entered.
+        words: the texts to choose from, with the value and the label of each; "" leaves the key out.
+        when: fields, and the texts one of which they must have for this one to count.
+        variant: tells fields of one key apart, of which one counts at a time.
+        main: whether it is shown at once.
+    """
+
+    key: str
+    help: str = ""
+    unit: str = ""
+    form: Literal["number", "text", "choice", "column"] = "number"
+    words: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
+    when: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    variant: str = ""
+    main: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its name in the form."""
+        return f"{self.key}@{self.variant}" if self.variant else self.key
+
+    @property
+    def label(self) -> str:
+        """Its key in words."""
+        table, _, last = self.key.rpartition(".")
+        words = (f"{table} {last}" if table in ("gravity", "filtering") else last).replace("_", " ")
+        return f"{words[:1].upper()}{words[1:]}"
+
+    def applies(self, draft: Draft) -> bool:
+        """Return whether the field counts, given the others."""
+        return all(draft.get(name, "") in values for name, values in self.when.items())
+
+    def read(self, draft: Draft) -> Any:
+        """Return its value as the joint file has it; None where it is empty. What is none is left to be refused."""
+        text = draft.get(self.name, "").strip()
+        if text in self.words:
+            return self.words[text][0]
+        if self.form == "number" and _NUMBER.fullmatch(text):
+            value = float(text.replace(",", "."))
+            return int(value) if value.is_integer() and text.lstrip("+-").isdecimal() else value
+        if self.form == "number" and (found := _WITH_UNIT.fullmatch(text)):
+            return f"{found[1].replace(',', '.')} {found[4]}"
+        return text or None
+
+    def write(self, value: Any) -> str | None:
+        """Return a value of a joint file as the field shows it; None where it cannot."""
+        if self.words:
+            return next((text for text, (known, _) in self.words.items() if known == value and text), None)
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            return None
+        return value if isinstance(value, str) else repr(value) if self.form == "number" else None
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """The faults of a form.
-
-    Attributes:
-        beside: sentences by the name of their field.
-        general: those of no field.
-    """
+    """The faults of a form: sentences by the name of their field, and those of no field."""
 
     beside: Mapping[str, list[str]] = field(default_factory=dict)
     general: tuple[str, ...] = ()
@@ -59,50 +118,154 @@ class Faults:
         return bool(self.beside or self.general)
 
 
+def _choose(
+    *words: Any, empty: str = "as usual", labels: Mapping[str, str] | None = None
+) -> dict[str, tuple[Any, str]]:
+    """Return texts to choose from: of each value its word, and what it is called."""
+    texts = {str(word).lower() if isinstance(word, bool) else str(word): word for word in words}
+    return {"": (None, empty), **{text: (word, (labels or {}).get(text, text)) for text, word in texts.items()}}
+
+
+def _make_field(place: str, one: Declared, **more: Any) -> Field | None:
+    """Return the field of a declared key; None where its value is no number, word or text."""
+    words = one.choices or one.setting.only or ((True, False) if one.type is bool else ())
+    if words:
+        return Field(place, one.setting.help, one.setting.unit, "choice", _choose(*words), **more)
+    if one.type in (int, float, str):
+        return Field(place, one.setting.help, one.setting.unit, "text" if one.type is str else "number", **more)
+    return None
+
+
+def _make_fields(table: str, *names: str, **more: Any) -> tuple[Field, ...]:
+    """Return the fields of the keys of a table: of those named, or of all."""
+    found = {key.place: key.declared for key in reversed(_KEYS) if key.place.rpartition(".")[0] == table}
+    places = [f"{table}.{name}" for name in names] or [*reversed(found)]
+    return tuple(filter(None, (_make_field(place, found[place], **more) for place in places)))
+
+
+def _make_channel(channel: str) -> tuple[Field, ...]:
+    """Return the fields of a channel: its column, its unit, and the rest of what a column has."""
+    table, units = f"record.channels.{channel}", chain.from_iterable(known_units(channel, kind) for kind in _KINDS)
+    column, unit, *rest = _make_fields(table)
+    return (
+        replace(column, form="column"),
+        replace(unit, help="", form="choice", words=_choose(*dict.fromkeys(units), empty="choose ...")),
+        *(one for one in rest if one.key.rpartition(".")[2] not in _OF_READING),
+    )
+
+
+def _make_controller() -> Iterator[Field]:
+    """Yield the fields of all laws; a key that means one thing in several of them is one field."""
+    laws, declared, taken = dict[tuple[str, str], list[str]](), dict[tuple[str, str], Declared](), set[str]()
+    for key in _KEYS:
+        if (
+            key.place.startswith("controller.")
+            and key.place != _LAW
+            and key.kind in _LAWS
+            and key.place.count(".") == 1
+        ):
+            means = key.place, key.declared.setting.description
+            laws.setdefault(means, []).append(key.kind)
+            declared.setdefault(means, key.declared)
+    for (place, meaning), of in laws.items():
+        one = declared[place, meaning]
+        main = one.required or one.name in _SHOWN
+        variant = of[0] if place in taken else ""
+        taken.add(place)
+        if (made := _make_field(place, one, variant=variant, when={_LAW: tuple(of)}, main=main)) is not None:
+            yield made
+
+
+_KEYS = tuple(list_keys(FileTable))
+_LAWS = tuple(dict.fromkeys(key.kind for key in _KEYS if key.place == _LAW and key.kind != "state_space"))
+"""The laws that have fields; of a state space the matrices are further lines."""
+_SHOWN = (
+    "gain",
+    "limit",
+    "delay",
+    "integral_gain",
+    "integral_time",
+    "derivative_gain",
+)  # of a controller, beside what it must have
+_OF_READING = ("sample_time", "update_time", "optional", "time")  # of a channel, in the further lines
+
+KIND = replace(
+    _make_fields("joint", "kind")[0],
+    words=_choose(
+        *_KINDS, empty="choose ...", labels={"prismatic": "straight: m, N", "revolute": "it turns: rad, N m"}
+    ),
+)
+CLOCK, TEXT = (
+    _make_fields("record", *names)
+    for names in (("time", "time_unit", "sample_time"), ("delimiter", "decimal", "header"))
+)
+GEAR = _make_fields("transmission")
+DRIVE = (*_make_fields("joint", "torque_constant"), *_make_fields("drive"))
+CHANNEL_FIELDS = {channel: _make_channel(channel) for channel in CHANNELS}
+_MODEL, _FRICTION, _NAME = _make_fields("joint", "model", "friction", "name")
+_SPRING, *_ = _make_fields("joint", "spring", when={"joint.model": ("flexible",)})
+JOINT = (
+    _MODEL,
+    replace(_FRICTION, words=_choose(*FRICTIONS, labels={law.name: law.label for law in FRICTIONS.values()})),
+    replace(_SPRING, words=_choose(*SPRINGS, labels={name: law.label for name, law in SPRINGS.items()})),
+    *_make_fields("gravity", "load"),
+    _NAME,
+)
+LAW = Field(
+    _LAW, "Most servo drives have a cascade. What is not known can be learned, or done without, less exactly, from a "
+    "record with the motor position.", "", "choice",
+    _choose(*_LAWS, LEARN, WITHOUT, EXTRA, empty="choose ...", labels={
+        "cascade": "cascade: position and speed loop", "pd": "PD on the position", "pid": "PID on the position",
+        LEARN: "not known: learn it from this record", WITHOUT: "not known: do without it",
+        EXTRA: "in the further lines below",
+    }),
+)  # fmt: skip
+CONTROLLER = tuple(_make_controller())
+METHOD = (
+    *_make_fields("method", "frequency", when={"joint.model": ("flexible",)}), *_make_fields("filtering", "cutoff")
+)  # fmt: skip
+CHANNEL_STEP = (KIND, *CLOCK, *TEXT, *GEAR, *chain.from_iterable(CHANNEL_FIELDS.values()), *DRIVE)
+JOINT_STEP = (*JOINT, LAW, *CONTROLLER, *METHOD)
+FIELDS = (*CHANNEL_STEP, *JOINT_STEP)
+_NAMES = frozenset({EXTRA, *(one.name for one in FIELDS)})
+
+
 def clean_entries(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Return the entries of a form as a draft: known names and bounded, printable texts."""
     draft = {}
     for name, value in sent:
-        if name in NAMES:
+        if name in _NAMES:
             text = "".join(c for c in value.replace("\r\n", "\n") if c.isprintable() or c in "\n\t")
-            draft[name] = text[: LONGEST.get(name, _LONGEST)]
+            draft[name] = text[: _LONGEST.get(name, _LONG)]
     return draft
 
 
-def make_tables(draft: Draft, file: str, *more: str) -> dict[str, Any]:
-    """Return the tables of the joint file that a form describes, not checked yet but for the further lines.
+def make_tables(draft: Draft, sent: Sequence[str]) -> dict[str, Any]:
+    """Return the tables of the joint file that the forms describe, not checked yet but for the further lines.
 
     Args:
-        draft: the entries of the form.
-        file: the record.
-        more: further records, which are identified together with it unless the further lines join them to one.
+        draft: the entries of the forms.
+        sent: names of the records, the first of the file first.
 
     Raises:
         JointFileError: the further lines are no TOML, name files that were not sent, or say again what a field says.
     """
-    made: dict[str, Any] = {"record": {"file": file}}
+    made: dict[str, Any] = {"record": {"file": sent[0]}}
     for one in FIELDS:
         value = one.read(draft)
-        if value is not None and one.applies(draft) and _has_column(one, draft):
-            *path, last = one.key.split(".")
-            table = made
-            for key in path:
-                table = table.setdefault(key, {})
-            table[last] = value
-    _lay_out_filters(made)
-    if draft.get(_LAW) == LEARN:
-        made["controller"] = {**made["controller"], **_STAND_IN}
-    elif draft.get(_LAW) not in LAWS:
-        made.pop("controller", None)
-    extra = _parse(draft.get(EXTRA, ""), EXTRA)
-    if draft.get(_LAW) == WITHOUT and _at(extra, ["method", "name"]) is None:
-        made.setdefault("method", {})["name"] = "idim"
+        if value is not None and one.applies(draft) and one is not LAW and _has_column(one, draft):
+            _put(made, one.key.split("."), value)
+    law, extra = draft.get(_LAW, ""), _parse(draft.get(EXTRA, ""), EXTRA)
+    if law in _LAWS:
+        _put(made, ["controller", "law"], law)
+    if law == WITHOUT and _at(extra, ["method", "name"]) is None:
+        _put(made, ["method", "name"], "idim")
     if _at(extra, ["record", "files"]) is not None:
         del made["record"]["file"]
-    return _name_files(_merge(made, extra), (file, *more))
+    return name_files(_merge(made, extra), sent)
 
 
-def _name_files(tables: dict[str, Any], sent: Sequence[str]) -> dict[str, Any]:
+def name_files(tables: dict[str, Any], sent: Sequence[str]) -> dict[str, Any]:
     """Return tables of a joint or robot file with paths replaced by names of sent files.
 
     Raises:
@@ -111,15 +274,15 @@ def _name_files(tables: dict[str, Any], sent: Sequence[str]) -> dict[str, Any]:
     faults, record, robot = list[Fault](), tables.get("record", {}), tables.get("robot")
 
     def find(path: Any, *place: str | int) -> Any:
-        name = name_in_run(clean_name(path)) if isinstance(path, str) else None
-        if name is None or name in sent:  # what is no text is refused by the schema
+        name = clean_name(path) if isinstance(path, str) else None
+        if name is None or name in sent:  # what is no text is refused by the file's rules
             return path if name is None else name
         rest = f' is "{name}", which was not sent; add that file in step 1, or correct the name.'
         faults.append(Fault(f"{dot_path(place)}{rest}", place))
         return path
 
     records = [name for name in sent if not name.lower().endswith(MODELS)]
-    joined = record.get("files") if isinstance(record, dict) else None
+    joined = _at(record, ["files"])
     if isinstance(robot, dict) and "model" in robot:
         tables["robot"] = {**robot, "model": find(robot["model"], "robot", "model")}
     if isinstance(joined, list):
@@ -138,227 +301,131 @@ def _name_files(tables: dict[str, Any], sent: Sequence[str]) -> dict[str, Any]:
     return tables
 
 
-def require_answers(draft: Draft) -> None:
-    """Raise a `JointFileError` for each question of step 2 that decides the units and has no answer."""
-    faults = [
-        _make_fault(one.key, "is not chosen, and the column's name says none; choose that of its numbers.")
-        for one in _open_units(draft)
-    ]
-    if not draft.get("joint.kind"):
-        faults.insert(0, _make_fault("joint.kind", "is not chosen; say whether it turns or moves straight."))
-    if faults:
-        raise JointFileError(faults)
-
-
-def _make_fault(key: str, rest: str) -> Fault:
-    return Fault(f"{key} {rest}", tuple(key.split(".")), "missing")
-
-
-def _open_units(draft: Draft) -> list[Field]:
-    """Return the units that a form leaves open.
-
-    None is open if a drive's profile or the further lines define it; an injected signal has the unit of the torque.
-    """
-    extra = _parse(draft.get(EXTRA, ""), EXTRA)
-    if _at(extra, ["drive", "profile"]) is not None:
-        return []
-    asked = [one for one in FIELDS if one.form == "unit" and one.applies(draft) and _has_column(one, draft)]
-    return [
-        one
-        for one in asked
-        if not draft.get(one.name) and ".injected." not in one.key and _at(extra, one.key.split(".")) is None
-    ]
-
-
-def with_units(draft: Draft) -> dict[str, str]:
-    """Return the draft of a joint file with the units said that it leaves open: as a column is named, or SI."""
-    said = dict(draft)
-    for one in _open_units(draft):
-        path = one.key.rpartition(".")[0]
-        plain = draft.get(f"{path}.gain", "").strip() in ("", "1", "1.0")  # a gain leads to another unit
-        known = [word for word, _ in one.choices if word]
-        named = find_unit(draft[f"{path}.column"], known) if plain else None
-        said[one.name] = named or known[0]
-    return said
-
-
-def make_reading_tables(draft: Draft, file: str, *more: str) -> dict[str, Any]:
-    """Return the tables for reading the records, with a rigid joint and a placeholder controller.
+def make_reading_tables(draft: Draft, sent: Sequence[str]) -> dict[str, Any]:
+    """Return the tables for reading the records, with a rigid joint and a law that stands in.
 
     Raises:
-        JointFileError: see `make_tables`.
+        JointFileError: see `make_tables`; or kind or units are not chosen, which decide how numbers are read.
     """
-    said = make_tables(draft, file, *more)
+    said = make_tables(draft, sent)
+    faults = [] if draft.get(_KIND) else [_make_fault(_KIND, "is not chosen; say whether it turns or moves straight.")]
+    kind, channels = draft.get(_KIND) or "prismatic", _channels(said)
+    for channel, column in channels.items():
+        if isinstance(column, dict) and "unit" not in column and "profile" not in said.get("drive", {}):
+            named = unit_in_name(str(column.get("column")), known_units(channel, kind)) if channel in CHANNELS else "SI"
+            if named is None and channel != "injected":  # which has the unit of the torque
+                rest = "is not chosen, and the column's name says none; choose that of its numbers."
+                faults.append(_make_fault(f"record.channels.{channel}.unit", rest))
+    if faults:
+        raise JointFileError(faults)
     made: dict[str, Any] = {key: said[key] for key in ("transmission", "record", "drive") if key in said}
-    joint = {"kind": "prismatic", **said.get("joint", {})}  # before the kind is known only columns are read
-    made["joint"] = {key: joint[key] for key in ("kind", "torque_constant") if key in joint}
-    if "reference" not in _channels(made):
-        return made | {"method": {"name": "idim"}}
-    return made | {"method": {"name": "didim"}, "controller": _STAND_IN}
+    made["joint"] = {key: said["joint"][key] for key in ("kind", "torque_constant") if key in said["joint"]}
+    if "reference" in channels or "profile" in said.get("drive", {}):
+        return made | {"method": {"name": "didim"}, "controller": _STAND_IN}
+    return made | {"method": {"name": "idim"}}
 
 
-def make_robot_order(draft: Draft, sent: Sequence[str], folder: Path) -> tuple[str, list[str]]:
-    """Return the checked robot file of a form, and its records.
+def make_joint_file(draft: Draft, sent: Sequence[str]) -> str:
+    """Return the checked joint file of the forms.
+
+    Raises:
+        JointFileError: with a sentence for each fault.
+    """
+    if not draft.get(_KIND):
+        raise JointFileError(_make_fault(_KIND, "is not chosen; say in step 2 whether it turns or moves straight."))
+    if not draft.get(_LAW):
+        raise JointFileError(_make_fault(_LAW, "is not chosen; choose the law, or say that it is not known."))
+    said = make_tables(draft, sent)
+    learn = draft[_LAW] == LEARN
+    lacking = [name for name in ("torque", "reference", "motor_position") if name not in _channels(said)]
+    if learn and lacking and "profile" not in said.get("drive", {}):
+        rest = f"cannot be learned without {join(lacking)}; choose that column in step 2, or fill in the controller."
+        raise JointFileError(_make_fault(_LAW, rest))
+    return dumps(JointFile.of(said | {"controller": {**said.get("controller", {}), **_STAND_IN}} if learn else said))
+
+
+def make_robot_file(draft: Draft, sent: Sequence[str], folder: Path) -> str:
+    """Return the checked robot file, which stands in the further lines.
 
     Args:
-        draft: the entries of the form; the further lines are the whole file.
-        sent: names of the records, the first of the file first, and of the robot's model.
+        draft: the entries of the forms.
+        sent: names of the records and of the robot's model.
         folder: where the model is.
 
     Raises:
         JointFileError: with a sentence for each fault.
     """
-    text = draft.get(EXTRA, "")
-    said = _parse(text, EXTRA)
-    named = _name_files(dict(said), sent)
-    made = text if named == said else tomlkit.dumps(named)
-    file = loads(made, folder)
-    first = file.runs[0].file if file.runs else str(file.source.first)
-    others = [] if file.source.files else [one for one in sent if one != first and not one.lower().endswith(MODELS)]
-    return made, [first, *others]
+    said = _parse(draft.get(EXTRA, ""), EXTRA)
+    text = tomlkit.dumps(name_files(dict(said), sent))
+    loads(text, folder)
+    return text
 
 
-def make_order(draft: Draft, file: str, *more: str) -> tuple[str, bool]:
-    """Return the checked joint file of a form, and whether to learn its controller.
+def describe_record(columns: Sequence[str]) -> dict[str, Any]:
+    """Return the entries of the forms that the names of columns make, and a sentence on whose log it is."""
+    log = recognise(tuple(columns))
+    if log is None:
+        return {"draft": {}, "sentence": ""}
+    place = log.axes[0].place if len(log.axes) > 1 else {}
+    known = {f"drive.{key}": str(value) for key, value in place.items() if f"drive.{key}" in _NAMES}
+    return {"draft": {"drive.profile": log.profile.name, **known}, "sentence": log.sentence}
 
-    One that is to be learned has gains of 1 in it, and the gain of the drive's chain where that is given.
+
+def fill_in_form(text: str) -> dict[str, Any]:
+    """Return the entries of the forms from a joint file or a robot file, and whether it is one of a robot.
+
+    What has a field stands in its field, everything else in the further lines; of a robot all does, and how its record
+    is read stands in the fields as well.
 
     Raises:
-        JointFileError: with a sentence for each fault.
+        JointFileError: it is no TOML.
     """
-    if not draft.get("joint.kind"):
-        raise JointFileError(
-            _make_fault("joint.kind", "is not chosen; say in step 2 whether it turns or moves straight.")
-        )
-    if not draft.get(_LAW):
-        raise JointFileError(_make_fault(_LAW, "is not chosen; choose the law, or say that it is not known."))
-    said = make_tables(draft, file, *more)
-    learn = draft[_LAW] == LEARN
-    lacking = [name for name in ("torque", "reference", "motor_position") if name not in _channels(said)]
-    if learn and lacking:
-        raise JointFileError(
-            _make_fault(
-                _LAW,
-                f"cannot be learned, because the record has no {' and no '.join(lacking)}; choose that column in step "
-                "2, or fill in the controller.",
-            )
-        )
-    return dumps(JointFile.of(said)), learn
+    rest, draft = _parse(text, "The file"), dict[str, str]()
+    if "robot" in rest:
+        options = {one.name: one.write(_at(rest, one.key.split("."))) for one in TEXT}
+        return {"robot": True, "draft": {EXTRA: text, **{key: value for key, value in options.items() if value}}}
+    law = _at(rest, ["controller", "law"])
+    draft[_LAW] = WITHOUT if law is None else law if law in _LAWS else EXTRA
+    draft["joint.model"] = str(_at(rest, ["joint", "model"]) or "")
+    _drop(rest, ["record", "file"])
+    rows = rest.get("records")
+    if isinstance(rows, list) and all(isinstance(row, dict) and {*row} == {"file"} for row in rows):
+        _drop(rest, ["records"])  # the page lists the records that are sent
+    for one in FIELDS:
+        if one.applies(draft) and (shown := one.write(_at(rest, one.key.split(".")))) is not None:
+            draft[one.name] = shown
+            _drop(rest, one.key.split("."))
+    return {"robot": False, "draft": draft | {EXTRA: tomlkit.dumps(_without_empty(rest))}}
 
 
 def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) -> Faults:
     """Return the faults of a joint file beside the fields of these names that they are about; others are general."""
     if not isinstance(error, JointFileError):
         return Faults({}, () if error is None else tuple(str(error).splitlines()))
-    shown = {one.key: one for one in FIELDS if one.name in names and one.applies(draft)}
-    beside: dict[str, list[str]] = {}
-    general = []
+    shown = {one.key: one.name for one in FIELDS if one.name in names and one.applies(draft)} | {EXTRA: EXTRA}
+    beside, general = dict[str, list[str]](), list[str]()
     for fault in error.faults:
         keys = [dot_path(fault.place[:n]) for n in range(len(fault.place), 0, -1)]
-        found = next((shown[k] for key in keys for k in (key, f"{key}.column", f"{key}.kind") if k in shown), None)
-        if found is not None:
-            said = found.number_fault(draft) or found.label + fault.removeprefix(keys[0])
-            beside.setdefault(found.name, []).append(said)
-        elif fault.place == (EXTRA,) and EXTRA in names:
-            beside.setdefault(EXTRA, []).append(fault)
+        found = next((shown[k] for key in keys for k in (key, f"{key}.column") if k in shown), None)
+        if found is not None and found in names:
+            beside.setdefault(found, []).append(fault)
         else:
             general.append(fault)
     return Faults(beside, tuple(general))
 
 
-def fill_in_form(text: str) -> dict[str, Any]:
-    """Return the entries of a form from a joint file or a robot file.
-
-    The text of a robot file stands in the further lines; how its record is read stands in the fields as well.
-
-    Raises:
-        JointFileError: it is no TOML.
-    """
-    tables = _parse(text, "The file")
-    if "robot" not in tables:
-        return {"robot": False, "draft": with_units(read_joint_file(text))}
-    options = {one.name: one.write(_at(tables, one.key.split("."))) for one in TEXT}
-    return {"robot": True, "draft": {EXTRA: text, **{key: value for key, value in options.items() if value}}}
-
-
-def read_joint_file(text: str) -> dict[str, str]:
-    """Return a joint file as a draft: what has a field in its field, everything else in the further lines.
-
-    Raises:
-        JointFileError: it is no TOML.
-    """
-    rest = _parse(text, "The joint file")
-    draft: dict[str, str] = {}
-    law = _at(rest, ["controller", "law"])
-    _lay_out_fields(rest)
-    deciding = {name: _at(rest, name.split(".")) for name in _DECIDING}
-    known = {name: str(value or usual(name)) for name, value in deciding.items()} | {_LAW: str(law or WITHOUT)}
-    if not isinstance(law, str) or law not in dict(LAW.choices):
-        known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
-    _drop(rest, ["record", "file"])
-    rows = rest.get("records")
-    if isinstance(rows, list) and all(isinstance(row, dict) and {*row} == {"file"} for row in rows):
-        _drop(rest, ["records"])  # the page lists the records that are sent
-    for one in FIELDS:
-        if one.applies(known) and (shown := one.write(_at(rest, one.key.split(".")))) is not None:
-            draft[one.name] = shown
-            _drop(rest, one.key.split("."))
-    if law is None and _at(rest, ["method", "name"]) == "idim":
-        _drop(rest, ["method", "name"])
-    _lay_out_filters(rest)
-    return draft | {EXTRA: tomlkit.dumps(_without_empty(rest))}
-
-
-def _lay_out_fields(tables: dict[str, Any]) -> None:
-    """Convert a controller to the layout of the fields: one torque filter, kinds of filters, an integral time."""
-    controller = _at(tables, ["controller"])
-    if not isinstance(controller, dict):
-        return
-    rows = controller.get("torque_filters")
-    if isinstance(rows, list) and len(rows) == 1:
-        controller["torque_filters"] = {"0": _with_kind(rows[0])}
-    if "velocity_filter" in controller:
-        controller["velocity_filter"] = _with_kind(controller["velocity_filter"])
-    gain = controller.get("integral_gain")
-    if controller.get("law") != "cascade" or "integral_time" in controller or isinstance(gain, bool):
-        return
-    if isinstance(gain, int | float) and 1e-9 < gain < 1e9 and 1 / (1 / gain) == gain:
-        controller["integral_time"] = 1 / controller.pop("integral_gain")
-
-
-def _with_kind(written: Any) -> Any:
-    """Return a filter with its kind, where its numbers are all it has."""
-    if isinstance(written, list):
-        return {"kind": "digital", "numerator": written}
-    return {"kind": "digital", **written} if isinstance(written, dict) and {*written} == {"numerator"} else written
-
-
-def _lay_out_filters(tables: dict[str, Any]) -> None:
-    """Convert the filters of a controller to the layout of a joint file: a list, taps without a kind."""
-    controller = _at(tables, ["controller"])
-    if not isinstance(controller, dict):
-        return
-    rows = controller.get("torque_filters")
-    if isinstance(rows, dict):
-        controller["torque_filters"] = [one for one in rows.values() if one]
-    rows = controller.get("torque_filters")
-    for one in (controller.get("velocity_filter"), *(rows if isinstance(rows, list) else [])):
-        if isinstance(one, dict) and one.get("kind") == "digital" and "denominator" not in one:
-            del one["kind"]
-    if controller.get("torque_filters") == []:
-        del controller["torque_filters"]
+def _make_fault(key: str, rest: str) -> Fault:
+    return Fault(f"{key} {rest}", tuple(key.split(".")), "missing")
 
 
 def _has_column(one: Field, draft: Draft) -> bool:
     """Return whether the channel of a field has a column; True for fields of no channel."""
     path = one.key.split(".")
-    if path[:2] != ["record", "channels"]:
-        return True
-    return bool(draft.get(f"record.channels.{path[2]}.column", "").strip())
+    return path[:2] != ["record", "channels"] or bool(draft.get(f"record.channels.{path[2]}.column", "").strip())
 
 
 def _channels(said: Mapping[str, Any]) -> Mapping[str, Any]:
-    found = said.get("record", {}).get("channels", {})
+    found = _at(said, ["record", "channels"])
     return found if isinstance(found, dict) else {}
 
 
@@ -366,6 +433,12 @@ def _at(said: Any, path: list[str]) -> Any:
     for key in path:
         said = said.get(key) if isinstance(said, dict) else None
     return said
+
+
+def _put(said: dict[str, Any], path: list[str], value: Any) -> None:
+    for key in path[:-1]:
+        said = said.setdefault(key, {})
+    said[path[-1]] = value
 
 
 def _drop(said: dict[str, Any], path: list[str]) -> None:
@@ -389,16 +462,16 @@ def _merge(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...]
     faults, joined = list[Fault](), dict(made)
     for key, value in extra.items():
         here = (*path, key)
-        if key not in joined:
-            joined[key] = value
-        elif isinstance(value, dict) and isinstance(joined[key], dict):
+        if isinstance(value, dict) and isinstance(joined.get(key), dict):
             try:
                 joined[key] = _merge(joined[key], value, here)
             except JointFileError as error:
                 faults += error.faults
-        else:
+        elif key in joined:
             rest = " stands in the further lines and in its field; remove it from the lines."
             faults.append(Fault(f"{dot_path(here)}{rest}", here))
+        else:
+            joined[key] = value
     if faults:
         raise JointFileError(faults)
     return joined

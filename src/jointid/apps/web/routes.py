@@ -6,33 +6,28 @@ import asyncio
 import json
 import re
 import zipfile
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
-from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response, StreamingResponse
 
-from jointid.apps.web import pages
-from jointid.apps.web.fields import TEXT
-from jointid.apps.web.folder import PREVIEW, PageError, Run, clean_name, name_in_run, read_json, refusal_of, write_json
-from jointid.apps.web.form import MODELS, make_reading_tables, read_joint_file, with_units
-from jointid.apps.web.guesses import guess_draft
+from jointid.apps.web import form, pages
+from jointid.apps.web.folder import MODELS, PageError, Run, link, read_json, refusal_of, write_json
 from jointid.apps.web.pages import AppState, receive_files
 from jointid.apps.web.preview import draw_svg
 from jointid.common.errors import JointidError
 from jointid.common.files import beside
 from jointid.records.formats import format_of
 
-_WITH_OPTIONS = "CSV"  # the format whose files may need to be read in another way
 _EVERY = 0.25  # seconds between looks at the progress
 _ALIVE = 60  # of these, after which a line is sent that keeps the connection
-
-_MOST = 50
-"""Files of one upload, and of one identification."""
+_WITH_OPTIONS = "CSV"  # the format whose files may need to be read in another way
+_MOST = 50  # files of one upload, and of one identification
+_LINE = re.compile(r"[0-9]{1,9}")
 
 FILES = {
     "joint.toml": "application/toml",
@@ -40,11 +35,6 @@ FILES = {
     "answer.json": "application/json",
     "answer.txt": "text/plain; charset=utf-8",
     "report.html": "text/html; charset=utf-8",
-    "test.csv": "text/csv; charset=utf-8",
-    "test.mat": "application/octet-stream",
-    "test.png": "image/png",
-    "axis.svg": "image/svg+xml",
-    "how-to-run.md": "text/markdown; charset=utf-8",
 }
 """The files of an answer that can be downloaded, beside all of it with the record."""
 
@@ -52,8 +42,6 @@ REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src
 """A report runs no script: its sandbox reaches neither the page nor the network."""
 
 BUNDLE = "all.zip"
-_GOAL = 200  # characters
-_LINE = re.compile(r"[0-9]{1,9}")
 
 _Action: TypeAlias = Callable[[Request, AppState], Awaitable[Response]]
 _Endpoint: TypeAlias = Callable[[Request], Awaitable[Response]]
@@ -83,113 +71,75 @@ async def show_record(request: Request) -> Response:
 @_refusing(pages.show_record)
 async def take_record(request: Request, state: AppState) -> Response:
     """Take records in place of those before, with the joint file, or the robot file and its model, that came along."""
-    received = await receive_files(request, state, state.limits.upload, pages.list_sent_suffixes(), _MOST)
-    try:
-        return await _take_files(state, received)
-    finally:
-        for path, _ in received:
-            state.folder.discard(path.name)
-
-
-@_refusing(pages.show_record)
-async def add_records(request: Request, state: AppState) -> Response:
-    """Take further records of the same axis, or of the same robot."""
-    received = await receive_files(request, state, state.limits.upload, pages.list_suffixes(), _MOST)
-    try:
+    with state.folder.receiving() as fresh:
+        names = await receive_files(request, fresh, state.limits.upload, pages.list_sent_suffixes(), _MOST)
         async with state.files:
-            record = state.folder.record
-            if record is None:
-                return state.redirect("/")
-            known = state.folder.sent
-            if twice := [name for _, name in received if name_in_run(name) in known]:
-                raise PageError(f"There is a file called {', '.join(twice)} already; rename the new one.")
-            if len(known) + len(received) > _MOST:
-                raise PageError(f"That would be more than {_MOST} files; identify fewer records together.")
-            for path, name in received:
-                await _read_columns(state, path, name, state.folder.draft)
-            _keep_files(state, record, [*_list_more(state, record), *received])
-    finally:
-        for path, _ in received:
-            state.folder.discard(path.name)
-    return state.redirect("/")
+            return await _take_files(state, fresh, names)
 
 
-@_refusing(pages.show_record)
-async def leave_records_out(_: Request, state: AppState) -> Response:
-    """Remove all records but the first; the model of a robot stays."""
-    async with state.files:
-        record = state.folder.record
-        if record is not None:
-            models = [(path, name) for path, name in _list_more(state, record) if path.suffix in MODELS]
-            _keep_files(state, record, models)
-    return state.redirect("/")
-
-
-def _list_more(state: AppState, record: Mapping[str, Any]) -> list[tuple[Path, str]]:
-    return [(state.folder.path / one["file"], one["name"]) for one in record["more"]]
-
-
-def _keep_files(state: AppState, record: Mapping[str, Any], more: Sequence[tuple[Path, str]]) -> None:
-    """Keep the first record with other files beside it."""
-    first = state.folder.path / record["file"]
-    state.folder.save_record(first, record["name"], state.folder.draft, more, robot=record["robot"])
-
-
-async def _take_files(state: AppState, received: Sequence[tuple[Path, str]]) -> Response:
+async def _take_files(state: AppState, fresh: Path, names: list[str]) -> Response:
     """Sort the files of an upload: a joint file or robot file, the model of a robot, and records.
 
     Raises:
         PageError: they do not belong together.
         JointFileError: the joint file or robot file is no TOML.
     """
-    tables = [one for one in received if one[0].suffix == ".toml"]
-    models = [one for one in received if one[0].suffix in MODELS]
-    records = [one for one in received if one not in (*tables, *models)]
+    tables = [name for name in names if name.lower().endswith(".toml")]
+    models = [name for name in names if name.lower().endswith(MODELS)]
+    records = [name for name in names if name not in (*tables, *models)]
     if len(tables) > 1 or len(models) > 1:
-        names = ", ".join(name for _, name in (tables if len(tables) > 1 else models))
-        raise PageError(f"Expected one joint file or robot file with one model; received {names}: send one of them.")
-    made: dict[str, Any] = {"robot": False, "draft": {}}
-    for path, name in tables:
-        text = _read_toml(path, name, state.limits.joint_file)
-        made = await state.jobs.ask("fill_in", {"text": text}, state.folder.path)
-    robot = made["robot"]
-    if models and not robot:
-        raise PageError(f"{models[0][1]} is the model of a robot; send the robot file (TOML) and its record with it.")
-    if robot and not (models and records):
-        lacks = " and ".join(word for word, found in (("its model", models), ("its record", records)) if not found)
-        raise PageError(f"{tables[0][1]} is a robot file, and {lacks} did not come with it; choose all files at once.")
-    async with state.files:
-        if not records:
-            if state.folder.record is None or state.folder.record["robot"]:
-                raise PageError(f"{tables[0][1]} came without its record; choose both at once.")
-            state.folder.save_draft(made["draft"])
-            return state.redirect("/channels")
-        of_robot = state.folder.record is not None and state.folder.record["robot"]
-        options = {one.name for one in TEXT}
-        before = {} if of_robot else {key: text for key, text in state.folder.draft.items() if key not in options}
-        await _replace_record(state, records, made["draft"] or before, models, told=bool(tables), robot=robot)
-    return state.redirect("/joint" if robot else "/channels")
+        several = ", ".join(tables if len(tables) > 1 else models)
+        raise PageError(f"Expected one joint file or robot file with one model; received {several}: send one.")
+    made: dict[str, Any] = {"robot": False, "draft": None}
+    if tables:
+        made = await _fill_in(state, fresh, tables[0])
+    if made["robot"] and not (models and records):
+        raise PageError(f"{tables[0]} is a robot file; choose it with its model and its record, all at once.")
+    if models and not made["robot"]:
+        raise PageError(f"{models[0]} is the model of a robot; send the robot file (TOML) and its record with it.")
+    if not records:
+        if not state.folder.sent or state.folder.robot:
+            raise PageError(f"{tables[0]} came without its record; choose both at once.")
+        state.folder.save_draft(made["draft"])
+        return state.redirect("/channels")
+    await _keep(state, fresh, [*records, *models], made["draft"])
+    return state.redirect("/joint" if made["robot"] else "/channels")
 
 
-def _read_toml(path: Path, name: str, most: int) -> str:
-    if path.stat().st_size > most:
-        raise PageError(f"{name} is larger than {pages.format_size(most)}, the most of a joint file; is it the record?")
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise PageError(f"{name} is not text in UTF-8; save it so.") from None
+@_refusing(pages.show_record)
+async def add_records(request: Request, state: AppState) -> Response:
+    """Take further records of the same axis, or of the same robot."""
+    with state.folder.receiving() as fresh:
+        names = await receive_files(request, fresh, state.limits.upload, pages.list_suffixes(), _MOST)
+        known = state.folder.sent
+        if twice := [name for name in names if name in known]:
+            raise PageError(f"There is a file called {', '.join(twice)} already; rename the new one.")
+        if len(known) + len(names) > _MOST:
+            raise PageError(f"That would be more than {_MOST} files; identify fewer records together.")
+        for name in known:
+            link(state.folder.now / name, fresh / name)
+        async with state.files:
+            await _keep(state, fresh, [*known, *names], state.folder.draft)
+    return state.redirect("/")
+
+
+@_refusing(pages.show_record)
+async def leave_records_out(_: Request, state: AppState) -> Response:
+    """Leave all records out but the first; the model of a robot stays."""
+    sent = state.folder.sent
+    kept = [name for name in sent if name == sent[0] or name.lower().endswith(MODELS)]
+    write_json(state.folder.now / "sent.json", {"files": kept})
+    return state.redirect("/")
 
 
 @_refusing(pages.show_record)
 async def make_example(_: Request, state: AppState) -> Response:
     """Simulate the example, with every field filled in."""
-    from jointid.paper.twin import JOINT_FILE
-
-    async with state.files:
-        await state.jobs.read("simulate", state.folder.path)
-        fresh = (state.folder.path / "example.csv").rename(state.folder.new_upload(".csv"))
-        example = JOINT_FILE.replace(", optional = true", "")  # for other records; this one has all of them
-        await _replace_record(state, [(fresh, "example.csv")], with_units(read_joint_file(example)), told=True)
+    with state.folder.receiving() as fresh:
+        await state.jobs.act("example", fresh)
+        made = await _fill_in(state, fresh, "joint.toml")
+        async with state.files:
+            await _keep(state, fresh, ["example.csv"], made["draft"])
     return state.redirect("/channels")
 
 
@@ -198,22 +148,58 @@ async def read_again(request: Request, state: AppState) -> Response:
     """Read the record again, with other options of a text file."""
     draft = await state.save_form(request)
     async with state.files:
-        record = state.folder.record
-        if record is None:
-            return state.redirect("/")
-        try:
-            await _read_columns(state, state.folder.path / record["file"], record["name"], draft)
-        except PageError:  # the preview is of what the form no longer says
-            state.folder.drop_preview()
-            raise
+        if state.folder.sent:
+            await _preview(state, state.folder.now, state.folder.sent, draft)
     return state.redirect("/channels")
+
+
+async def _keep(state: AppState, fresh: Path, names: list[str], draft: Mapping[str, str] | None) -> None:
+    """Put files in the record's place; without a draft what is known before stays where it suits the columns."""
+    before = state.folder.draft
+    options = {one.name: before.get(one.name, "") for one in form.TEXT} if names == state.folder.sent else {}
+    try:
+        found = await _preview(state, fresh, names, options if draft is None else draft)
+    except PageError:  # of a text file an option may be all that is missing
+        if format_of(fresh / names[0]).name == _WITH_OPTIONS:
+            state.folder.replace(fresh, names, draft or {})
+        raise
+    if draft is None:
+        columns = {column["name"] for column in (read_json(fresh / "columns.json") or {})["columns"]}
+        named = {text for key, text in before.items() if key.endswith(".column") and text}
+        same = bool(named) and named <= columns
+        kept = {key: text for key, text in before.items() if same or not key.startswith(("record.", "drive."))}
+        draft = {**kept, **({} if same else found["draft"])}
+    state.folder.replace(fresh, names, draft)
+
+
+async def _preview(state: AppState, folder: Path, names: list[str], draft: Mapping[str, str]) -> dict[str, Any]:
+    """Read the columns of records, and return what their names say."""
+    values = {one.key.rpartition(".")[2]: one.read(draft) for one in form.TEXT}
+    records = [name for name in names if not name.lower().endswith(MODELS)]
+    work = {"files": records, "options": {key: value for key, value in values.items() if value is not None}}
+    write_json(folder / "work.json", work)
+    (folder / "columns.json").unlink(missing_ok=True)  # of what the form no longer says
+    await state.jobs.act("preview", folder)
+    return read_json(folder / "made.json") or {"draft": {}}
+
+
+async def _fill_in(state: AppState, folder: Path, name: str) -> dict[str, Any]:
+    """Return what a joint file or robot file makes of the forms."""
+    if (folder / name).stat().st_size > state.limits.joint_file:
+        most = pages.format_size(state.limits.joint_file)
+        raise PageError(f"{name} is larger than {most}, the most of a joint file; is it the record?")
+    (folder / name).replace(folder / "joint.toml")
+    await state.jobs.act("fill_in", folder)
+    made = read_json(folder / "made.json")
+    if made is None:
+        raise PageError(f"{name} is not text in UTF-8; save it so.")
+    return made
 
 
 async def show_channels(request: Request) -> Response:
     """Show step 2."""
     state = AppState.of(request)
-    record = state.folder.record
-    if record is not None and record["robot"]:
+    if state.folder.robot:
         return state.redirect("/joint")
     return state.redirect("/") if state.folder.preview is None else pages.show_channels(state)
 
@@ -221,13 +207,11 @@ async def show_channels(request: Request) -> Response:
 @_refusing(pages.show_channels)
 async def check_channels(request: Request, state: AppState) -> Response:
     """Check step 2 by reading the record as it says."""
-    draft = await state.save_form(request)
+    await state.save_form(request)
+    if not state.folder.sent:
+        return state.redirect("/")
     async with state.files:
-        record = state.folder.record
-        if record is None:
-            return state.redirect("/")
-        write_json(state.folder.path / "work.json", {"files": state.folder.sent, "draft": draft})
-        await state.jobs.read("check", state.folder.path, record["file"], record["name"])
+        await state.jobs.act("check", state.folder.now)
     state.jobs.prepare()
     return state.redirect("/joint")
 
@@ -239,100 +223,39 @@ async def draw_column(request: Request) -> Response:
     if preview is None or number >= len(preview["columns"]):
         raise HTTPException(404)
     column = preview["columns"][number]
-    end = pages.label_end(preview, folder.draft, column)
-    return Response(draw_svg(column, end), media_type="image/svg+xml")
-
-
-async def _replace_record(
-    state: AppState,
-    records: Sequence[tuple[Path, str]],
-    draft: Mapping[str, str],
-    models: Sequence[tuple[Path, str]] = (),
-    *,
-    told: bool = False,
-    robot: bool = False,
-) -> None:
-    """Put files in the record's place if they can be read, and guess the channels from the names of the columns.
-
-    Nothing is guessed where they are told: a joint file or robot file said all. What the form says of columns that the
-    first record has as well stays. A text file that cannot be read is kept: an
-    option may be all that is missing. Where the disk is full the record before stays as it was.
-    """
-    (fresh, name), *others = records
-    more = [*others, *models]
-    try:
-        for path, called in records:
-            try:
-                await _read_columns(state, path, called, draft)
-            except PageError:
-                if path == fresh and format_of(fresh).name == _WITH_OPTIONS:
-                    state.folder.save_record(fresh, name, draft, more, robot=robot)
-                raise
-        preview = read_json(state.folder.path / f"{fresh.name}{PREVIEW}") or {"columns": []}
-        columns = [column["name"] for column in preview["columns"]]
-        state.folder.save_record(fresh, name, draft if told else _fit_draft(draft, columns), more, robot=robot)
-    finally:
-        for path, _ in (*records, *models):
-            state.folder.discard(path.name)
-
-
-def _fit_draft(draft: Mapping[str, str], columns: Sequence[str]) -> dict[str, str]:
-    """Return the entries of a form that suit these columns, and guesses for the others."""
-    named = {text for key, text in draft.items() if key.endswith(".column") or key == "record.time"}
-    kept = {
-        key: text for key, text in draft.items() if text and (not key.startswith("record.") or named <= {"", *columns})
-    }
-    return {**guess_draft(columns), **kept}
-
-
-async def _read_columns(state: AppState, path: Path, name: str, draft: Mapping[str, str]) -> None:
-    options = make_reading_tables({one.name: draft.get(one.name, "") for one in TEXT}, path.name)["record"]
-    chosen = {key: value for key, value in options.items() if key != "file"}
-    write_json(state.folder.path / "work.json", {"file": path.name, "options": chosen})
-    await state.jobs.read("preview", state.folder.path, path.name, name)
+    return Response(draw_svg(column, f"{column['samples']} rows"), media_type="image/svg+xml")
 
 
 async def show_joint(request: Request) -> Response:
     """Show step 3."""
     state = AppState.of(request)
-    if state.folder.preview is None:
-        return state.redirect("/")
-    name = request.query_params.get("imported", "")
-    return pages.show_joint(state, imported=clean_name(name) if name else "")
+    return pages.show_joint(state) if state.folder.sent else state.redirect("/")
 
 
 @_refusing(pages.show_joint)
 async def import_joint_file(request: Request, state: AppState) -> Response:
     """Fill in the form from a joint file."""
-    ((path, name),) = await receive_files(request, state, state.limits.joint_file, [".toml"])
-    try:
-        text = _read_toml(path, name, state.limits.joint_file)
-    finally:
-        path.unlink(missing_ok=True)
-    made = await state.jobs.ask("fill_in", {"text": text}, state.folder.path)
-    record = state.folder.record
-    if made["robot"] != (record is not None and record["robot"]):
+    with state.folder.receiving() as fresh:
+        (name,) = await receive_files(request, fresh, state.limits.joint_file, [".toml"])
+        made = await _fill_in(state, fresh, name)
+    if made["robot"] != state.folder.robot:
         kind = "robot" if made["robot"] else "joint"
         raise PageError(f"{name} is a {kind} file; choose it together with its records in step 1.")
     state.folder.save_draft(made["draft"])
-    return state.redirect(f"/joint?imported={quote(name)}")
+    return state.redirect("/joint")
 
 
 @_refusing(pages.show_joint)
 async def identify(request: Request, state: AppState) -> Response:
     """Check everything, and start the identification, in a folder of its own that holds all it takes."""
-    draft = await state.save_form(request)
-    record = state.folder.record
-    if record is None:
+    await state.save_form(request)
+    if not state.folder.sent:
         return state.redirect("/")
-    sent = state.folder.sent
-    made = await state.jobs.ask("order", {"draft": draft, "files": sent, "robot": record["robot"]}, state.folder.path)
     async with state.files:
-        if state.folder.record != record:
-            raise PageError("Another record was sent meanwhile; look at its channels first.")
-        await state.jobs.require_idle()
-        run = state.folder.new_run(sent, made)
-    state.jobs.start(run)
+        await state.jobs.act("order", state.folder.now)
+        state.jobs.require_idle()
+        run = state.folder.new_run()
+        state.jobs.start(run)
     return state.redirect(f"/runs/{run.number}")
 
 
@@ -361,29 +284,13 @@ async def cancel_run(request: Request) -> Response:
     return state.redirect(f"/runs/{run.number}")
 
 
-async def plan_test(request: Request) -> Response:
-    """Start planning the next test after an identification."""
-    state, run = AppState.of(request), _find_run(request)
-    goal = dict(await state.read_form(request)).get("goal", "all")
-    async with state.files:
-        if not run.answered or run.active:
-            raise PageError(f"Identification {run.number} is still at work; plan the next test when it has ended.")
-        await state.jobs.require_idle(yields=False)
-        (run.folder / "progress.txt").unlink(missing_ok=True)
-        asked = {"goal": goal[:_GOAL], "seconds": state.limits.planning}
-        write_json(run.folder / "work.json", run.work | asked)
-        run.update(state="planning", before=run.status["state"], unplanned="")
-    state.jobs.start_planning(run)
-    return state.redirect(f"/runs/{run.number}#plan")
-
-
 async def send_file(request: Request) -> Response:
     """Send one of the files of an answer."""
     run, name = _find_run(request), request.path_params["name"]
     if name == BUNDLE and run.has("answer.json"):
         async with AppState.of(request).files:
-            path, stem = await run_in_threadpool(_bundle, run)
-        return FileResponse(path, media_type="application/zip", filename=f"jointid-{stem}.zip")
+            path = await run_in_threadpool(_bundle, run)
+        return FileResponse(path, media_type="application/zip", filename=f"jointid-{run.number}.zip")
     if name not in FILES or not run.has(name):
         raise HTTPException(404)
     if name == "report.html" and "download" not in request.query_params:
@@ -400,35 +307,33 @@ def _find_run(request: Request) -> Run:
 
 
 async def _events(run: Run, begin: int) -> AsyncIterator[str]:
-    """Yield the lines of an identification's progress from a number on, each version of answer and report, its end."""
-    sent, looks, stated = begin, 0, {"answer": "", "report": ""}
+    """Yield the lines of an identification's progress from a number on, that there is an answer, and its end."""
+    sent, looks, answered = begin, 0, False
     while True:
-        status = run.status  # before the lines: none that came before the end is left out
-        stamps = run.stamps
-        for name in (name for name in stamps if stamps[name] != stated[name]):
-            yield f"event: {name}\ndata: {json.dumps(stamps[name])}\n\n"
-        stated = stamps
+        active = run.active  # before the lines: none that came before the end is left out
+        if run.has("answer.json") and not answered:
+            answered = True
+            yield "event: answer\ndata: true\n\n"
         lines = run.read_progress()
         for number in range(sent, len(lines)):
             yield f"id: {number}\ndata: {json.dumps(lines[number])}\n\n"
         sent, looks = max(sent, len(lines)), looks + 1
-        if status["state"] not in ("running", "planning"):
-            yield f"event: end\ndata: {json.dumps(status['state'])}\n\n"
+        if not active:
+            yield "event: end\ndata: true\n\n"
             return
         if looks % _ALIVE == 0:
             yield ": still here\n\n"
         await asyncio.sleep(_EVERY)
 
 
-def _bundle(run: Run) -> tuple[Path, str]:
-    """Return an archive of the answer and the stem of its record; in it `jointid identify` repeats it."""
-    work = run.work
-    path, files = run.folder / BUNDLE, [run.folder / name for name in FILES if run.has(name)]
-    if not run.has(BUNDLE) or path.stat().st_mtime_ns <= max(file.stat().st_mtime_ns for file in files):
-        path.unlink(missing_ok=True)  # it may be a link, which would be followed
-        with beside(path) as fresh, zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as archive:
-            for file in files:
-                archive.write(file, file.name)
-            for name in work["files"]:
-                archive.write(run.folder / name, name)
-    return path, Path(work["file"]).stem
+def _bundle(run: Run) -> Path:
+    """Return an archive of the answer and its records; in it `jointid identify` repeats the answer."""
+    sent = (read_json(run.folder / "work.json") or {}).get("files")
+    if not isinstance(sent, list) or not all(map(run.has, sent)):
+        raise PageError(f"work.json of identification {run.number} is damaged; press Identify again.")
+    path = run.folder / BUNDLE
+    path.unlink(missing_ok=True)  # it may be a link, which would be followed
+    with beside(path) as fresh, zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in (*(name for name in FILES if run.has(name)), *sent):
+            archive.write(run.folder / name, name)
+    return path

@@ -1,98 +1,83 @@
-"""The process that does one piece of work for the page: `python -m jointid.apps.web.worker ACTION FOLDER MEMORY`.
+"""A process that works for the page: `python -m jointid.apps.web.worker MEMORY WORDS`.
 
-A file may be damaged and a fit may take hours: whatever becomes of the process, the page stays up, and its memory is
-bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json` for what
-the person can mend, 3 for a disk that is full, 5 for too little memory. It ends when the page does, whose end it hears
-on its standard input.
+The words are those of a command of jointid, or one of the actions below and a folder. A file may be damaged and a fit
+may take hours: whatever becomes of the process, the page stays up, and its memory is bounded. It ends when the page
+does, whose end it hears on its standard input. Refusals of an action are in `fault.json`, with exit code 2.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
-from jointid.apps.web.folder import CHECKED, PREVIEW, Run, link_files, write_json
+from jointid.apps.web.folder import MODELS
 from jointid.common.bounds import LIBRARIES, TOO_LARGE, limit_memory, measure_memory
 from jointid.common.errors import JointFileError, JointidError
-from jointid.common.files import is_full, write_whole
+from jointid.common.files import write_whole
 
-if TYPE_CHECKING:
-    from jointid import Estimate, Record
-    from jointid.config.contents import File
-    from jointid.tuning.tuned import Tuned
-
-REFUSED, NO_ROOM = 2, 3
-
-_MOMENT = 3.0  # seconds that the first report waits for what belongs into it
-_FOLLOWS = "It is still being computed, and follows in this place."
+REFUSED = 2
 
 
 def preview(folder: Path) -> None:
-    """Read the record of `work.json`, and write its preview."""
+    """Write the columns of the first record, and what the log says of itself."""
+    from jointid.apps.web.form import describe_record
     from jointid.apps.web.preview import build_preview
     from jointid.records.formats import read_table
 
-    work = _read_work(folder)
-    table = read_table(folder / work["file"], **work["options"])
-    if not table.columns:
-        raise JointidError("The file holds no column with more than one number; choose another file.")
-    write_whole(folder / f"{work['file']}{PREVIEW}", json.dumps(build_preview(table), allow_nan=False))
+    work = _read(folder, "work.json")
+    for name in reversed(work["files"]):  # the first one last
+        table = read_table(folder / name, **work["options"])
+        if not table.columns:
+            raise JointidError(f"{name} holds no column with more than one number; choose another file.")
+        made = describe_record(list(table.columns))
+        _write(folder, "columns.json", {**build_preview(table), "sentence": made["sentence"]})
+        _write(folder, "made.json", made)
 
 
-def simulate(folder: Path) -> None:
-    """Simulate the digital twin, and write `example.csv`."""
+def example(folder: Path) -> None:
+    """Simulate the digital twin, and write its record and joint file."""
     from jointid import twin, write
+    from jointid.paper.twin import JOINT_FILE
 
     write(twin().record, folder / "example.csv")
+    write_whole(folder / "joint.toml", JOINT_FILE.replace(", optional = true", ""))  # this record has every channel
 
 
 def check(folder: Path) -> None:
-    """Read the records as the entries of the form in `work.json` say, and write what the first one holds."""
-    from jointid.apps.web.form import make_reading_tables, require_answers
+    """Read the records as the forms say, and write what the first one holds."""
+    from jointid.apps.web.form import make_reading_tables
     from jointid.config import JointFile
 
-    work = _read_work(folder)
-    require_answers(work["draft"])
-    with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as place:
-        link_files(folder, work["files"], Path(place))  # by the names that the joint file has
-        names = [*work["files"]]
-        file = JointFile.of(make_reading_tables(work["draft"], *names), Path(place) / "joint.toml")
-        first, *_ = [file.record(Path(place) / name) for name in ([names[0]] if file.source.files else names)]
-    assert first.torque is not None
-    size = {"samples": len(first.torque), "sample_time": first.torque.sample_time, "duration": first.torque.duration}
-    write_whole(folder / f"{work['files'][names[0]]}{CHECKED}", json.dumps({**size, "unit": first.torque.unit}))
+    names = _records(folder)
+    file = JointFile.of(make_reading_tables(_read(folder, "draft.json"), names), folder / "joint.toml")
+    first, *_ = [file.record(folder / name) for name in ([names[0]] if file.source.files else names)]
+    torque = first.torque
+    assert torque is not None
+    size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
+    _write(folder, "checked.json", size)
 
 
 def fill_in(folder: Path) -> None:
-    """Write the entries of the form that the joint file or robot file in `work.json` makes to `made.json`."""
+    """Write the entries of the forms that the joint file or robot file makes."""
     from jointid.apps.web.form import fill_in_form
 
-    write_whole(folder / "made.json", json.dumps(fill_in_form(_read_work(folder)["text"])))
+    _write(folder, "made.json", fill_in_form((folder / "joint.toml").read_text(encoding="utf-8-sig")))
 
 
 def order(folder: Path) -> None:
-    """Write the joint file or the robot file of the form in `work.json`, and whether to learn, to `made.json`."""
-    from jointid.apps.web.form import MODELS, make_order, make_robot_order
+    """Write the joint file or the robot file that the forms describe."""
+    from jointid.apps.web.form import make_joint_file, make_robot_file
 
-    work = _read_work(folder)
-    names = [*work["files"]]
-    if work["robot"]:
-        link_files(folder.parent, {n: f for n, f in work["files"].items() if n.lower().endswith(MODELS)}, folder)
-        text, records = make_robot_order(work["draft"], names, folder)
-        made = {"name": "robot.toml", "text": text, "records": records, "learn": False}
+    draft, sent = _read(folder, "draft.json"), _read(folder, "sent.json")["files"]
+    if any(name.lower().endswith(MODELS) for name in sent):
+        write_whole(folder / "robot.toml", make_robot_file(draft, sent, folder))
     else:
-        text, to_learn = make_order(work["draft"], *names)
-        made = {"name": "joint.toml", "text": text, "records": names[:1], "learn": to_learn}
-    write_whole(folder / "made.json", json.dumps(made))
+        write_whole(folder / "joint.toml", make_joint_file(draft, sent))
 
 
 def prepare(_: Path) -> None:
@@ -102,172 +87,36 @@ def prepare(_: Path) -> None:
     warm_up(wait=True)
 
 
-def identify(folder: Path) -> None:
-    """Identify as the joint file or robot file says, a controller learned first if `work.json` says so.
-
-    The answer is written as soon as it is known and checked, and the page shows it; the report follows.
-    """
-    from jointid import Record
-    from jointid.config import load
-    from jointid.estimation.result.parts import IN_WINDOWS
-    from jointid.simulation.warm_up import warm_up
-
-    work = _read_work(folder)
-    if work["learn"]:
-        learn(folder, work)
-    file: File[Any] = load(folder / Run(folder).file)
-    paths = [folder / name for name in work["records"]]
-    about = {"name": file.name or "", "checked": False}
-    write_json(folder / "about.json", about)
-    if file.runs or len(paths) > 1:
-        _print_progress("identifying from several records")
-        _write_tuning(folder, "They are computed from one record; identify one alone.")
-        _write_answer(folder, file.identify_together([] if file.runs else paths, _print_progress))
-        return
-    _print_progress("reading the record")
-    record = file.record(paths[0], judged=True)
-    if isinstance(record, Record):  # the engine of a robot is another
-        _print_progress("preparing the simulation")
-        warm_up()
-    _print_progress("identifying")
-    try:
-        estimate = file.identify(record, _print_progress, unchecked=partial(_write_answer, folder))
-    except JointidError as error:
-        raise file.explain(error, record, _print_progress) from error
-    write_json(folder / "about.json", about | {"checked": True})
-    _write_answer(folder, estimate)
-    if estimate.data.windows is not None:
-        _write_tuning(folder, IN_WINDOWS)
-        return
-    _print_progress("writing the report")
-    _write_report(folder, file, estimate, record)
+ACTIONS: dict[str, Callable[[Path], None]] = {
+    one.__name__: one for one in (preview, example, check, fill_in, order, prepare)
+}
 
 
-def _write_report(folder: Path, file: File[Any], estimate: Estimate, record: Record | tuple[Record, ...]) -> None:
-    """Write the report, first without profiles and tuning where these take longer than a moment."""
-    from jointid import Report
-    from jointid.common.parallel import Aside
-    from jointid.output.report import repetition, tune_to_limit
-
-    system: Literal["joint", "robot"] = "joint" if estimate.robot is None else "robot"
-    again = repetition(file.path, Path(file.record_path()), {}, system=system)
-    again = replace(again, command=f"jointid report {file.path.name} --html report.html")
-    tell = partial(
-        Report.of, estimate, record, name=file.name or "", controllers=file.controllers,
-        feed_forward=file.feed_forward, repetition=again, progress=_print_progress,
-    )  # fmt: skip
-
-    def tell_all() -> Report:
-        if estimate.robot is not None:
-            _write_tuning(folder, "They are of one joint: jointid tune robot.toml --axis, with the name of the joint.")
-            return tell()
-        tuned = tune_to_limit(estimate, file.axes[0].drive, file.declared_numbers)
-        _write_tuning(folder, tuned)
-        return tell(tuned=None if isinstance(tuned, str) else tuned)
-
-    whole = Aside(tell_all)
-    if not whole.is_done(within=_MOMENT) and estimate.robot is None:
-        first = tell(profiles=())
-        first.data.absent["profiles"] = first.data.absent["tuning"] = _FOLLOWS
-        write_whole(folder / "report.html", first.html())
-    write_whole(folder / "report.html", whole.result().html())
-
-
-def _write_tuning(folder: Path, tuned: Tuned | str | None) -> None:
-    """Write margins and gains, or why there are none."""
-    from jointid.common.document import Code, Table
-
-    if tuned is None or isinstance(tuned, str):
-        why = tuned or "They need an answer by DIDIM under a controller whose torque limit is given in step 3."
-        stated: dict[str, Any] = {"sentence": f"No margins and gains: {why}", "tables": [], "notch": ""}
-    else:
-        blocks = tuned.proposal()
-        tables = [{"header": one.header, "rows": one.rows} for one in blocks if isinstance(one, Table)]
-        notch = "".join(f"{one.caption}\n{one.text}" for one in blocks if isinstance(one, Code))
-        stated = {"sentence": tuned.sentence, "tables": tables, "notch": notch}
-    write_json(folder / "tuning.json", stated)
-
-
-def _write_answer(folder: Path, estimate: Estimate) -> None:
-    """Write an estimate as text, drawing and JSON, this at once, since the page looks when it was written."""
-    from jointid.estimation.result.answer import mark_of
-    from jointid.output import json as answers
-    from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
-
-    write_whole(folder / "answer.txt", f"{estimate}\n")
-    if estimate.robot is None:
-        write_whole(folder / "axis.svg", draw_axis(estimate))
-        write_whole(folder / "resonance.txt", resonance_sentence(estimate))
-    marks = {str(v.subject): "noted" for v in estimate.checks.verdicts if mark_of(estimate, v) == "noted"}
-    write_json(folder / "marks.json", marks)
-    answers.write(answers.to_dict(estimate), folder / "answer.json")
-
-
-def learn(folder: Path, work: dict[str, Any]) -> None:
-    """Learn the controller, and put it into the joint file in place of the stand-in."""
-    from jointid.config import load_joint, save_with_controller
-
-    _print_progress("learning the controller")
-    file = load_joint(folder / "joint.toml")
-    learned = file.learn_controller(file.record(folder / work["file"]), _print_progress)
-    save_with_controller(file, learned.controller, folder / "joint.toml")
-    write_whole(folder / "learned.txt", f"{learned}\n")
-
-
-def plan(folder: Path) -> None:
-    """Plan the next test of an axis that was identified, for the goal of `work.json`: tables, a figure, `plan.json`."""
-    from jointid.common.charts import png
-    from jointid.common.document import Facts, Table
-    from jointid.config import load_joint
-    from jointid.output.test_layout import lay_out
-    from jointid.planning.design import design
-    from jointid.simulation.warm_up import warm_up
-
-    work = _read_work(folder)
-    file = load_joint(folder / "joint.toml")
-    record = file.record(folder / work["file"])
-    warm_up()
-    _print_progress("identifying again")
-    estimate = file.identify(record, _print_progress, checks=False)
-    asked = {"goal": work["goal"], "search_time": work["seconds"], "limits": file.limits}
-    found = lay_out(file, design(estimate, record, progress=_print_progress, **asked))
-    for name, content in {**found.files(), "test.png": png(found)}.items():
-        write_whole(folder / name, content)
-    table, reached, _, facts = found.to_document().blocks
-    assert isinstance(table, Table)
-    assert isinstance(reached, Table)
-    assert isinstance(facts, Facts)
-    stated = {
-        "goal": found.goal.name,
-        "sentence": found.sentence,
-        "header": table.header,
-        "rows": table.rows,
-        "facts": [*reached.rows, *facts.pairs],
-    }
-    write_whole(folder / "plan.json", json.dumps(stated))
-
-
-def _read_work(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "work.json").read_text(encoding="utf-8"))
+def _read(folder: Path, name: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / name).read_text(encoding="utf-8"))
     return found
 
 
-def _print_progress(message: str) -> None:
-    line = message.replace("\n", " ")
-    with contextlib.suppress(OSError):  # a full disk loses the line, and the work goes on
-        os.write(1, f"{line}\n".encode())
+def _write(folder: Path, name: str, value: Any) -> None:
+    write_whole(folder / name, json.dumps(value, allow_nan=False))
 
 
-ACTIONS: dict[str, Callable[[Path], None]] = {
-    "preview": preview,
-    "simulate": simulate,
-    "check": check,
-    "fill_in": fill_in,
-    "order": order,
-    "prepare": prepare,
-    "identify": identify,
-    "plan": plan,
-}
+def _records(folder: Path) -> list[str]:
+    return [name for name in _read(folder, "sent.json")["files"] if not name.lower().endswith(MODELS)]
+
+
+def act(action: str, folder: Path) -> int:
+    """Carry out an action, and return the exit code."""
+    try:
+        ACTIONS[action](folder)
+    except MemoryError:
+        return TOO_LARGE
+    except JointidError as error:
+        faults = getattr(error, "faults", (str(error),))
+        places = [getattr(fault, "place", ()) for fault in faults]
+        _write(folder, "fault.json", {"faults": faults, "places": places, "of_form": isinstance(error, JointFileError)})
+        return REFUSED
+    return 0
 
 
 def _end_with_the_page() -> None:
@@ -277,30 +126,12 @@ def _end_with_the_page() -> None:
     os._exit(1)
 
 
-def main(action: str, folder: Path) -> int:
-    """Do one piece of work, and return the exit code."""
-    try:
-        try:
-            ACTIONS[action](folder)
-        except MemoryError:
-            return TOO_LARGE
-        except JointidError as error:
-            if is_full(error):
-                raise
-            faults = getattr(error, "faults", (str(error),))
-            places = [getattr(fault, "place", ()) for fault in faults]
-            fault = {"faults": faults, "places": places, "of_form": isinstance(error, JointFileError)}
-            write_whole(folder / "fault.json", json.dumps(fault))
-            return REFUSED
-    except (JointidError, OSError) as error:
-        if is_full(error):
-            return NO_ROOM
-        raise
-    return 0
-
-
 if __name__ == "__main__":
     threading.Thread(target=_end_with_the_page, daemon=True).start()
     # Beside the libraries: one that is loaded at the limit fails in ways of its own, not with `MemoryError`.
-    limit_memory(measure_memory() + LIBRARIES + int(sys.argv[3]))
-    sys.exit(main(sys.argv[1], Path(sys.argv[2])))
+    limit_memory(measure_memory() + LIBRARIES + int(sys.argv[1]))
+    if sys.argv[2] in ACTIONS:
+        sys.exit(act(sys.argv[2], Path(sys.argv[3])))
+    from jointid.apps.cli import main
+
+    main(sys.argv[2:])

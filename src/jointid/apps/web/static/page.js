@@ -27,14 +27,6 @@ function show() {
   }
 }
 
-// The drive's own numbers are asked for where a signal is in its own units.
-function ask() {
-  const part = document.querySelector("[data-own-units]");
-  if (!part) return;
-  const own = part.dataset.ownUnits.split(" ");
-  if (all('select[name*=".unit@"]').some((select) => !select.disabled && own.includes(select.value))) part.open = true;
-}
-
 // The plot beside a channel is that of its column.
 function draw(select) {
   const channel = select.closest("[data-channel]");
@@ -55,7 +47,6 @@ function draw(select) {
 function plain(input) {
   const text = input.value.trim();
   if (/^[-+]?\d*,\d+([eE][-+]?\d+)?(\s*[^\d\s.,].*)?$/.test(text)) input.value = text.replace(",", ".");
-  input.closest(".entry").classList.toggle("said", /\d\s*[^\d\s.,;eE+-]/.test(text));
 }
 
 // The draft is kept at each change, so that a reload finds it again.
@@ -99,7 +90,6 @@ for (const form of all("form[data-draft]")) {
     if (event.target.matches("[data-column]")) draw(event.target);
     if (event.target.matches("[data-number]")) plain(event.target);
     show();
-    ask();
     keep(form);
   });
 }
@@ -148,8 +138,7 @@ for (const zone of all("[data-drop]")) {
   });
 }
 
-// An identification is followed line by line. When there is another answer its page is read anew; the report takes its
-// place there without that, so that whoever reads is left where they are.
+// An identification is followed line by line; when there is an answer, and at its end, its page is read anew.
 const run = document.querySelector("[data-run]");
 if (run) {
   const log = run.querySelector(".log");
@@ -171,67 +160,14 @@ if (run) {
     source.close();
     location.reload();
   };
-  source.addEventListener("answer", (event) => { if (JSON.parse(event.data) !== run.dataset.answer) leave(); });
-  source.addEventListener("report", (event) => { if (run.dataset.answer) showReport(JSON.parse(event.data)); });
-  source.addEventListener("end", (event) => {
-    if (!run.dataset.answer || run.dataset.again || JSON.parse(event.data) !== "done") leave();
-    source.close();
-    run.remove();
-    renew("#tuning");
-    for (const one of all("[data-while]")) one.hidden = true;
-    for (const one of all("[data-later]")) one.hidden = false;
-  });
+  source.addEventListener("answer", () => { if (!("answered" in run.dataset)) leave(); });
+  source.addEventListener("end", leave);
   window.addEventListener("pagehide", () => source.close());
 }
 
-// A part of the page that is known later takes its place, from the page as it is now.
-async function renew(part) {
-  const answer = await fetch(location.href);
-  const fresh = new DOMParser().parseFromString(await answer.text(), "text/html").querySelector(part);
-  if (fresh) document.querySelector(part).replaceWith(fresh);
-}
-
-// A report that is being read is replaced when its reader says so.
-function showReport(stamp) {
-  const report = document.querySelector("[data-report]");
-  if (report.dataset.report === stamp) return;
-  const frame = report.querySelector("iframe");
-  const newer = document.querySelector("[data-newer]");
-  const load = () => {
-    frame.src = frame.dataset.src;
-    newer.hidden = true;
-  };
-  if (report.dataset.report && frame.closest("details").open) {
-    newer.hidden = false;
-    newer.querySelector("button").onclick = load;
-  } else load();
-  report.dataset.report = stamp;
-  report.hidden = false;
-  for (const one of all("[data-missing]", run)) one.hidden = true;
-  for (const one of all("[data-partial]", run)) one.hidden = false;
-}
-
-// A field that a sentence named, or that is wrong, is in sight and marked, whatever is folded around it.
-function point(field) {
-  for (let part = field.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
-  field.focus();
-  const around = field.closest(".field");
-  if (around) {
-    around.classList.add("named");
-    around.scrollIntoView({ block: "center" });
-  }
-}
-
 show();
-ask();
 for (const wrong of all('[aria-invalid="true"]').reverse()) {
   for (let part = wrong.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
 }
-const named = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
 const faults = document.querySelector("[data-focus]") || document.querySelector('[aria-invalid="true"]:not(:disabled)');
-if (named && named.matches("input, select, textarea")) point(named);
-else if (faults) faults.focus();
-window.addEventListener("hashchange", () => {
-  const field = document.getElementById(decodeURIComponent(location.hash.slice(1)));
-  if (field && field.matches("input, select, textarea")) point(field);
-});
+if (faults) faults.focus();
