@@ -209,41 +209,40 @@ def read_report(path: str | Path) -> ReportedEstimate:
     if answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
     try:
-        return (_build_robot_report if answer["model"] == "robot" else _build_report)(answer, path.name)
+        return _build_report(answer, path.name)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.") from None
 
 
 def _build_report(answer: Json, label: str) -> ReportedEstimate:
-    record, gear = answer["record"], answer["transmission"]
+    record, robot, gear, filtering = (
+        answer["record"],
+        answer.get("robot"),
+        answer.get("transmission"),
+        answer["filtering"],
+    )
     side = "" if gear is None else f"{gear['side']} side, {float(gear['motor_per_load']):g} motor per load"
-    filtering = answer["filtering"]
-    borders = " + ".join(str(int(border)) for border in filtering["borders"])
     settings = {
         "method": str(answer["variant"]),
         "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
-        "samples left out": borders,
-        "controller": str(answer["controller_sha256"] or "none")[:12],
+        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
     }
+    if robot is None:
+        settings["controller"] = str(answer["controller_sha256"] or "none")[:12]
+        kind, friction = str(answer["kind"]), str(answer["friction"])
+    else:
+        kind, friction = f"{robot['name']} of {', '.join(map(str, robot['joints']))}", ""
+    quantities = tuple(
+        _quantity(_name_of_sum(name, p), "symbol", p, free=bool(p["free"]))
+        for name, p in _every_parameter(answer).items()
+        if (robot is None or p["axis"]) and not name.rpartition(".")[2].startswith("initial_")
+    )
     sums = [one for one in answer.get("combinations") or () if _of_both_sides(one["weights"])]
     return ReportedEstimate(
-        label,
-        str(record["name"]),
-        _fingerprints(answer),
-        str(answer["model"]),
-        str(answer["kind"]),
-        str(answer["friction"]),
-        side,
-        str(record["torque_unit"]),
-        settings,
-        _share(answer["relative_error_percent"]),
-        tuple(
-            _quantity(name, "symbol", p, free=bool(p["free"]))
-            for name, p in _every_parameter(answer).items()
-            if not name.startswith("initial_")
-        ),
+        label, str(record["name"]), _fingerprints(answer), str(answer["model"]), kind, friction, side,
+        str(record["torque_unit"]), settings, _share(answer["relative_error_percent"]), quantities,
         tuple(_quantity(str(one["name"]), "formula", one) for one in sums),
-    )
+    )  # fmt: skip
 
 
 def _every_parameter(answer: Json) -> Json:
@@ -258,36 +257,9 @@ def _share(percent: object) -> float | None:
     return None if number is None else number / 100
 
 
-def _build_robot_report(answer: Json, label: str) -> ReportedEstimate:
-    record, filtering, robot = answer["record"], answer["filtering"], answer["robot"]
-    settings = {
-        "method": str(answer["variant"]),
-        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
-        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
-    }
-    return ReportedEstimate(
-        label,
-        str(record["name"]),
-        _fingerprints(answer),
-        "robot",
-        f"{robot['name']} of {', '.join(map(str, robot['joints']))}",
-        "",
-        "",
-        str(record["torque_unit"]),
-        settings,
-        _share(answer["relative_error_percent"]),
-        tuple(
-            _quantity(_name_of_sum(name, p), "symbol", p, free=bool(p["free"]))
-            for name, p in answer["parameters"].items()
-            if p["axis"] and ".initial_" not in name
-        ),
-        (),
-    )
-
-
 def _name_of_sum(name: str, p: Mapping[str, Any]) -> str:
-    """Return the name of a parameter with what else is in it: by two methods the same name may have other sums."""
-    others = [one for one in re.findall(r"(?<!\w)[A-Za-z][\w+-]*", str(p["formula"])) if one != p["symbol"]]
+    """Return a name with what else is in its sum, of a robot: by two methods the same name may have other sums."""
+    others = [one for one in re.findall(r"(?<!\w)[A-Za-z][\w+-]*", str(p.get("formula", ""))) if one != p["symbol"]]
     return f"{name} with {', '.join(sorted(others))}" if others else name
 
 
