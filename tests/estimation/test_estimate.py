@@ -120,7 +120,7 @@ def test_residual_and_frequencies() -> None:
 def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
     html = amended(ESTIMATE, data={"record": "<script>alert(1)</script>"})._repr_html_()
     assert "<script" not in html
-    assert '<th scope="row">inertia</th><td class=text>m</td><td>94.90 ± 0.22</td>' in html
+    assert '<th scope="row">inertia</th>' in html and "<td>94.90 ± 0.22</td>" in html
 
 
 def test_an_estimate_is_saved_as_the_command_writes_it(tmp_path: Path) -> None:

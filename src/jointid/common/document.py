@@ -13,19 +13,20 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from html import escape
+from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from jointid.common.files import write_whole
 from jointid.common.text import align, encodable, wrap
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 Mark: TypeAlias = bool | Literal["noted"] | None
 """The answer to a question; None if undecided, noted if it is no but changes nothing."""
 
 _MARKS: Mapping[Mark, str] = {True: "yes", False: "no", None: "?", "noted": "noted"}
-_ANSWERS: Mapping[Mark, str] = {True: "Yes", False: "No", None: "Not known", "noted": "Noted"}
-_CLASSES: Mapping[Mark, str] = {True: "good", False: "bad", None: "open", "noted": "open"}
 WIDTH = 80
 """Characters of a line of plain text."""
 
@@ -247,68 +248,30 @@ def _table_text(block: Table, width: int) -> str:
     return "\n\n".join(shown)
 
 
-def block_html(block: Block, anchor: str = "") -> str:
-    """Return a block as HTML; `anchor` is what a heading is linked by."""
-    if isinstance(block, Heading):
-        link = f' id="{escape(anchor)}"' if anchor else ""
-        return f"<h{block.level}{link}>{escape(block.text)}</h{block.level}>"
-    if isinstance(block, Paragraph):
-        kinds = [kind for kind in ("lead" if block.lead else "", block.tone) if kind]
-        style = f' class="{" ".join(kinds)}"' if kinds else ""
-        return f"<p{style}>{escape(block.text)}</p>"
-    if isinstance(block, Listing | Verdicts | Facts):
-        return "\n".join(_lines_html(block))
-    if isinstance(block, Code):
-        caption = f"<p>{escape(block.caption)}</p>\n" if block.caption else ""
-        return f'{caption}<pre tabindex="0"><code>{escape(block.text)}</code></pre>'
-    return _picture_html(block) if isinstance(block, Picture) else _table_html(block)
+@cache
+def templates(*folders: Path) -> Environment:
+    """Return the templates of HTML in folders, and `blocks.html`, whose macro shows a block; all text is escaped."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup
+
+    made = Environment(
+        autoescape=True, loader=FileSystemLoader([Path(__file__).parent, *folders]), undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    made.filters["base64"] = lambda raw: base64.b64encode(raw).decode("ascii")
+    made.filters["inert"] = lambda json: Markup(inert(json))  # noqa: S704  # no character of a tag is left in it
+    return made
+
+
+def block_html(block: Block) -> str:
+    """Return a block as HTML."""
+    macros: Any = templates().get_template("blocks.html").module
+    return str(macros.show(block))
 
 
 def inert(answer: str) -> str:
     """Return JSON in which no tag, comment or entity of HTML can begin; it is the same JSON."""
     return answer.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _lines_html(block: Listing | Verdicts | Facts) -> list[str]:
-    if isinstance(block, Listing):
-        return ["<ul>", *(f"<li>{escape(item)}</li>" for item in block.items), "</ul>"]
-    if isinstance(block, Verdicts):
-        return ['<ul class="verdicts">', *(_verdict(*row) for row in block.rows), "</ul>"]
-    pairs = (f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in block.pairs)
-    return ["<dl>", *pairs, "</dl>"]
-
-
-def _verdict(asked: str, good: Mark, reasons: tuple[str, ...]) -> str:
-    why = "".join(f"\n<p>{escape(reason)}</p>" for reason in reasons)
-    mark = f'<strong class="mark">{_ANSWERS[good]}</strong>'
-    return f'<li class="{_CLASSES[good]}">{mark}<div><p class="asked">{escape(asked)}</p>{why}\n</div></li>'
-
-
-def _picture_html(block: Picture) -> str:
-    if block.name.endswith(".svg"):
-        image = block.draw().decode()
-    else:
-        source = f"data:image/png;base64,{base64.b64encode(block.draw()).decode('ascii')}"
-        image = f'<img src="{source}" alt="{escape(block.text)}">'
-    narrow = "" if block.wide else " class=narrow"
-    return f"<figure{narrow}>\n{image}\n<figcaption>{escape(block.text)}</figcaption>\n</figure>"
-
-
-def _table_html(block: Table) -> str:
-    kinds = [" class=text" if i in block.words else "" for i in range(len(block.header))]
-    heads = "".join(f'<th scope="col"{k}>{escape(text)}</th>' for k, text in zip(kinds, block.header, strict=True))
-    rows = [
-        f'<tr><th scope="row">{escape(row[0])}</th>'
-        + "".join(f"<td{k}>{escape(text)}</td>" for k, text in zip(kinds[1:], row[1:], strict=True))
-        + "</tr>"
-        for row in block.rows
-    ]
-    caption = [f"<caption>{escape(block.caption)}</caption>"] if block.caption else []
-    label = escape(block.caption or "table")
-    start = f'<div class="wide" tabindex="0" role="region" aria-label="{label}"><table>'
-    head = [start, *caption, f"<thead><tr>{heads}</tr></thead>", "<tbody>"]
-    made = "\n".join([*head, *rows, "</tbody>", "</table></div>"])
-    return f"<details><summary>{len(rows)} rows</summary>\n{made}\n</details>" if block.folded else made
 
 
 def dumps(answer: dict[str, Any]) -> str:

@@ -25,7 +25,7 @@ def opened(folder: Path, port: int, tell: Callable[[str], None]) -> None:
     tell(f"http://127.0.0.1:{port}/")
 
 
-@pytest.mark.parametrize("module", ["uvicorn", "starlette", "jinja2", "python_multipart"])
+@pytest.mark.parametrize("module", ["uvicorn", "starlette", "python_multipart"])
 def test_a_missing_package_is_refused(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, module, None)
     assert served("--folder", tmp_path) == 2

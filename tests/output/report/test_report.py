@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shlex
-import sys
 from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
@@ -181,15 +180,6 @@ def test_the_page_shows_its_charts_and_runs_no_name(rigid_page: str, tmp_path: P
         assert complaints == []
     with opened(path, viewport={"width": 820, "height": 900}) as (page, _):
         assert page.evaluate("document.documentElement.scrollWidth") <= 820
-
-
-@pytest.mark.slow
-def test_a_page_needs_its_extra_before_anything_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "jinja2", None)
-    with pytest.raises(ji.ExtraError):
-        reports.rigid().save(tmp_path / "page.html")
-    assert run("report", EMPS, "--record", tmp_path / "none.mat", "--html", tmp_path / "p.html", "-q") == 2
-    assert not list(tmp_path.iterdir())
 
 
 def test_thinning_keeps_every_peak_and_gap() -> None:

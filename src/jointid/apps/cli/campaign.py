@@ -50,15 +50,13 @@ def campaign(
     from jointid.campaigns.run import run_cases
     from jointid.campaigns.store import open_store
     from jointid.common.files import write_whole
-    from jointid.output.report.page import page, require_extra
+    from jointid.output.report.page import page
 
     engine, kept = _engine(workers, dask), out or file.with_suffix(".jsonl")
     if not 0 < false_alarm < 1:
         raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
     listener = listen(quiet)
     spare((kept, html, csv), file)
-    if html is not None:
-        require_extra()
     asked = load_campaign(file)
     if asked.left_out:
         listener(asked.left_out)

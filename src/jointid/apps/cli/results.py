@@ -60,11 +60,9 @@ def report(
     from jointid.config import JointFile
     from jointid.output.json import load_estimate, read_choices
     from jointid.output.report import repetition, tune_to_limit
-    from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
 
     require_page(html)
-    require_extra()
     spare((html, options.json), held_out, estimate)
     file = options.load(joint, html, options.json, **({} if estimate is None else read_choices(estimate)))
     asked = {"axis": options.axis, "held_out": held_out and held_out.name}

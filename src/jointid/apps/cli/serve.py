@@ -69,7 +69,7 @@ def run_page(folder: Path, port: int, announce: Callable[[str], None]) -> None:
         ExtraError: a package of the page is not installed.
         JointidError: the folder cannot be made, or the address is taken.
     """
-    for module in ("uvicorn", "starlette", "python_multipart", "jinja2"):
+    for module in ("uvicorn", "starlette", "python_multipart"):
         extra(module, "web", "The page")
     from jointid.apps.web.application import build_application, run
 

@@ -127,11 +127,10 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     """
     from jointid.common.charts import png
     from jointid.output.figures import torque_chart
-    from jointid.output.report.page import require_extra, save
+    from jointid.output.report.page import save
     from jointid.paper.reproduce import report_reproduction
     from jointid.paper.reproduce import reproduce as run
 
-    require_extra()
     require_room(out)
     with fresh_folder(out, "--out"):
         ready(listen(quiet))

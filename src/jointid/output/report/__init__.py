@@ -179,11 +179,7 @@ class Report:
         return Document(self.title, tuple(map(typeset_block, self._blocks())), self.answer())
 
     def html(self) -> str:
-        """Return one self-contained HTML page.
-
-        Raises:
-            ExtraError: jinja2 is not installed.
-        """
+        """Return one self-contained HTML page."""
         return page(self.to_document())
 
     def save(self, path: str | Path) -> Path:
@@ -194,7 +190,6 @@ class Report:
 
         Raises:
             RecordError: another suffix, or the file cannot be written.
-            ExtraError: jinja2 is not installed.
         """
         path = Path(path)
         require_page(path)

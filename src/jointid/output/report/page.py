@@ -7,32 +7,24 @@ for other programs is JSON in which no tag can end.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from jointid.common.document import Document, Heading, block_html, inert
-from jointid.common.errors import extra
+from jointid.common.document import Document, Heading, templates
 from jointid.common.files import write_folder
 from jointid.output.json.documents import REPORT_ELEMENT
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 _FEW = 4  # headings: a shorter page needs no list of contents
 
 
 def page(document: Document) -> str:
-    """Return a document as one HTML page; the same document gives the same bytes.
-
-    Raises:
-        ExtraError: jinja2 is not installed.
-    """
+    """Return a document as one HTML page; the same document gives the same bytes."""
     headings = [block for block in document.blocks if isinstance(block, Heading) and block.level == 2]
-    anchors = _anchors([block.text for block in headings])
+    anchors = _anchors(block.text for block in headings)
     links = dict(zip(map(id, headings), anchors, strict=True))
-    return _load_templates().get_template("page.html").render(
+    return templates(Path(__file__).parent).get_template("page.html").render(
         title=document.title,
-        blocks=[block_html(block, links.get(id(block), "")) for block in document.blocks],  # escaped
+        blocks=[(block, links.get(id(block), "")) for block in document.blocks],
         contents=list(zip((block.text for block in headings), anchors, strict=True)) if len(headings) >= _FEW else [],
         style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
         answer=document.answer,
@@ -45,33 +37,11 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
 
     Raises:
         RecordError: the folder or a file cannot be written.
-        ExtraError: jinja2 is not installed.
     """
     return write_folder(folder, {f"{name}.html": page(document).encode()} | document.pictures)
 
 
-def require_extra() -> None:
-    """Raise an `ExtraError` if no page can be written: before anything runs."""
-    _load_templates()
-
-
-def _load_templates() -> Environment:
-    jinja2 = extra("jinja2", "report", "A report as a page (Markdown and figures do without)")
-    from markupsafe import Markup
-
-    made: Environment = jinja2.Environment(
-        autoescape=True, loader=jinja2.FileSystemLoader(Path(__file__).parent), undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    filters: dict[str, Any] = {
-        "inert": lambda json: Markup(inert(json)),  # noqa: S704  # no character of a tag is left in it
-        "as_is": Markup,
-    }
-    made.filters.update(filters)
-    return made
-
-
-def _anchors(texts: list[str]) -> list[str]:
+def _anchors(texts: Iterable[str]) -> list[str]:
     """Return names for headings to be linked by, each once."""
     found: list[str] = []
     for text in texts:
