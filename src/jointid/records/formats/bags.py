@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 from urllib.parse import quote
 
 import numpy as np
@@ -54,16 +54,8 @@ class Instant(int):
     """A time or a duration in nanoseconds."""
 
 
-class Field(NamedTuple):
-    """A message field: type, name and length (None: one value, -1: any number)."""
-
-    type: str
-    name: str
-    length: int | None
-
-
-Types: TypeAlias = Mapping[str, tuple[Field, ...]]
-"""Fields of messages, by the names of their types."""
+Types: TypeAlias = Mapping[str, Any]
+"""Definitions of messages as rosbags parses them, by the names of their types."""
 
 
 def read_bag(path: Path) -> Table:
@@ -179,23 +171,25 @@ class _Decoder:
     def message(self, name: str, deep: int) -> dict[str, Value]:
         if deep > _DEEPEST:
             raise ValueError("messages within messages without end")
-        fields = self.types[name]
+        _, fields = self.types[name]
         if not fields:
             self.take("B", 1)  # a message without fields is a byte long
-        return {field.name: self.member(field, deep) for field in fields}
+        return {key: self.member(shape.name, described, deep) for key, (shape, described) in fields}
 
-    def member(self, field: Field, deep: int) -> Value:
-        if field.length is None:
-            return self.value(field.type, deep)
-        count = int(self.number("I")) if field.length < 0 else field.length
-        if field.type in _NUMBERS:
-            code = _NUMBERS[field.type]
-            start = self.take(code, count) if count else self.at
-            return np.frombuffer(self.data, self.order + code, count, start)
+    def member(self, shape: str, described: Any, deep: int) -> Value:
+        """Read a field: a value (BASE, NAME), so many of them (ARRAY), or any number (SEQUENCE)."""
+        if shape in ("BASE", "NAME"):
+            return self.value(described[0] if shape == "BASE" else described, deep)
+        (_, inner), length = described
+        kind = inner if isinstance(inner, str) else inner[0]
+        count = length if shape == "ARRAY" else int(self.number("I"))
+        if kind in _NUMBERS:
+            start = self.take(_NUMBERS[kind], count) if count else self.at
+            return np.frombuffer(self.data, self.order + _NUMBERS[kind], count, start)
         if count > len(self.data) - self.at:  # each is a byte long at least
             raise ValueError("the message is shorter than it says")
         self.spend(count)
-        return [self.value(field.type, deep) for _ in range(count)]
+        return [self.value(kind, deep) for _ in range(count)]
 
     def value(self, kind: str, deep: int) -> Value:
         self.spend(1)
@@ -306,23 +300,6 @@ def message_types(name: str, text: str) -> Types:
     from rosbags.typesys.stores.ros2_humble import FIELDDEFS
 
     try:
-        own = get_types_from_msg(text, name) if text.strip() else {}
+        return {**FIELDDEFS, **(get_types_from_msg(text, name) if text.strip() else {})}
     except TypesysError:
-        own = {}
-    found: dict[str, tuple[Field, ...]] = {}
-    wanted = [name]
-    while wanted:
-        kind = wanted.pop()
-        definition = own.get(kind) or FIELDDEFS.get(kind)
-        if definition is None or kind in found:
-            continue
-        found[kind] = tuple(_parse_member(key, *described) for key, described in definition[1])
-        wanted += [field.type for field in found[kind] if "/" in field.type]
-    return found
-
-
-def _parse_member(name: str, shape: Any, described: Any) -> Field:
-    if shape.name in ("BASE", "NAME"):
-        return Field(described[0] if shape.name == "BASE" else described, name, None)
-    (_, inner), length = described
-    return Field(inner if isinstance(inner, str) else inner[0], name, length if shape.name == "ARRAY" else -1)
+        return FIELDDEFS
