@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -42,7 +43,14 @@ from jointid.records.columns import (
 from jointid.records.drives import Drive, Frame, index_columns
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
-from jointid.records.resampling import Resampling, Stamped, align_updates, judge_jitter, resample_together
+from jointid.records.resampling import (
+    Resampling,
+    Stamped,
+    align_updates,
+    find_refreshes,
+    judge_jitter,
+    resample_together,
+)
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 _POSITIONS = ("motor_position", "load_position", "reference")
@@ -167,8 +175,7 @@ class RecordReader:
             clocks = clocks.straighten(uniform)
             remarks.append(said)
         if resample is None:
-            updates = {n: column.update_time for n, column in signals.columns.items()}
-            channels, begin = align_updates({**logged, **others}, updates, signals.rows)
+            channels, begin = align_updates({**logged, **others}, signals.rows)
         else:
             channels, begin, done = resample_together(signals.add_stamps({**logged, **others}, clocks), resample)
         apart = {n: channels.pop(n) for n in others}
@@ -198,15 +205,13 @@ class RecordReader:
         clocks = {c.time or stated.get(c.column) for c in columns.values() if c.sample_time is None}
         tolerance = None if self.resample else self.clock_tolerance
         common, own = Clock(), dict[str, Clock]()
-        try:
+        with _collect(faults):
             if time is None and None not in clocks:
                 common = Clock(self.sample_time)
             else:
                 common = find_clock(table, time, self.time_unit, self.sample_time, tolerance)
             for name in sorted(filter(None, clocks)):
                 own[name] = find_clock(table, name, self.time_unit, None, tolerance)
-        except RecordError as error:
-            faults.extend(error.faults)
         return Clocks(common, own, stated)
 
     def _gain_faults(self, table: Table) -> Iterator[str]:
@@ -229,6 +234,15 @@ class RecordReader:
                     f"{said} is {high:g} in the record, and controller.{gain.key} is {declared[gain.key]:g}; "
                     "correct the wrong one."
                 )
+
+
+@contextmanager
+def _collect(faults: list[str]) -> Iterator[None]:
+    """Add the faults of an error to those that are found already."""
+    try:
+        yield
+    except RecordError as error:
+        faults.extend(error.faults)
 
 
 class _Signals:
@@ -302,8 +316,14 @@ class _Signals:
 
     def build_channels(self, clocks: Clocks) -> dict[str, Channel]:
         """Return the channels in SI; without those whose unit or rate is at fault."""
-        made = {n: self._build_channel(n, self.columns, self.values[n], clocks, self.faults) for n in self.columns}
-        return {n: channel for n, channel in made.items() if channel is not None}
+        made = dict[str, Channel]()
+        for name, column in self.columns.items():
+            channel = self._build_channel(name, self.columns, self.values[name], clocks, self.faults)
+            made |= {} if channel is None else {name: channel}
+            if channel is not None and column.update_time is not None:
+                with _collect(self.faults):
+                    self.rows[name] = find_refreshes(f"{name} ({channel.source})", channel, column.update_time)
+        return made
 
     def _build_channel(
         self, name: str, columns: Mapping[str, Column], values: FloatArray, clocks: Clocks, faults: list[str]
@@ -411,14 +431,12 @@ class _Signals:
         return made
 
     def add_stamps(self, channels: Mapping[str, Channel], clocks: Clocks) -> dict[str, Stamped]:
-        """Attach instants to channels, of the rows in which they have a number; refuse missing stamps or refreshes."""
+        """Attach instants to channels, of the rows in which they have a number; refuse missing stamps."""
         faults, made = list[str](), dict[str, Stamped]()
         for name, channel in channels.items():
             column = self.columns.get(name) or replace(self.columns[_own_position(self.columns)], column=name)
             clock = clocks.clock_of(column)
-            if column.update_time is not None:
-                faults.append(f"{name} has an update_time, and is to be resampled; leave one of the two out.")
-            elif clock.stamps is None:
+            if clock.stamps is None:
                 faults.append(
                     f"{name} has no time stamps to be resampled by; name its time column, or leave resample out."
                 )

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -263,28 +262,16 @@ class _Rhythm:
 
 
 def align_updates(
-    logged: Mapping[str, Channel],
-    update_times: Mapping[str, float | None],
-    rows: Mapping[str, NDArray[np.bool_]] = MappingProxyType({}),
+    logged: Mapping[str, Channel], rows: Mapping[str, NDArray[np.bool_]]
 ) -> tuple[dict[str, Channel], float]:
-    """Decimate channels to their update rates; return them and the first common instant.
+    """Decimate channels to the rows at which they are refreshed; return them and the first common instant.
 
-    The update times [s] are by channel, None for a channel that is refreshed at every sample. Of a channel that has a
-    number in some rows, (samples,), alone, these are its refreshes.
+    A channel without rows, (samples,), is refreshed at every sample; those of others are equally far apart.
     """
-    rhythms, faults = {}, list[str]()
+    rhythms = {}
     for name, channel in logged.items():
-        rhythms[name] = _Rhythm(channel)
-        if name in rows:
-            phase, following = map(int, np.flatnonzero(rows[name])[:2])
-            rhythms[name] = _Rhythm(channel, following - phase, phase)
-            continue
-        update_time = update_times.get(name)
-        if update_time is not None:
-            rhythms[name], fault = _find_rhythm(f"{name} ({channel.source})", channel, update_time)
-            faults += [fault] if fault else []
-    if faults:
-        raise RecordError(faults)
+        phase, following = np.flatnonzero(rows[name])[:2].tolist() if name in rows else (0, 1)
+        rhythms[name] = _Rhythm(channel, following - phase, phase)
     if all(rhythm.every == 1 for rhythm in rhythms.values()):
         return dict(logged), 0.0
     slowest = max(rhythms.values(), key=lambda rhythm: rhythm.every * rhythm.channel.sample_time)
@@ -299,34 +286,33 @@ def align_updates(
     raise RecordError(f"The channels are never refreshed at one instant ({slow}); leave one of them out.")
 
 
-def _find_rhythm(what: str, channel: Channel, update_time: float) -> tuple[_Rhythm, str]:
-    """Find the rhythm of a channel, and its fault."""
-    period = channel.sample_time
-    ratio = update_time / period
-    every = round(min(ratio, 1e9))
-    if every < 1 or abs(ratio / every - 1) > _WHOLE:
-        return _Rhythm(channel), (
-            f"{what} has an update time of {update_time:g} s, which is {ratio:.4g} of its samples of {period:g} s; "
-            "expected a whole number of them: correct one of the two."
+def find_refreshes(what: str, channel: Channel, update_time: float) -> NDArray[np.bool_]:
+    """Return the rows, (samples,), at which a channel that is logged more often than refreshed has a new value.
+
+    Raises:
+        RecordError: its values change at other instants.
+    """
+    period, ratio = channel.sample_time, update_time / channel.sample_time
+    every = round(min(ratio, len(channel)))
+    if every < 1 or abs(ratio / every - 1) > _WHOLE or 2 * every > len(channel):
+        raise RecordError(
+            f"{what} has an update time of {update_time:g} s, which is {ratio:.4g} of its {len(channel)} samples of "
+            f"{period:g} s; expected a whole number of them, and two refreshes: correct one of the two."
         )
     changes = np.flatnonzero(np.diff(channel.values)) + 1
-    if changes.size == 0:
-        return _Rhythm(channel, every), ""
     phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
-    wrong = changes[changes % every != phase]
-    longer = update_interval(channel.values)
-    fault = ""
+    wrong, longer = changes[changes % every != phase], update_interval(channel.values)
     if wrong.size:
-        fault = (
+        raise RecordError(
             f"{what} is said to be refreshed every {every} samples, but {wrong.size} of its {changes.size} changes "
             f"come between, the first at sample {wrong[0]}; correct update_time, or leave it out."
         )
-    elif longer > every:
-        fault = (
+    if longer > every:
+        raise RecordError(
             f"{what} is said to be refreshed every {every} samples, but changes only every {longer}; set update_time = "
             f"{longer * period:g}."
         )
-    return _Rhythm(channel, every, phase), fault
+    return np.asarray(np.arange(len(channel)) % every == phase)
 
 
 def update_interval(values: FloatArray) -> int:

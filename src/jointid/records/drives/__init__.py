@@ -394,22 +394,15 @@ class Drive:
         traces = self.traces
         position, torque = (units.unit(name[kind]) for name in (POSITION_UNIT, TORQUE_UNIT))
         if unit.dimension == units.COUNTS:
-            name = _COUNTS[kind]
-            counts = getattr(self, name)
-            if of_load:
-                counts = getattr(self, f"load_{name}") or (None if geared else counts)
-            if counts is None and of_load and geared:
-                raise units.UnitError(
-                    f"which behind a transmission needs the drive's load_{name}, of the load's own encoder ({name} is "
-                    "the motor's): give it, or gain and another unit"
-                )
+            name, own = _COUNTS[kind], f"load_{_COUNTS[kind]}"
+            counts = getattr(self, own if of_load else name) or (None if of_load and geared else getattr(self, name))
             if counts is None:
                 said = "" if traces is None or kind == "prismatic" else f" ({traces.counts})"
+                needed = f"{own}, of the load's own encoder behind the transmission," if of_load and geared else name
                 raise units.UnitError(
-                    f"which needs the drive's {name}{said}: give it below [drive], or gain and another unit"
+                    f"which needs the drive's {needed}{said}: give it below [drive], or gain and another unit"
                 )
-            turn = 2 * math.pi if kind == "revolute" else 1.0
-            return replace(position, name=unit.name, factor=turn / counts)
+            return replace(position, name=unit.name, factor=(2 * math.pi if kind == "revolute" else 1.0) / counts)
         if unit.dimension == units.SHARE:
             rated = self.rated_torque or self._from_current
             if rated is None:
