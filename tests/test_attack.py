@@ -192,8 +192,11 @@ def test_a_damaged_file_of_any_format_is_read_or_refused(name: str, tmp_path: Pa
         logged.write(path)
         whole[kind] = path.read_bytes()
     path, count = tmp_path / f"damaged{LOGGED[name].suffix}", 0
-    for _ in range(20):
-        path.write_bytes(damaged(whole[name], list(whole.values()), chance) or b"\0")
+    renamed = [content for kind, content in whole.items() if kind != name]
+    cuts = [whole[name][: len(whole[name]) * k // 8] for k in range(8)]
+    bits = [damaged(whole[name], list(whole.values()), chance) for _ in range(20)]
+    for content in (*renamed, *cuts, *bits):
+        path.write_bytes(content)
         count += refused(lambda: read_table(path))
         refused(lambda: inspect(path))
     assert count >= 5
