@@ -161,7 +161,7 @@ def test_files_that_are_no_model(tmp_path: Path) -> None:
     "text",
     [
         mjcf("<body/>" * 2001),
-        mjcf('<geom size="1"/>' * 2001),
+        mjcf("<body>" + '<geom size="1"/>' * 2001 + "</body>"),
         mjcf("<frame/>" * 2001),
         mjcf("", "<equality>" + '<weld body1="b"/>' * 2001 + "</equality>"),
         URDF.replace("<robot", "<robot>" + "".join(f'<link name="l{k}"/>' for k in range(2001)) + "<x", 1).replace(

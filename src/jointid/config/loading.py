@@ -140,13 +140,7 @@ def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = (), axi
 
 
 def loads(
-    text: str,
-    folder: str | os.PathLike[str] = ".",
-    changes: Iterable[str] = (),
-    *,
-    method: str | None = None,
-    filtering: str | None = None,
-    friction: str | None = None,
+    text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: str | None
 ) -> JointFile | RobotFile:
     """Load a joint file, or a robot file, from its text; see `load`.
 
@@ -154,11 +148,8 @@ def loads(
         text: TOML.
         folder: from which the paths of the record and of a robot's model are taken.
         changes: as of `load`.
-        method: as of `load`.
-        filtering: as of `load`.
-        friction: as of `load`.
+        choices: `method`, `filtering` and `friction`, as of `load`.
     """
-    choices = {"method": method, "filtering": filtering, "friction": friction}
     return _file(parse_toml(text), Path(folder) / "joint.toml", changes, **choices)
 
 

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jointid.common import messages
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
 from jointid.common.parameters import Parameter
-from jointid.common.settings import setting, settings_of
+from jointid.common.settings import Declared, setting, settings_of
 from jointid.common.text import join
 from jointid.common.units import Kind
 from jointid.config.contents import FeedForward, File, JointFile, name_axes, resolve_place
@@ -32,15 +32,9 @@ from jointid.config.schema import (
     DriveTable,
     FileTable,
     FilteringTable,
-    GravityTable,
     JointTable,
-    LawTable,
-    LimitsTable,
     MethodTable,
-    ParameterTable,
     RecordTable,
-    RippleTable,
-    TransmissionTable,
 )
 from jointid.config.source import Run
 from jointid.config.table import Reader, Table, fault_at, part, required
@@ -121,16 +115,12 @@ class RobotJointTable(JointTable):
     zero: float = setting(
         0.0, "position of the model's joint where its logged position is 0 [rad or m]; the model is turned"
     )
-    transmission: TransmissionTable | None = setting(None, "its gear, as [transmission] of a joint file")
-    gravity: GravityTable | None = setting(None, "as [gravity] of a joint file")
-    ripple: RippleTable | None = setting(None, "as [ripple] of a joint file")
-    controller: LawTable | None = setting(None, "its law, as [controller] of a joint file")
-    parameters: Mapping[str, ParameterTable] = part(
-        dict, "what is known of its parameters, as [parameters] of a joint file"
-    )
     channels: ChannelsTable | None = setting(None, "its channels, where they are not as [record.channels]")
-    limits: LimitsTable | None = setting(None, "what it may do in a test that is planned")
-    method: MethodTable | None = setting(None, "how it is identified alone, by --axis, as [method] of a joint file")
+
+    @classmethod
+    def declare(cls) -> dict[str, Declared]:
+        """Return the keys of the joint, and the tables that it may have as a joint file has them."""
+        return super().declare() | {name: FileTable.declared()[name] for name in (*_OF_JOINT_FILE, "limits", "method")}
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield nothing: what a joint may not be is seen beside what the model says of it."""
@@ -228,7 +218,8 @@ class RobotFileTable(Table):
         place: dict[str, Any] = {} if self.drive.profile is None else {"axis": number + 1, "joint": own.name}
         # What a joint of a robot is identified by is not its own method, but says which channels must be there.
         name = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
-        method = own.method.given if alone and own.method is not None else {}
+        alone = alone and "method" in own.given
+        method = own.method.given if alone else {}
         table = FileTable(
             {
                 "joint": own.table(kind),
@@ -236,11 +227,11 @@ class RobotFileTable(Table):
                 "drive": DriveTable(place | self.drive.given),
                 "method": MethodTable({**method, "name": method.get("name") or name}),
                 "filtering": self.filtering,
-                "limits": own.limits or LimitsTable(),
+                "limits": own.limits,
                 **{name: own.given[name] for name in _OF_JOINT_FILE if name in own.given},
             }
         )
-        said = ("method",) if alone and own.method is not None else ()
+        said = ("method",) if alone else ()
         return table.as_axis(number, (*said, *(() if own.channels is None else own.channels.given)))
 
 
@@ -467,20 +458,14 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     if both := [name for name in names if name in said.robot.locked]:
         raise JointFileError(f"robot.locked names {', '.join(both)} of [[joints]], which move; leave one of both out.")
     model = load_robot(folder / said.robot.model, said.robot.locked)
-    unknown = [
-        f"joints.{k + 1}.name{messages.no_choice(n, model.names)}" for k, n in enumerate(names) if n not in model.names
-    ]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        unknown.append(f"joints lists {', '.join(twice)} twice; expected every joint once: leave one out.")
+    strange = [name for name in dict.fromkeys(names) if name not in model.names or names.count(name) > 1]
     missing = [name for name in model.names if name not in names]
-    if missing and not unknown:
-        unknown = [
-            f"joints lacks {', '.join(missing)}; expected every joint of {said.robot.model}: add [[joints]] tables, or "
-            f"name joints that stand still in robot.locked, as locked = {{ {' = 0.0, '.join(missing)} = 0.0 }}."
-        ]
-    if unknown:
-        raise JointFileError(unknown)
+    if strange or missing:
+        raise JointFileError(
+            f"joints has {', '.join(strange) or 'none'} too many and lacks {', '.join(missing) or 'none'}; expected "
+            f"{', '.join(model.names)}, each once: name those that stand still in robot.locked, as "
+            f"locked = {{ {' = 0.0, '.join(missing or model.names)} = 0.0 }}."
+        )
     ordered = reorder_joints(model, names).turn(np.array([float(one.zero) for one in said.joints]))
     if list(ordered.names) != names:
         raise JointFileError(
@@ -495,18 +480,10 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
             "an export of a robot on a turned base; expected one of both: leave base out, or set the model's gravity "
             "to 0 0 -9.81."
         )
-    turned = _base(said.robot.base).T @ ordered.gravity
+    turned = Rotation.from_euler("xyz", said.robot.base).as_matrix().T @ ordered.gravity
     # A base that is written as 3.1416 hangs upside down: no record would show a trace of gravity sideways.
     turned = np.where(np.abs(turned) < _UPRIGHT * np.linalg.norm(turned), 0.0, turned)
     return replace(ordered, gravity=turned, name=said.robot.name or ordered.name)
-
-
-def _base(angles: Sequence[float]) -> FloatArray:
-    """Return the rotation of the base's frame to the world's."""
-    (a, b, c), (x, y, z) = np.cos(angles), np.sin(angles)
-    roll = np.array([[1, 0, 0], [0, a, -x], [0, x, a]])
-    pitch = np.array([[b, 0, y], [0, 1, 0], [-y, 0, b]])
-    return np.asarray(np.array([[c, -z, 0], [z, c, 0], [0, 0, 1]]) @ pitch @ roll)
 
 
 def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointFile, ...]:

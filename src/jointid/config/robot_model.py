@@ -282,7 +282,6 @@ def _clean_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, 
     """
     if root.tag not in ("robot", "mujoco"):
         raise JointFileError(f"{called} holds <{root.tag}>; expected <robot>, URDF, or <mujoco>, MJCF: check the file.")
-    _state_meshes(root)
     _refuse_elements(root, called)
     kept, remarks = _strip_model(root, called)
     _give_masses(kept)
@@ -291,7 +290,7 @@ def _clean_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, 
 
 def _strip_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, ...]]:
     """Return the elements of joints and possible masses, and remarks on the others."""
-    stripped = _filter_tree(root, _URDF if root.tag == "robot" else _MJCF)
+    stripped = _filter_tree(root, _URDF if root.tag == "robot" else _MJCF, _has_mass_by_shapes(root))
     _require_few(root, stripped, called)
     for one in stripped.iter():
         for name, value in one.items():
@@ -302,32 +301,8 @@ def _strip_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, 
     return stripped, (*_drop_repeats(stripped), *_forget_impossible(stripped))
 
 
-def _state_meshes(root: ET.Element) -> None:
-    """Write the type `mesh` of default classes into each shape."""
-    classes = dict[str, bool]()
-
-    def read(default: ET.Element, inherited: bool) -> None:
-        own = [one for one in default.findall("geom") if "type" in one.attrib or _is_mesh(one)]
-        name = default.get("class", "main")
-        inherited = classes[name] = any(map(_is_mesh, own)) if own else classes.get(name, inherited)
-        for one in own:
-            for key in ("type", *_SHAPES) if _is_mesh(one) else ():
-                one.attrib.pop(key, None)
-        for inner in default.findall("default"):
-            read(inner, inherited)
-
-    def enter(body: ET.Element, usual: str) -> None:
-        usual = body.get("childclass", usual)
-        for one in body:
-            if one.tag == "geom" and "type" not in one.attrib and classes.get(one.get("class", usual)):
-                one.set("type", _SHAPES[0])
-            elif one.tag in ("body", "frame"):
-                enter(one, usual)
-
-    for default in root.findall("default"):
-        read(default, False)
-    for world in root.findall("worldbody") if any(classes.values()) else ():
-        enter(world, next(iter(classes)))
+def _has_mass_by_shapes(root: ET.Element) -> bool:
+    return any(one.get("inertiafromgeom") == "true" for one in root.iter("compiler"))
 
 
 def _geoms(body: ET.Element) -> Iterator[ET.Element]:
@@ -343,7 +318,7 @@ def _is_mesh(geom: ET.Element) -> bool:
 
 def _refuse_elements(root: ET.Element, called: str) -> None:
     faults = []
-    by_shapes = any(one.get("inertiafromgeom") == "true" for one in root.iter("compiler"))
+    by_shapes = _has_mass_by_shapes(root)
     for one in root.iter():
         name = f"<{one.tag}>" + (f" {one.get('name')}" if one.get("name") else "")
         if one.tag in _REFUSED:
@@ -368,13 +343,14 @@ def _unused_springs(root: ET.Element) -> Iterator[str]:
             yield f"the spring of the tendon between {joints} is not used"
 
 
-def _filter_tree(element: ET.Element, allowed: Mapping[str, str]) -> ET.Element:
-    """Return an element with its allowed attributes and children."""
+def _filter_tree(element: ET.Element, allowed: Mapping[str, str], by_shapes: bool, weighs: bool = False) -> ET.Element:
+    """Return an element with its allowed attributes and children; of shapes those from which a body has its mass."""
     names = allowed[element.tag].split()
     found = ET.Element(element.tag, {name: value for name, value in element.items() if name in names})
     for child in element:
-        if child.tag in allowed and not (child.tag == "geom" and (_is_mesh(child) or element.tag == "worldbody")):
-            found.append(_filter_tree(child, allowed))
+        if child.tag in allowed and (child.tag != "geom" or weighs):
+            shaped = by_shapes or child.find("inertial") is None if child.tag == "body" else weighs
+            found.append(_filter_tree(child, allowed, by_shapes, shaped or child.tag == "default"))
     return found
 
 

@@ -584,34 +584,6 @@ class BlockDiagramTable(LawTable):
             yield from super().faults()
 
 
-_COLUMN = "a list of numbers"
-
-
-class InputColumns(Table):
-    """[controller.B]: the column of each input; one that is left out is 0."""
-
-    reference: tuple[float, ...] | None = setting(None, "of the reference", expected=_COLUMN)
-    reference_velocity: tuple[float, ...] | None = setting(None, "of the reference's velocity", expected=_COLUMN)
-    position: tuple[float, ...] | None = setting(None, "of the motor position", expected=_COLUMN)
-    excess: tuple[float, ...] | None = setting(None, "of what the limit cut off", expected=_COLUMN)
-
-    def build(self) -> Any:
-        """Return the columns that are given."""
-        return self.settings()
-
-
-class InputGains(Table):
-    """[controller.D]: the direct gain of each input; one that is left out is 0."""
-
-    reference: float | None = setting(None, "of the reference")
-    reference_velocity: float | None = setting(None, "of the reference's velocity")
-    position: float | None = setting(None, "of the motor position, usually negative")
-
-    def build(self) -> Any:
-        """Return the gains that are given."""
-        return self.settings()
-
-
 class StateSpaceTable(LawTable):
     """[controller] with law = "state_space": any discrete linear law."""
 
@@ -622,9 +594,17 @@ class StateSpaceTable(LawTable):
     A: tuple[tuple[float, ...], ...] = required(
         "how the states go on: n rows of n numbers", expected="a list of rows, each a list of numbers"
     )
-    B: InputColumns = required("how each input moves the states: n numbers")
+    B: Mapping[str, tuple[float, ...]] = required(
+        "how each input moves the states: n numbers for reference, reference_velocity, position and excess, which is "
+        "what the limit cut off; one that is left out is 0",
+        expected="a table of lists of numbers",
+    )
     C: tuple[float, ...] = required("output row: n numbers", expected="a list of numbers")
-    D: InputGains = required("direct gain of each input: a number")
+    D: Mapping[str, float] = required(
+        "direct gain of each input: a number for reference, reference_velocity and position, usually negative; one "
+        "that is left out is 0",
+        expected="a table of numbers",
+    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield faults of the shapes."""
