@@ -78,7 +78,8 @@ def test_files_of_one_clock_are_not_resampled(tmp_path: Path) -> None:
     t = np.arange(500) * RATE
     write(tmp_path / "positions.csv", "t,q", t, angle(t))
     write(tmp_path / "torques.csv", "t,tau", t, moment(t))
-    record = read_joint(tmp_path)
+    (tmp_path / "joint.toml").write_text(JOINT)
+    record = load(tmp_path / "joint.toml").record(tmp_path / ".." / tmp_path.name / "positions.csv")  # stands for both
     assert record.resampled is None and record.torque is not None
     np.testing.assert_allclose(record.torque.values, moment(t), rtol=1e-11)
 

@@ -70,7 +70,7 @@ class Source:
 
     def read(self, path: str | os.PathLike[str], folder: Path) -> RecordedTable:
         """Read the table of a record; the path of the first file stands for all of them."""
-        if not self.files or Path(path) != folder / self.files[0]:
+        if not self.files or os.path.realpath(path) != os.path.realpath(folder / self.files[0]):
             return read_table(path, **self.options)
         paths = [folder / file for file in self.files]
         return join_files(
