@@ -50,7 +50,7 @@ from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.springs import SPRINGS, LinearSpring, find_spring
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
-from jointid.records.formats import check_options, format_of
+from jointid.records.formats import TextOptions, format_of
 from jointid.records.record import CHANNELS, Channel, Injection
 from jointid.records.signals.filtering import Filtering
 
@@ -127,7 +127,7 @@ class RecordTable(Table):
     delimiter: str | None = setting(
         None,
         'character between the cells of a text file; " " is any run of blanks; without it found',
-        accept=lambda mark: check_options(delimiter=mark),
+        accept=lambda mark: TextOptions(delimiter=mark),
     )
     decimal: Literal[".", ","] | None = setting(None, "decimal mark of a text file; without it found")
     header: bool | None = setting(

@@ -157,7 +157,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
 
     Args:
         path: the file, or the folder of a ROS 2 bag.
-        options: of the format's reader; see `jointid.records.formats.check_options`.
+        options: of the format's reader; see `jointid.records.formats.TextOptions`.
 
     Raises:
         RecordError: the file is missing or cannot be read.

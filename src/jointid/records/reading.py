@@ -99,7 +99,7 @@ def read(
         stop: last one.
         part: which part between jumps of the clock to read, counted from 1; 0 takes the longest.
         resample: rules for a uniform clock; every channel then needs stamps.
-        options: of the format's reader; see `jointid.records.formats.check_options`.
+        options: of the format's reader; see `jointid.records.formats.TextOptions`.
 
     Raises:
         RecordError: the file cannot be read, or contradicts its declaration; `faults` has a sentence for each fault.

@@ -48,7 +48,7 @@ def write(
         sample_time: time between samples for reading [s].
         kind: "revolute" or "prismatic".
         transmission: between motor and load; every channel is written on its own side.
-        options: of the format's reader; see `jointid.records.formats.check_options`.
+        options: of the format's reader; see `jointid.records.formats.TextOptions`.
 
     Raises:
         RecordError: the channels differ in rate or have one sample, two share a column, or the file would not be

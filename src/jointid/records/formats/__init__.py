@@ -5,27 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import beside
 from jointid.records.formats import arrays, bags, columnar, folder, json, text
 from jointid.records.formats.table import Table, require_file
+from jointid.records.formats.text import TextOptions
 
-__all__ = [
-    "FORMATS",
-    "Format",
-    "Table",
-    "check_options",
-    "format_of",
-    "read_blocks",
-    "read_table",
-    "write_table",
-]
-
-check_options = text.check_options
-"""Refuse options of delimited text that cannot be."""
+__all__ = ["FORMATS", "Format", "Table", "TextOptions", "format_of", "read_blocks", "read_table", "write_table"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +55,7 @@ FORMATS: tuple[Format, ...] = (
 )
 """Every format there is."""
 
-_OPTIONS = ("delimiter", "decimal", "header")
+_OPTIONS = tuple(option.name for option in fields(TextOptions))
 _PICKLES = (".pt", ".pth", ".pkl", ".pickle")
 
 
@@ -82,7 +71,8 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     if unknown:
         listed = ", ".join(known) or "none"
         raise RecordError(f"Reading {found.name} has no option {', '.join(unknown)}; it has: {listed}.")
-    check_options(**options)  # type: ignore[arg-type]
+    if known:
+        TextOptions(**options)  # type: ignore[arg-type]
     return found
 
 
@@ -109,7 +99,7 @@ def _find_format(path: str | os.PathLike[str]) -> Format:
 
 
 def read_table(path: str | os.PathLike[str], **options: object) -> Table:
-    """Read all numbers of a file; `options` are those of text, see `check_options`.
+    """Read all numbers of a file; `options` are those of text, see `TextOptions`.
 
     Raises:
         RecordError: the file is missing or cannot be read.

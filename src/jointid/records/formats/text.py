@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ _COMMA_BLANK = ", "  # the delimiter beside decimal commas that is a comma with 
 _DELIMITERS = (";", "\t", "|", ",", _BLANKS)  # of dialects that read a file alike, the first is taken
 _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, of a name, of a line end
 _REMARKS = ("#", "%", "//", "sep=")  # "sep=;" is a note from one spreadsheet program to another
-_HEAD, _BEGINNING = 2**25, 2**20  # characters that tell how a file is written, which is read whole or in blocks
+_HEAD, _BEGINNING = 2**23, 2**20  # characters that tell how a file is written, which is read whole or in blocks
 _CELLS = 2**21  # that are read together
 _LONGEST = 2_500_000  # characters of a line: more than the widest table has
 _SAMPLE, _SAMPLE_SIZE = 200, 2**20  # lines, and their characters, that decide, from the end, where the data is
@@ -74,6 +74,31 @@ class Line(NamedTuple):
     def is_remark(self) -> bool:
         """Whether it is a comment."""
         return self.text.lstrip().startswith(_REMARKS)
+
+
+@dataclass(frozen=True, slots=True)
+class TextOptions:
+    """Options of delimited text.
+
+    Attributes:
+        delimiter: one character, " " for any run of blanks; None finds it.
+        decimal: "." or ","; None finds it.
+        header: True if the line above the first row holds names; None takes it as names if it has one cell
+            per column and none of them is a number.
+    """
+
+    delimiter: str | None = None
+    decimal: str | None = None
+    header: bool | None = None
+
+    def __post_init__(self) -> None:
+        mark = self.delimiter
+        if mark is not None and not (isinstance(mark, str) and _DELIMITER.fullmatch(mark)):
+            raise RecordError(f'The delimiter is one character, such as ";"; got {mark!r}.')
+        if self.decimal not in (None, ".", ","):
+            raise RecordError(f'The decimal mark is "." or ","; got {self.decimal!r}.')
+        if self.header not in (None, True, False):
+            raise RecordError(f"header is true or false; got {self.header!r}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,70 +260,42 @@ class Layout:
         return Line(row.number, row.text.rstrip(_BLANKS).removesuffix(self.dialect.delimiter))
 
 
-def check_options(delimiter: str | None = None, decimal: str | None = None, header: bool | None = None) -> None:
-    """Refuse options of text that cannot be.
-
-    Args:
-        delimiter: one character, " " for any run of blanks; None finds it.
-        decimal: "." or ","; None finds it.
-        header: True if the line above the first row holds names; None takes it as names if it has one cell
-            per column and none of them is a number.
-    """
-    if delimiter is not None and not (isinstance(delimiter, str) and _DELIMITER.fullmatch(delimiter)):
-        raise RecordError(f'The delimiter is one character, such as ";"; got {delimiter!r}.')
-    if decimal not in (None, ".", ","):
-        raise RecordError(f'The decimal mark is "." or ","; got {decimal!r}.')
-    if header not in (None, True, False):
-        raise RecordError(f"header is true or false; got {header!r}.")
-
-
-def read_text(
-    path: Path, delimiter: str | None = None, decimal: str | None = None, header: bool | None = None
-) -> Table:
+def read_text(path: Path, **options: Any) -> Table:
     """Read delimited text (CSV, TSV and their kin) in UTF-8, in UTF-16 with a byte order mark, or in Latin-1.
 
     The line above the first row of numbers names the columns, be it a comment; a line of units between them
     is joined to the names ("torque [N m]"). A column without a name is called by its number, from "1".
-    Empty cells are NaN. The first 32 MiB determine the dialect. An export of TwinCAT Scope is known by its header.
-    Options: see `check_options`.
+    Empty cells are NaN. The first 8 MiB determine the dialect. An export of TwinCAT Scope is known by its header.
     """
-    lines = stream_lines(path, _HEAD)
-    beginning = list(_take(lines, _HEAD))
-    scope = None if header is False else find_scope([line.text for line in beginning if not line.is_remark])
-    if scope is not None:
-        return read_scope(path, scope, [line for line in chain(beginning, lines) if not line.is_remark], decimal)
     tables, size = list[Table](), 0
-    for table in _split_blocks(path, beginning, lines, None, (delimiter, decimal, header)):
+    for table in _read(path, None, TextOptions(**options)):
         tables.append(table)
         size += sum(values.size for values in table.columns.values())
         require_size(path, size)
     return join_tables(tables)
 
 
-def read_text_blocks(
-    path: Path, rows: int, delimiter: str | None = None, decimal: str | None = None, header: bool | None = None
-) -> Iterator[Table]:
+def read_text_blocks(path: Path, rows: int, **options: Any) -> Iterator[Table]:
     """Yield blocks of `rows` rows; the first lines determine the dialect."""
-    lines = stream_lines(path, _BEGINNING)
-    beginning = list(_take(lines, _BEGINNING))
-    if find_scope([line.text for line in beginning if not line.is_remark]) is not None:
+    return _read(path, rows, TextOptions(**options))
+
+
+def _read(path: Path, rows: int | None, options: TextOptions) -> Iterator[Table]:
+    head = _HEAD if rows is None else _BEGINNING
+    lines = stream_lines(path, head)
+    beginning = list(_take(lines, head))
+    scope = None if options.header is False else find_scope([line.text for line in beginning if not line.is_remark])
+    if scope is not None and rows is not None:
         raise RecordError(
             f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in chunks; "
             "convert it to NPY."
         )
-    yield from _split_blocks(path, beginning, lines, rows, (delimiter, decimal, header))
-
-
-def _split_blocks(
-    path: Path,
-    beginning: list[Line],
-    lines: Iterator[Line],
-    rows: int | None,
-    options: tuple[str | None, str | None, bool | None],
-) -> Iterator[Table]:
-    layout, start = _find_layout(path.name, beginning, *options)
-    found = chain(beginning[start:], lines)
-    content = (line for line in found if not line.is_remark)
+    if scope is not None:
+        every = [line for line in chain(beginning, lines) if not line.is_remark]
+        yield read_scope(path, scope, every, options.decimal)
+        return
+    layout, start = _find_layout(path.name, beginning, options)
+    content = (line for line in chain(beginning[start:], lines) if not line.is_remark)
     rows = rows or max(_CELLS // len(layout.names), 1)
     block = list(islice(content, rows))
     while block:
@@ -349,13 +346,11 @@ def _take(lines: Iterator[Line], characters: int) -> Iterator[Line]:
             return
 
 
-def _find_layout(
-    file: str, beginning: Sequence[Line], delimiter: str | None, decimal: str | None, header: bool | None
-) -> tuple[Layout, int]:
+def _find_layout(file: str, beginning: Sequence[Line], options: TextOptions) -> tuple[Layout, int]:
     """Return the layout of a file, and the place of its first row."""
     content = [(place, line) for place, line in enumerate(beginning) if not line.is_remark]
     lines = [line for _, line in content]
-    fit = _find_fit(file, lines, delimiter, decimal)
+    fit = _find_fit(file, lines, options)
     first = next(index for index, line in enumerate(lines) if fit.is_row(line.text))
     start = content[first][0]
     dialect, width, rows = fit.dialect, fit.width, lines[first:]
@@ -366,7 +361,7 @@ def _find_layout(
     remark = None if start == 0 or beginning[start - 1].text.startswith("sep=") else beginning[start - 1]
     above = lines[first - 1] if first else remark and Line(remark.number, remark.text.lstrip(" \t#%/"))
     over = lines[first - 2].text if first > 1 else None
-    named = _find_names(file, above, over, fit, closed, header, is_remark=first == 0)
+    named = _find_names(file, above, over, fit, closed, options.header, is_remark=first == 0)
     unnamed = closed and (named is None or len(named) < width or not named[-1])
     width -= unnamed
     names = [name or str(i) for i, name in enumerate(named or [""] * width, start=1)][:width]
@@ -377,14 +372,15 @@ def _find_layout(
     return Layout(file, dialect, names, unnamed, passed=passed), start
 
 
-def _find_fit(file: str, lines: Sequence[Line], delimiter: str | None, decimal: str | None) -> Fit:
+def _find_fit(file: str, lines: Sequence[Line], options: TextOptions) -> Fit:
     """Choose the dialect, by the line of names if ambiguous.
 
     "1,5" is ambiguous: two integers, or a decimal comma. The last lines decide.
     """
     sample = list(_take(reversed(lines[-_SAMPLE:]), _SAMPLE_SIZE))[::-1]
-    dialects = [Dialect(m, p) for m in ((delimiter,) if delimiter else _DELIMITERS) for p in (decimal or ".,")]
-    if delimiter is None and decimal != ".":
+    marks = (options.delimiter,) if options.delimiter else _DELIMITERS
+    dialects = [Dialect(mark, point) for mark in marks for point in (options.decimal or ".,")]
+    if options.delimiter is None and options.decimal != ".":
         dialects.append(Dialect(_COMMA_BLANK, ","))
     fits = [fit for dialect in dialects for fit in _fit(dialect, sample)]
     plain = [fit for fit in fits if not fit.kinds.strip("n")]
@@ -507,14 +503,15 @@ def _is_unit(text: str) -> bool:
     return True
 
 
-def write_text(path: Path, table: Table, delimiter: str | None = None, decimal: str | None = None, **_: object) -> None:
+def write_text(path: Path, table: Table, **options: Any) -> None:
     """Write delimited UTF-8 with round-trip precision.
 
     Default delimiter and decimal mark are comma and point, or semicolon beside a decimal comma. Numbered columns
     have no header. Names that would read as numbers or spreadsheet formulas are refused.
     """
     require_columns(table, "Delimited text")
-    mark, point = delimiter or (";" if decimal == "," else ","), decimal or "."
+    said = TextOptions(**options)
+    mark, point = said.delimiter or (";" if said.decimal == "," else ","), said.decimal or "."
     if mark == point:
         raise RecordError('A comma cannot be both delimiter and decimal mark of what is written; give delimiter = ";".')
     cells = ([repr(value).replace(".", point) for value in values.tolist()] for values in table.columns.values())
