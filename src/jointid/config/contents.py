@@ -28,6 +28,7 @@ from jointid.config.rules import (
 )
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.source import Run, Source, Together
+from jointid.config.table import Table
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
@@ -43,7 +44,7 @@ from jointid.records.chunks import Log, begin_together
 from jointid.records.clock import Cut
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive
-from jointid.records.formats import Table
+from jointid.records.formats import Table as RecordedTable
 from jointid.records.reading import RecordReader
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -72,6 +73,8 @@ class File(ABC, Generic[R]):
         feed_forward: what the drives are given beside the controllers' torque.
         path: of the file; a text is taken to stand in `joint.toml`.
         name: what reports call the joint or the robot.
+        runs: records that the file lists, to be identified together.
+        table: the tables of the file, as they were read.
     """
 
     method: Method
@@ -81,6 +84,8 @@ class File(ABC, Generic[R]):
     feed_forward: FeedForward = "none"
     path: Path = field(default=Path("joint.toml"), compare=False)
     name: str | None = None
+    runs: tuple[Run, ...] = ()
+    table: Table | None = field(default=None, compare=False, repr=False)
 
     @property
     @abstractmethod
@@ -176,7 +181,7 @@ class File(ABC, Generic[R]):
         return self._of_axes(self._fed_forward(self._cut(path, JointFile.driving_of)))
 
     def _cut(
-        self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, Table, str], Record]
+        self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, RecordedTable, str], Record]
     ) -> tuple[Record, ...]:
         """Read a table once, and cut it into the record of each axis; all begin at one instant."""
         path = self.record_path(path)
@@ -260,11 +265,6 @@ class File(ABC, Generic[R]):
         return self.identify([self.record(path) for path in paths or self.listed], progress)
 
     @property
-    def runs(self) -> tuple[Run, ...]:
-        """Records that the file lists: none, as those of a robot are named one by one."""
-        return ()
-
-    @property
     def listed(self) -> list[Path]:
         """Paths of the records that the file lists."""
         return [self.path.parent / run.file for run in self.runs]
@@ -316,9 +316,9 @@ class File(ABC, Generic[R]):
             table = {"t": first.time, **table}  # for whoever looks at the file
         write_columns(table, path, **self.source.options)
 
-    @abstractmethod
     def tables(self) -> dict[str, Any]:
-        """Return the tables of the file."""
+        """Return the tables of the file, as they were read."""
+        return {} if self.table is None else self.table.written()
 
 
 def name_axes(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:
@@ -337,10 +337,8 @@ class JointFile(File[Record]):
         columns: the channels, and where they are found; with a profile of the drive it finds the others.
         controller: the controller's law as the joint sees it through its transmission, None while it is not known.
         drive: whose traces the record is made of, and the numbers behind its units.
-        runs: records that are identified together.
         together: how they are; see `jointid.SeveralRecords`.
         limits: of the axis in a test that is planned; see `jointid.design`.
-        table: the tables of the file, as they were read.
         said: keys of [controller] that the file gives, and the gains that they say in other words.
 
     Example:
@@ -360,7 +358,6 @@ class JointFile(File[Record]):
     columns: Mapping[str, Column]
     controller: Controller | None = None
     drive: Drive = field(default_factory=Drive)
-    runs: tuple[Run, ...] = ()
     together: Together = field(default_factory=Together)
     limits: AxisLimits = field(default_factory=AxisLimits)
     table: FileTable | None = field(default=None, compare=False, repr=False)
@@ -516,7 +513,7 @@ class JointFile(File[Record]):
     def _of_axes(self, records: tuple[Record, ...]) -> Record:
         return records[0]
 
-    def record_of(self, table: Table, name: str) -> Record:
+    def record_of(self, table: RecordedTable, name: str) -> Record:
         """Return the record of this axis from a table of columns; see `record`.
 
         Args:
@@ -535,7 +532,7 @@ class JointFile(File[Record]):
         )
         return record
 
-    def driving_of(self, table: Table, name: str) -> Record:
+    def driving_of(self, table: RecordedTable, name: str) -> Record:
         """Return the signals that drive a simulation from a table; see `driving`."""
         seen = ("torque", "motor_position", "load_position")
         columns = {name: replace(c, optional=True) if name in seen else c for name, c in self._columns.items()}
@@ -551,7 +548,7 @@ class JointFile(File[Record]):
         like = self.columns.get(channel, Column())
         return replace(like, column=name, optional=False, timing=None, tap=None, sample_time=None, update_time=None)
 
-    def _reader(self, columns: Mapping[str, Column], table: Table) -> RecordReader:
+    def _reader(self, columns: Mapping[str, Column], table: RecordedTable) -> RecordReader:
         law = self.controller if isinstance(self.controller, PD) else None
         gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
         return RecordReader(columns, **{**self._reading, **self._clock, **self.source.reading(table)}, gains=gains)
@@ -741,10 +738,6 @@ class JointFile(File[Record]):
                 "start in the table parameters, or identify the joint first."
             )
         return {p.name: float(p.start) for p in parameters if p.start is not None}
-
-    def tables(self) -> dict[str, Any]:
-        """Return the tables of the file, as they were read."""
-        return {} if self.table is None else self.table.written()
 
 
 def resolve_place(path: Path) -> Path:

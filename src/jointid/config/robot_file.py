@@ -258,20 +258,15 @@ class RobotFile(File[tuple[Record, ...]]):
     Attributes:
         model: the robot, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
-        in_motion: whether the records begin while the robot moves.
-        runs: logs that are identified together.
         payloads: `Record.payload` of those that have one, by their paths.
         unmodelled: sentences on what the joints have and the model of a robot has not, which every verb refuses.
-        raw: its tables.
     """
 
     model: Robot
     joints: tuple[JointFile, ...]
-    in_motion: bool
-    runs: tuple[Run, ...]
     payloads: Mapping[Path, tuple[float, ...]]
     unmodelled: tuple[str, ...]
-    raw: Mapping[str, Any] = field(repr=False)
+    table: RobotFileTable = field(repr=False)
 
     @classmethod
     def of(cls, tables: Mapping[str, Any], path: Path = Path("robot.toml")) -> Self:
@@ -314,12 +309,11 @@ class RobotFile(File[tuple[Record, ...]]):
             source=files[0].source,
             feed_forward=said.robot.feed_forward,
             name=said.robot.name,
-            in_motion=said.robot.in_motion,
             runs=tuple(Run(one.file) for one in said.records),
             payloads=_payloads(said.records, path.parent),
             unmodelled=tuple(unmodelled),
             path=path,
-            raw=tables,
+            table=said,
         )
 
     @property
@@ -333,12 +327,12 @@ class RobotFile(File[tuple[Record, ...]]):
     @property
     def model_path(self) -> Path:
         """The file of the model."""
-        return Path(self.path.parent / self.raw["robot"]["model"])
+        return Path(self.path.parent / self.table.robot.model)
 
     @property
     def locked(self) -> dict[str, float]:
         """By name the positions of the model's joints that stand still, rad or m."""
-        return dict(read_robot_tables(self.raw).robot.locked)
+        return dict(self.table.robot.locked)
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
         """Return the files that are read: the model, and the record that the file names or that takes its place."""
@@ -385,7 +379,7 @@ class RobotFile(File[tuple[Record, ...]]):
         if name not in names:
             raise MethodError(f"The axis{messages.no_choice(name, names)}")
         number = names.index(name)
-        said = read_robot_tables(self.raw)
+        said = self.table
         own, kind = said.joints[number], self.model.links[number].kind
         file = JointFile.of_table(said.table(number, kind, alone=True), self.path)
         parameters = dict(file.parameters)
@@ -412,7 +406,7 @@ class RobotFile(File[tuple[Record, ...]]):
                 "controller to the [[joints]] table, or identify by idim from motor positions."
             )
         controllers = tuple(file.controller for file in self.joints if file.controller is not None)
-        return RobotLoop(self.robot, controllers, self.in_motion)
+        return RobotLoop(self.robot, controllers, self.table.robot.in_motion)
 
     @property
     def setup(self) -> Robot | RobotLoop | RobotDriveSide:
@@ -420,10 +414,6 @@ class RobotFile(File[tuple[Record, ...]]):
         if isinstance(self.method, DriveSideFit):
             return RobotDriveSide(self.robot)
         return self.loop if self.simulates else self.robot
-
-    def tables(self) -> dict[str, Any]:
-        """Return the tables of the file."""
-        return dict(self.raw)
 
 
 def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:

@@ -126,8 +126,8 @@ def _unit_faults(file: FileTable, name: str, kinds: Collection[Kind]) -> Iterato
     if stated is None:
         return
     if named := table.build().doubled_unit(known):
-        rest = f' is "{table.unit}", but its column names the unit "{named}"; expected one of them: leave one out.'
-        yield file.fault((*place, "unit"), rest)
+        rest = f' is "{table.unit}", but its column "{table.column}" names the unit "{named}"; expected one of them: '
+        yield file.fault((*place, "unit"), f"{rest}leave unit out, or rename the column.")
     if stated not in known:
         remedy = messages.suggest(stated, known, "give one of them, and the gain that takes the column to it")
         rest = f' is in "{stated}"; expected one of {", ".join(known)}: {remedy}'

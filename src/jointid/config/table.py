@@ -195,7 +195,7 @@ def _written(value: Any) -> Any:
     """Return a value of a table as TOML has it."""
     match value:
         case Table():
-            return value.written()
+            return _written(value.given[value.shorthand]) if {*value.given} == {value.shorthand} else value.written()
         case Stated():
             return value.text
         case tuple():
