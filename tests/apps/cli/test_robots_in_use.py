@@ -118,7 +118,7 @@ def test_an_arm_is_identified_once_and_used_by_every_command(
     def export(ending: str) -> tuple[Path, list[str]]:
         path = tmp_path / f"found.{ending}"
         run("export", robot, "--estimate", kept, "--out", path)
-        return path, re.findall("^Left out: (.*)\\.$", capsys.readouterr().out, re.M)
+        return path, re.findall("^lost in \\w+: (.*)$", capsys.readouterr().out, re.M)
 
     offsets = np.array([estimate.values[f"{name}.offset"] for name in arm.names])
     found, lost = export("xml")

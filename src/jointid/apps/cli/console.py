@@ -92,16 +92,22 @@ class Inputs:
         """The listener to progress."""
         return listen(self.quiet)
 
-    def load(self, joint: Path, *outputs: Path | None, **choices: str | None) -> JointFile | RobotFile:
-        """Load the joint file or robot file with its changes; see `jointid.config.load`.
+    def load(
+        self, joint: Path, *outputs: Path | None, estimate: Path | None = None, **choices: str | None
+    ) -> JointFile | RobotFile:
+        """Load the joint file or robot file with its changes, as an estimate says; see `jointid.config.load`.
 
         Raises:
             JointFileError: it cannot be loaded.
-            RecordError: an output is refused, see `spare`.
+            RecordError: an output is refused, see `spare`, or the estimate is none.
         """
         from jointid.config import load
 
-        spare(outputs, joint, self.record)
+        spare(outputs, joint, self.record, estimate)
+        if estimate is not None:
+            from jointid.output.json import read_choices
+
+            choices |= read_choices(estimate)
         file = load(joint, self.changes, axis=self.axis, **choices)
         spare(outputs, *file.inputs(self.record))
         return file.of_record(self.record)

@@ -201,16 +201,16 @@ def payload(
     """
     from jointid import identify_payload
     from jointid.config.robot_file import RobotFile
-    from jointid.output.json import load_estimate, read_choices
+    from jointid.output.json import load_estimate
 
-    spare((json,), without, with_, estimate)
+    spare((json,), without, with_)
     options = Options(changes=changes, quiet=quiet)
     if (without is None) == (estimate is None):
         raise MethodError(
             "A payload is weighed against the robot without it; expected either --without RECORD or --estimate FILE, "
             f"of identify --json, and received {'neither' if without is None else 'both'}."
         )
-    file = options.load(robot, json, **({} if estimate is None else read_choices(estimate)))
+    file = options.load(robot, json, estimate=estimate)
     if not isinstance(file, RobotFile):
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
     if file.parameters:

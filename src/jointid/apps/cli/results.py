@@ -27,7 +27,7 @@ _EXPORT = "export."  # the beginning of a change that is a setting of the writte
 
 if TYPE_CHECKING:
     from jointid import Estimate, Report
-    from jointid.config.robot_file import RobotFile
+    from jointid.config.contents import File
     from jointid.diagnostics.validation import Validation
 
 
@@ -58,13 +58,13 @@ def report(
     from jointid import Report
     from jointid import validate as validate_estimate
     from jointid.config import JointFile
-    from jointid.output.json import load_estimate, read_choices
+    from jointid.output.json import load_estimate
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.pages import require_page
 
     require_page(html)
-    spare((html, options.json), held_out, estimate)
-    file = options.load(joint, html, options.json, **({} if estimate is None else read_choices(estimate)))
+    spare((html, options.json), held_out)
+    file = options.load(joint, html, options.json, estimate=estimate)
     asked = {"axis": options.axis, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
     if not isinstance(file, JointFile):
@@ -125,7 +125,7 @@ def validate(
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified
             from the record that it names, and held against --record.
-        estimate: what identify --json wrote; of a joint file it is needed.
+        estimate: what identify --json wrote.
         options: those that most commands have.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
@@ -133,28 +133,22 @@ def validate(
     from jointid import figures
     from jointid import validate as run
     from jointid.config import JointFile
-    from jointid.output import json as answers
 
     outputs = options.json, figure, residuals
     for picture in (figure, residuals):
         figures.require_format(picture)
-    spare(outputs, estimate)
-    choices = {} if estimate is None else answers.read_choices(estimate)
-    file = options.load(joint, *outputs, **choices)
-    if not isinstance(file, JointFile):
-        if options.record is None:
-            raise MethodError(
-                "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
-                "record that the robot file names."
-            )
-        found = run(_read_or_identify(file, estimate, options.progress), file.record(options.record))
-    else:
-        estimate = _require_estimate(estimate)
-        identified = answers.load_estimate(estimate, file)
-        chosen = {"method": identified.settings.method, "friction": choices.get("friction")}
-        record = options.load_joint(joint, what="A validation", **chosen).record(options.record)
+    file = options.load(joint, *outputs, estimate=estimate)
+    if estimate is None and options.record is None:
+        raise MethodError(
+            "An estimate is held against a record that it has not seen; expected --estimate FILE, of identify --json, "
+            "or --record OTHER beside the record that the file names."
+        )
+    identified = _read_or_identify(file, estimate, options.progress)
+    if isinstance(file, JointFile):
+        chosen = {"method": identified.settings.method, "friction": file.joint.friction.name}
+        file = options.load_joint(joint, what="A validation", **chosen)
         ready(options.progress)
-        found = run(identified, record)
+    found = run(identified, file.record(options.record))
     deliver(found, options.json, (figure, figures.torque), (residuals, figures.residual))
 
 
@@ -197,7 +191,7 @@ def export(
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified
             from the record that it names; MJCF and URDF have bodies that fit.
-        estimate: what identify --json wrote; of a joint file it is needed.
+        estimate: what identify --json wrote.
         changes: a key of the joint file and its value, as method.frequency=30, or a setting of the language, as
             export.timestep=1e-3; may be given several times.
         axis: of a robot file the name of the one joint that the estimate is of.
@@ -208,36 +202,31 @@ def export(
     """
     from jointid.config import JointFile
     from jointid.estimation.result.estimate import law_fingerprint
-    from jointid.output import json as answers
     from jointid.output.export import export as run
     from jointid.output.export import find_language
+    from jointid.output.json import load_estimate
 
-    spare((out,), estimate)
-    choices = {} if estimate is None else answers.read_choices(estimate)
     of_file = tuple(one for one in changes if not one.startswith(_EXPORT))
-    file = Options(changes=of_file, axis=axis).load(joint, out, **choices)
+    file = Options(changes=of_file, axis=axis).load(joint, out, estimate=estimate)
     settings = dict(map(_setting, (one for one in changes if one.startswith(_EXPORT))))
     language = find_language(format or out.suffix.lower()).name
+    system: Any = file
     if not isinstance(file, JointFile):
         _refuse_options("A robot is written as bodies behind their gears", {"--side": side})
-        found = _read_or_identify(file, estimate)
         if language == "urdf" and file.model_path.suffix.lower() == ".urdf":
             settings |= {"model": file.model_path, "locked": file.locked}
-        exported = run(found, language, controllers=file.controllers, **settings)
-        exported.save(out)
-        for line in (*filter(None, (exported.note,)), *(f"Left out: {one}." for one in exported.lost)):
-            show(line)
-        show(f"Written: {out}")
-        return
-    estimate = _require_estimate(estimate)
-    if language == "joint-file":
-        settings |= {"file": file, "folder": out.parent}
-    found = answers.load_estimate(estimate, file.joint)
-    if file.loop is not None and found.settings.controller not in ("", law_fingerprint(file.loop)):
+    else:
+        system = file.joint  # whose controller may be another one
+        settings |= {"side": side, "name": file.name}
+        settings |= {"file": file, "folder": out.parent} if language == "joint-file" else {}
+    found = _read_or_identify(file, None) if estimate is None else load_estimate(estimate, system)
+    under = found.settings.controller
+    if isinstance(file, JointFile) and file.loop is not None and under not in ("", law_fingerprint(file.loop)):
         show("The controller of the joint file is not the one the joint was identified under.")
-    exported = run(found, language, side=side, name=file.name, controllers=file.controllers, **settings)
+    exported = run(found, language, controllers=file.controllers, **settings)
     exported.save(out)
-    show(exported)
+    for line in filter(None, (exported.note, exported)):
+        show(line)
     show(f"Written: {out}")
 
 
@@ -250,8 +239,8 @@ def _setting(change: str) -> tuple[str, Any]:
         return key.strip(), text.strip()
 
 
-def _read_or_identify(file: RobotFile, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
-    """Return a robot's estimate: from its file, or else from the record that the robot file names."""
+def _read_or_identify(file: File[Any], estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
+    """Return an estimate: from its file, or else from the record that the joint file or robot file names."""
     from jointid.output.json import load_estimate
 
     if estimate is not None:
@@ -267,14 +256,3 @@ def _refuse_options(why: str, options: dict[str, object]) -> None:
     """
     if given := [option for option, value in options.items() if value]:
         raise MethodError(f"{why}; {', '.join(given)} is for a joint file: leave it out.")
-
-
-def _require_estimate(estimate: Path | None) -> Path:
-    """Return the estimate that a joint file needs.
-
-    Raises:
-        MethodError: it was not given.
-    """
-    if estimate is None:
-        raise MethodError("A joint file needs an estimate; expected --estimate FILE, of identify --json: add it.")
-    return estimate

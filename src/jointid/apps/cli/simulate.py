@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import DEFAULTS, Options, Quiet, fresh_folder, listen, ready, show, spare
+from jointid.apps.cli.console import DEFAULTS, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.common.errors import MethodError
 from jointid.common.files import require_room
 from jointid.common.text import in_words, interval
@@ -37,11 +37,9 @@ def simulate(
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
     """
-    spare((options.json, out), estimate)
     from jointid.config import JointFile
-    from jointid.output import json as answers
 
-    file = options.load(joint, options.json, out, **({} if estimate is None else answers.read_choices(estimate)))
+    file = options.load(joint, options.json, out, estimate=estimate)
     if isinstance(file, JointFile):
         _simulate_joint(file, estimate, out, options)
     else:
