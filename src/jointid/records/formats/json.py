@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import short
 from jointid.records.formats.stamps import Stamps, is_stamp
@@ -27,16 +25,7 @@ def read_json(path: Path) -> Table:
     first one, null is NaN; words, true and false are passed over.
     """
     found = Found(path)
-    for name, value in _walk("", _parse(path)):
-        array = _to_array(value)
-        if isinstance(array, str):
-            found.passed[name or "value"] = array
-        elif isinstance(value, list):
-            of_time = any(isinstance(cell, str) for cell in value)
-            for column, view in find_columns(name or "value", array, found.passed).items():
-                found.add(column, np.array(view), "s" if of_time else "")
-        else:
-            found.take(name or "value", array)
+    _take(found, "", _parse(path), 0)
     return found.table()
 
 
@@ -54,8 +43,8 @@ def _parse(path: Path) -> Any:
         raise RecordError(f"{path.name} is no JSON ({short(str(error))}); log or copy it again.") from None
 
 
-def _walk(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Yield the values of a document with their paths; a list of records is a record of lists."""
+def _take(found: Found, name: str, value: Any, depth: int) -> None:
+    """Add the values of a document by their paths; a list of records is a record of lists."""
     if depth > _DEEPEST:
         raise ValueError("values within values without end")
     if isinstance(value, dict) and len(value) > 1 and list(value) == [str(row) for row in range(len(value))]:
@@ -72,22 +61,27 @@ def _walk(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
             cells = [None if one is None or place >= len(one) else one[place] for one in value]
             members[f"{name}[{place}]"] = cells
     else:
-        yield name, value
-    for key, member in members.items():
-        yield from _walk(key, member, depth + 1)
+        _take_leaf(found, name or "value", value, filled)
+    for path, member in members.items():
+        _take(found, path, member, depth + 1)
 
 
-def _to_array(value: Any) -> FloatArray | str:
-    """Return a value or a list as numbers, or why it has none."""
-    filled = [one for one in value if one is not None] if isinstance(value, list) else []
+def _take_leaf(found: Found, name: str, value: Any, filled: list[Any]) -> None:
+    of_time = bool(filled) and all(isinstance(one, str) and is_stamp(one) for one in filled)
     try:
-        if filled and all(isinstance(one, str) and is_stamp(one) for one in filled):
+        if of_time:
             cells = [one or "" for one in value]
-            return Stamps.of(cells).seconds(cells)
-        array = np.array(value, dtype=object)
-        for cell in array.flat:
-            if isinstance(cell, str | bool):
-                return f"it holds {short(json.dumps(cell))}, which is no number"
-        return np.where(array == None, np.nan, array).astype(np.float64)  # noqa: E711 - each of them
+            array = Stamps.of(cells).seconds(cells)
+        else:
+            objects = np.array(value, dtype=object)
+            if any(isinstance(cell, str | bool) for cell in objects.flat):
+                raise ValueError
+            array = np.where(objects == None, np.nan, objects).astype(np.float64)  # noqa: E711 - each of them
     except (ValueError, TypeError, OverflowError):
-        return "its lists or its instants are not alike, or it holds more than numbers"
+        found.passed[name] = "it holds more than numbers, or lists or instants that are not alike"
+        return
+    if not isinstance(value, list):
+        found.take(name, array)
+        return
+    for column, view in find_columns(name, array, found.passed).items():
+        found.add(column, np.array(view), "s" if of_time else "")
