@@ -60,7 +60,7 @@ def report(
     from jointid.config import JointFile
     from jointid.output.json import load_estimate
     from jointid.output.report import repetition, tune_to_limit
-    from jointid.output.report.pages import require_page
+    from jointid.output.report.page import require_page
 
     require_page(html)
     spare((html, options.json), held_out)

@@ -25,8 +25,7 @@ from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.output.figures.charts import report_charts
 from jointid.output.json import plain
 from jointid.output.json.documents import REPORT_SCHEMA, ROBOT_REPORT_SCHEMA
-from jointid.output.report.page import page
-from jointid.output.report.pages import Repetition, repetition, require_page
+from jointid.output.report.page import Repetition, page, repetition, require_page
 from jointid.output.report.sections import report_blocks, robot_blocks, robot_charts
 from jointid.tuning.tuned import Tuned
 
