@@ -45,7 +45,8 @@ WHOLE = (EstimatedParameter, Known, Combination, StiffnessBound)
 """Classes of which a shape makes other objects, with some fields replaced."""
 
 OF_ESTIMATES: dict[str, tuple[Shape, type]] = {
-    "one record": (of_estimates._OF_A_JOINT, Estimate),
+    "any": (of_estimates._OF_BOTH, Estimate),
+    "a joint": (of_estimates._OF_A_JOINT, Estimate),
     "a log": (of_estimates._LOG, Estimate),
     "a record of several": (of_estimates._RECORD, RecordFit),
 }

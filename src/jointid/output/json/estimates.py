@@ -109,8 +109,8 @@ def _correlation(estimate: Estimate) -> FloatArray | None:
 
 def estimate_shape(estimate: Estimate) -> Json:
     """Return the document of an estimate of one record, several records, a long log or a robot."""
-    found: Json = take(estimate, _OF_A_JOINT if estimate.robot is None else _OF_A_ROBOT)
-    return found
+    found: Json = take(estimate, _OF_BOTH)
+    return found | take(estimate, _OF_A_JOINT if estimate.robot is None else _OF_A_ROBOT)
 
 
 def _records(estimate: Estimate) -> list[Json] | None:
@@ -149,31 +149,35 @@ def _drift(estimate: Estimate) -> Json | None:
     }
 
 
-_OF_A_JOINT: Shape = document_shape(
+_OF_BOTH: Shape = document_shape(
     ESTIMATE_SCHEMA,
-    "answer settings.method settings.variant settings.joint.model settings.joint.kind "
-    "friction=settings.joint.friction.name spring=settings.joint.spring_name settings.joint.gravity "
-    "settings.joint.ripple settings.joint.transmission data.channels free=params.names "
+    "answer settings.method settings.variant data.channels free=params.names "
     "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error "
-    "samples_left_out=fit.borders fit.rows condition_numbers=fit.conditioning settings.filtering "
-    "torque_timing=settings.timing settings.delay fit.iterations fit.simulations fit.converged fit.stop "
-    "intervals=params.basis fit.trace checks.tests "
-    "checks.verdicts combinations=checks.known fit.residuals stiffness_bounds=checks.bounds settings.weighting "
-    "checks.agreement",
-    parameters=by_name("params.rows"),
-    warnings=lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
-    record={
+    "samples_left_out=fit.borders fit.rows settings.filtering torque_timing=settings.timing settings.delay "
+    "fit.simulations fit.converged fit.stop intervals=params.basis checks.verdicts",
+    correlation=_correlation,
+    log=_log,
+)
+
+_OF_A_JOINT: Shape = {
+    **keys(
+        "settings.joint.model settings.joint.kind friction=settings.joint.friction.name "
+        "spring=settings.joint.spring_name settings.joint.gravity settings.joint.ripple settings.joint.transmission "
+        "condition_numbers=fit.conditioning fit.iterations fit.trace checks.tests combinations=checks.known "
+        "fit.residuals stiffness_bounds=checks.bounds settings.weighting checks.agreement"
+    ),
+    "parameters": by_name("params.rows"),
+    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
+    "record": {
         **keys("name=data.record data.sample_time data.torque_unit data.resampled"),
         "samples": lambda estimate: estimate.fit.measured.size or None,
         "torque_sha256": lambda estimate: estimate.data.fingerprint or None,
     },
-    correlation=_correlation,
-    position_rms=lambda estimate: estimate.fit.position_rms.get(""),
-    controller_sha256=_controller_sha256,
-    effects=_effects,
-    records=_records,
-    log=_log,
-)
+    "position_rms": lambda estimate: estimate.fit.position_rms.get(""),
+    "controller_sha256": _controller_sha256,
+    "effects": _effects,
+    "records": _records,
+}
 
 
 def _parameters_of_robot(estimate: Estimate) -> Json:
@@ -194,28 +198,21 @@ def _parameters_of_robot(estimate: Estimate) -> Json:
     }
 
 
-_OF_A_ROBOT: Shape = document_shape(
-    ESTIMATE_SCHEMA,
-    "answer settings.method settings.variant data.channels free=params.names "
-    "relative_error_percent=100*fit.relative_error filtered_error_percent=100*fit.filtered_error "
-    "samples_left_out=fit.borders fit.rows settings.filtering "
-    "torque_timing=settings.timing settings.delay fit.simulations fit.converged fit.stop "
-    "intervals=params.basis checks.warnings checks.verdicts",
-    model=always("robot"),
-    parameters=_parameters_of_robot,
-    record=keys(
+_OF_A_ROBOT: Shape = {
+    "model": always("robot"),
+    "parameters": _parameters_of_robot,
+    "warnings": "checks.warnings",
+    "record": keys(
         "name=data.record data.sample_time data.torque_unit torque_sha256=data.fingerprint logs_sha256=data.logs"
     ),
-    correlation=_correlation,
-    log=_log,
-    robot={
+    "robot": {
         **keys(
             "robot.model.name joints=robot.model.names nominal_left=robot.nominal_errors robot.springs robot.log_delay"
         ),
         "left": lambda estimate: [*estimate.fit.axis_errors.values()],
         "position_rms": lambda estimate: dict(estimate.fit.position_rms),
     },
-)
+}
 
 _RECORD: Shape = {
     **keys(
