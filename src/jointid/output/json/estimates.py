@@ -109,8 +109,9 @@ def _correlation(estimate: Estimate) -> FloatArray | None:
 
 def estimate_shape(estimate: Estimate) -> Json:
     """Return the document of an estimate of one record, several records, a long log or a robot."""
-    found: Json = take(estimate, _OF_BOTH)
-    return found | take(estimate, _OF_A_JOINT if estimate.robot is None else _OF_A_ROBOT)
+    both: Json = take(estimate, _OF_BOTH)
+    own: Json = take(estimate, _OF_A_JOINT if estimate.robot is None else _OF_A_ROBOT)
+    return both | own
 
 
 def _records(estimate: Estimate) -> list[Json] | None:
