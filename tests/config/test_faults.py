@@ -9,10 +9,7 @@ import pytest
 
 from jointid.common.errors import JointFileError
 from jointid.common.messages import dot_path
-from jointid.config import (
-    load,
-    loads,
-)
+from jointid.config import deleted, load, loads
 from tests.joint_files import (
     CASCADE,
     CHANNELS,
@@ -284,3 +281,18 @@ def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
             load(tmp_path / name)
     (tmp_path / "marked.toml").write_text(SMALLEST, encoding="utf-8-sig")
     assert load(tmp_path / "marked.toml") == loads(SMALLEST)
+
+
+DELETED = (
+    '[joint]\nkind = "revolute"\n[method]\nfrequenzies = 30.0\n[record.channels.torque]\ncolumn = "i"\nbitz = 12\n'
+)
+
+
+def test_every_deleted_key_has_its_own_sentence_and_is_no_misspelling(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(deleted, "DELETED", {"method.frequenzies": "one.", "record.channels.*.bitz": "another."})
+    with pytest.raises(JointFileError) as caught:
+        loads(DELETED)
+    found = {fault.place: (fault.code, fault.rpartition(": ")[2]) for fault in caught.value.faults}
+    assert found[("method", "frequenzies")] == ("unknown", "one.")
+    assert found[("record", "channels", "torque", "bitz")] == ("unknown", "another.")
+    assert deleted.sentence_of(("joints", 1, "channels", "torque", "bitz")) == " is no longer a key: another."

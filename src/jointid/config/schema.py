@@ -479,24 +479,20 @@ class FilterTable(Table):
 _CUTOFFS = {"first_order": "time_constant", "second_order": "frequency"}
 """The setting of each kind of filter that a cut-off frequency gives."""
 
-_MEANT_ONE = " is {} on many drives; expected {}: write the one that is meant."
-_KP = _MEANT_ONE.format(
-    "the gain of another loop", "velocity_gain for the Kp of a drive's speed loop, position_gain for the kp of the "
-    "paper or of a position controller"
-)  # fmt: skip
-_KV = _MEANT_ONE.format(
-    "the gain of another loop", "position_gain for the Kv of a drive's position loop, velocity_gain for the kv of the "
-    "paper"
-)  # fmt: skip
-_KI = _MEANT_ONE.format("a gain on some and a time", 'integral_gain, or integral_time = "6 ms" for a Tn')
-_KD = _MEANT_ONE.format("a gain on some and a time", 'derivative_gain, or derivative_time = "2 ms" for a Td')
-_TN = ' is called integral_time here; write that, as integral_time = "6 ms".'
-_TD = ' is called derivative_time here; write that, as derivative_time = "2 ms".'
+_MEANT_ONE = {
+    "kp": "velocity_gain for the Kp of a speed loop, position_gain for the kp of a position controller",
+    "kv": "position_gain for the Kv of a position loop, velocity_gain for the kv of the paper",
+    "ki": 'integral_gain, or integral_time = "6 ms" for a Tn',
+    "kd": 'derivative_gain, or derivative_time = "2 ms" for a Td',
+    **dict.fromkeys(("tn", "ti"), 'integral_time = "6 ms"'),
+    **dict.fromkeys(("td", "tv"), 'derivative_time = "2 ms"'),
+}
 
 AMBIGUOUS: Mapping[str, str] = {
-    "kp": _KP, "Kp": _KP, "KP": _KP, "kv": _KV, "Kv": _KV, "KV": _KV, "ki": _KI, "Ki": _KI, "KI": _KI,
-    "kd": _KD, "Kd": _KD, "KD": _KD, "Tn": _TN, "tn": _TN, "Ti": _TN, "ti": _TN, "Td": _TD, "td": _TD, "Tv": _TD,
-}  # fmt: skip
+    spelt: f" is another number on each drive; expected {meant}: write the one that is meant."
+    for name, meant in _MEANT_ONE.items()
+    for spelt in (name, name.capitalize(), name.upper())
+}
 """Names of gains with another meaning on each drive, with the rest of the sentence."""
 
 

@@ -102,10 +102,6 @@ def save_with_controller(
             text = with_record(text, relocate_path(os.fspath(record), Path.cwd(), path.parent))
     except OSError as error:
         raise JointFileError(f"{error.filename} cannot be used ({error.strerror}); check the folder.") from error
-    _write(path, text)
-
-
-def _write(path: str | os.PathLike[str], text: str) -> None:
     try:
         write_whole(path, text)
     except RecordError as error:

@@ -250,7 +250,7 @@ def with_paths(text: str, before: Path, after: Path) -> str:
         listed = tables.get("records")
         for table in (tables.get("record"), *(listed if isinstance(listed, list) else [])):
             for key in {"file", "files"} & table.keys() if isinstance(table, dict) else ():
-                table[key] = _relocate_paths(table[key], before, after)
+                table[key] = relocate_path(table[key], before, after)
 
     return text if before.resolve() == after.resolve() else edit(text, change)
 
@@ -276,18 +276,14 @@ def with_record(text: str, file: str) -> str:
     return edit(text, change)
 
 
-def _relocate_paths(named: object, before: Path, after: Path) -> object:
-    """Return a path, or a list of them, as seen from another folder; what is neither is unchanged."""
+def relocate_path(named: Any, before: Path, after: Path) -> Any:
+    """Return a relative path, or a list of them, as seen from another folder; anything else is unchanged."""
     if isinstance(named, list):
-        return [_relocate_paths(one, before, after) for one in named]
-    return relocate_path(named, before, after) if isinstance(named, str) else named
-
-
-def relocate_path(file: str, before: Path, after: Path) -> str:
-    """Return a relative path as seen from another folder; an absolute one is unchanged."""
-    if Path(file).is_absolute():
-        return file
+        return [relocate_path(one, before, after) for one in named]
+    if not isinstance(named, str) or Path(named).is_absolute():
+        return named
+    there = (before / named).resolve()
     try:
-        return Path(os.path.relpath((before / file).resolve(), after.resolve())).as_posix()
+        return Path(os.path.relpath(there, after.resolve())).as_posix()
     except ValueError:  # on another drive nothing is relative
-        return str((before / file).resolve())
+        return str(there)
