@@ -130,21 +130,21 @@ def files_of(record: Path) -> list[Path]:
     return sorted(each for each in record.rglob("*") if each.is_file()) if record.is_dir() else [record]
 
 
-def digest(record: Path) -> str:
-    """Return the SHA-256 of a record's bytes, of a folder over its files in order.
+def digest(*records: Path) -> str:
+    """Return the SHA-256 of the bytes of files, one after the other, of a folder over its files in order.
 
     Raises:
         RecordError: a file cannot be read.
     """
     made = hashlib.sha256()
     try:
-        for each in files_of(record):
+        for each in (file for record in records for file in files_of(record)):
             with open_file(each) as file:
                 while block := file.read(_BLOCK):
                     made.update(block)
     except OSError as error:
         reason = (error.strerror or type(error).__name__).lower()
-        raise RecordError(f"{record} cannot be opened ({reason}); check the path.") from error
+        raise RecordError(f"{error.filename} cannot be opened ({reason}); check the path.") from error
     return made.hexdigest()
 
 

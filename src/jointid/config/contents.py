@@ -292,8 +292,10 @@ class File(ABC, Generic[R]):
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
         """Return the files that are read: the records that the file names, unless another one takes their place."""
+        if record is not None:
+            return self.source.files_of(record, self.path.parent)
         named = [run.file for run in self.runs] if self.runs else [*self.source.files, self.source.file]
-        return tuple(self.path.parent / name for name in named if name) if record is None else (record,)
+        return tuple(self.path.parent / name for name in named if name)
 
     def write(self, record: R, path: str | os.PathLike[str]) -> None:
         """Write a record, on the joints' side of their transmissions, as this file reads it: `record` gives it back.

@@ -68,11 +68,16 @@ class Source:
         """Path of the record, or of its first file."""
         return self.files[0] if self.files else self.file
 
+    def files_of(self, path: str | os.PathLike[str], folder: Path) -> tuple[Path, ...]:
+        """Return the files of the record at a path; that of the first stands for all of them."""
+        is_first = self.files and os.path.realpath(path) == os.path.realpath(folder / self.files[0])
+        return tuple(folder / file for file in self.files) if is_first else (Path(path),)
+
     def read(self, path: str | os.PathLike[str], folder: Path) -> RecordedTable:
-        """Read the table of a record; the path of the first file stands for all of them."""
-        if not self.files or os.path.realpath(path) != os.path.realpath(folder / self.files[0]):
+        """Read the table of a record; see `files_of`."""
+        paths = self.files_of(path, folder)
+        if len(paths) == 1:
             return read_table(path, **self.options)
-        paths = [folder / file for file in self.files]
         return join_files(
             paths,
             offsets=self.offsets,

@@ -74,7 +74,8 @@ def report(
         )
     unseen = None if held_out is None else file.record(held_out)
     system: Literal["joint", "robot"] = "joint" if isinstance(file, JointFile) else "robot"
-    again = repetition(joint, Path(file.record_path(options.record)), asked, options.changes, html.name, system)
+    records = file.source.files_of(file.record_path(options.record), joint.parent)
+    again = repetition(joint, records, asked, options.changes, html.name, system)
     if estimate is None:
         record, found = options.identify(file, judged=True, whole=True)
     else:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import re
 import shlex
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -68,8 +68,8 @@ class Repetition:
 
     Attributes:
         version: of this program.
-        record_name: file of the record; empty for one that came from no file, as the next ones.
-        record_sha256: of that file.
+        record_name: file, or files, of the record; empty for one that came from no file, as the next ones.
+        record_sha256: of that file, or of these one after the other.
         date: of the record, as year-month-day: that in a .mat file's header, else when the file was last written (UTC).
         joint_name: file of the joint or of the robot.
         joint_file: its text.
@@ -118,7 +118,7 @@ class Repetition:
 
 def repetition(
     joint: Path,
-    record: Path,
+    records: Sequence[Path],
     options: Mapping[str, object],
     changes: Iterable[str] = (),
     html: str = "report.html",
@@ -127,24 +127,25 @@ def repetition(
     """Return the data to repeat a report; files by their names, without their folders.
 
     Of the command's options None leaves one away; `changes` are keys of the joint file, as ``method.frequency=30``.
+    The files are those of one record; where there are several, the joint file names them, and not the command.
 
     Raises:
         RecordError: a file cannot be read.
     """
-    words = ["jointid", "report", joint.name, "--record", record.name]
+    words = ["jointid", "report", joint.name, *(["--record", records[0].name] if len(records) == 1 else [])]
     for name, value in options.items():
         if value is not None:
             words += [f"--{name.replace('_', '-')}", str(value)]
     for change in changes:
         words += ["--set", change]
     try:
-        text, date = joint.read_text(encoding="utf-8"), _find_date(record)
+        text, date = joint.read_text(encoding="utf-8"), _find_date(records[0])
     except OSError as error:
         why = (error.strerror or type(error).__name__).lower()
         raise RecordError(f"{error.filename} cannot be opened ({why}); check the path.") from None
     return Repetition(
-        record_name=record.name,
-        record_sha256=digest(record),
+        record_name=", ".join(record.name for record in records),
+        record_sha256=digest(*records),
         date=date,
         joint_name=joint.name,
         joint_file=text,
