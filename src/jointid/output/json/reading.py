@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from jointid.estimation.saved import RobotSystem, System
 
 _LARGEST = 2**26  # bytes of a file: the page of a report on 25 s has 3 MB
-_DIGITS = 300  # of a whole number
 _DAMAGE = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, MethodError)
 _REMEDY = "give the file that identify --json wrote"
 _REMEDY_OF_REPORT = "give what identify --json or report --html wrote"
@@ -118,15 +117,12 @@ def read_choices(path: str | Path) -> dict[str, str]:
         RecordError: the file is no estimate.
     """
     answer = read_answer(path)
-    if answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot":
-        method = answer.get("method")
-        if not isinstance(method, str) or method not in tuple(METHODS):
-            raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
-        return {"method": method}
-    friction = answer.get("friction")
-    if not isinstance(friction, str) or friction not in FRICTIONS:
+    robot = answer.get("schema") == ESTIMATE_SCHEMA and answer.get("model") == "robot"
+    key, known = ("method", [*METHODS]) if robot else ("friction", [*FRICTIONS])
+    choice = answer.get(key)
+    if choice not in known:
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
-    return {"friction": friction}
+    return {key: str(choice)}
 
 
 def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
@@ -147,11 +143,9 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
         text = raw.decode("utf-8-sig")
         if text.lstrip()[:1] == "<":  # the page of a report, which carries its answer along
             text = text.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
-        answer = json.loads(text, parse_constant=_no_number, parse_int=_whole)
+        answer = json.loads(text, parse_constant=_no_number)
     except OSError as error:
         raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
-    except OverflowError as error:
-        raise RecordError(f"{path} holds {error}, which no answer does; {remedy}.") from None
     except (ValueError, RecursionError):
         raise RecordError(f"{path} is no JSON file; {remedy}.") from None
     if isinstance(answer, dict) and answer.get("schema") in (REPORT_SCHEMA, ROBOT_REPORT_SCHEMA):
@@ -171,13 +165,6 @@ def _fingerprints(answer: Json) -> tuple[str, ...]:
 def _no_number(name: str) -> float:
     """Refuse NaN and Infinity, which no answer holds and JSON does not know."""
     raise ValueError(name)
-
-
-def _whole(digits: str) -> int:
-    """Return an integer that fits a float."""
-    if len(digits) > _DIGITS:
-        raise OverflowError(f"a number of {len(digits)} digits")
-    return int(digits)
 
 
 def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Estimate:
