@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.config import (
-    JointFile,
-    Source,
-    dumps,
-    loads,
-)
+from jointid.config import JointFile, Source, dumps, loads
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
@@ -36,16 +31,7 @@ from jointid.records.columns import Column
 from jointid.records.record import Tap, Timing
 from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
-from tests.joint_files import (
-    BOTH_ENCODERS,
-    CASCADE,
-    CHANNELS,
-    FLEXIBLE,
-    JOINT,
-    LINK,
-    ROOT,
-    SMALLEST,
-)
+from tests.joint_files import BOTH_ENCODERS, CASCADE, CHANNELS, FLEXIBLE, JOINT, LINK, ROOT, SMALLEST
 
 
 def test_every_default() -> None:

@@ -10,16 +10,7 @@ import pytest
 from jointid.common.errors import JointFileError
 from jointid.common.messages import dot_path
 from jointid.config import deleted, load, loads
-from tests.joint_files import (
-    CASCADE,
-    CHANNELS,
-    FLEXIBLE,
-    JOINT,
-    LINK,
-    SMALLEST,
-    faults,
-    told,
-)
+from tests.joint_files import CASCADE, CHANNELS, FLEXIBLE, JOINT, LINK, SMALLEST, faults, told
 
 FAULTS = [
     (SMALLEST + "position_gian = 3", "controller.position_gian unknown"),

@@ -13,22 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jointid.common.errors import JointFileError
-from jointid.config import (
-    JointFile,
-    load,
-    load_to_learn,
-    loads,
-)
+from jointid.config import JointFile, load, load_to_learn, loads
 from jointid.config.robot_model import load_robot
 from jointid.config.schema import FileTable
 from jointid.config.table import list_keys
-from jointid.models.controllers import (
-    StateSpaceController,
-)
-from tests.joint_files import (
-    EXAMPLE,
-    in_our_words,
-)
+from jointid.models.controllers import StateSpaceController
+from tests.joint_files import EXAMPLE, in_our_words
 
 
 def test_spoiled_text_is_read_or_refused() -> None:

@@ -9,23 +9,10 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError, RecordError
-from jointid.config import (
-    JointFile,
-    Run,
-    load,
-    loads,
-)
-from jointid.models.controllers import (
-    Cascade,
-)
+from jointid.config import JointFile, Run, load, loads
+from jointid.models.controllers import Cascade
 from tests.estimates import identify
-from tests.joint_files import (
-    CASCADE,
-    EXAMPLE,
-    SMALLEST,
-    faults,
-    told,
-)
+from tests.joint_files import CASCADE, EXAMPLE, SMALLEST, faults, told
 
 
 @pytest.fixture

@@ -10,31 +10,10 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError
-from jointid.config import (
-    controller_text,
-    dumps,
-    load,
-    load_to_learn,
-    loads,
-    with_paths,
-    with_record,
-    with_table,
-)
+from jointid.config import controller_text, dumps, load, load_to_learn, loads, with_paths, with_record, with_table
 from jointid.estimation.methods.didim import DIDIM
-from jointid.models.controllers import (
-    PID,
-    Cascade,
-    FirstOrder,
-    Notch,
-    StateSpaceController,
-)
-from tests.joint_files import (
-    CASCADE,
-    CHANNELS,
-    JOINT,
-    SMALLEST,
-    told,
-)
+from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, StateSpaceController
+from tests.joint_files import CASCADE, CHANNELS, JOINT, SMALLEST, told
 
 SLOW = Cascade(position_gain=1.0, velocity_gain=2.0, period=125e-6, position_period=1e-3, position_offset=250e-6)
 NOTCHED = PID(

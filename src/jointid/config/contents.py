@@ -19,13 +19,7 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.units import Kind
 from jointid.config.axis_units import controller_gain, drive_numbers, translate_gains, unit_faults
-from jointid.config.rules import (
-    change_parameter,
-    choose_method,
-    find_contradictions,
-    needed_channels,
-    torque_unit,
-)
+from jointid.config.rules import change_parameter, choose_method, find_contradictions, needed_channels, torque_unit
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.source import Run, Source, Together
 from jointid.config.table import Table

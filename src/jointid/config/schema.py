@@ -21,27 +21,9 @@ from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind, units_of
 from jointid.config.quantities import Stated
 from jointid.config.source import Run, Source, Together
-from jointid.config.table import (
-    CONTRADICTION,
-    Place,
-    Reader,
-    Table,
-    fault_at,
-    merge_settings,
-    part,
-    refusal,
-    required,
-)
+from jointid.config.table import CONTRADICTION, Place, Reader, Table, fault_at, merge_settings, part, refusal, required
 from jointid.estimation.methods.registry import ROBOT, Method, MethodName, method_of, methods
-from jointid.models.controllers import (
-    FILTERS,
-    LAWS,
-    Controller,
-    DigitalFilter,
-    Filter,
-    StateSpaceController,
-    as_filter,
-)
+from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter, Filter, StateSpaceController, as_filter
 from jointid.models.disturbances import Drift, Effect
 from jointid.models.friction import FRICTIONS, find_friction
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
@@ -435,10 +417,6 @@ class FilterTable(Table):
         kind = meant[0]
         known = fields(FILTERS[kind])
         given, names = self._settings_of_kind(kind), [field.name for field in known]
-        if "cutoff" in given:
-            twice = f" is {self.cutoff:g} Hz beside {_CUTOFFS.get(kind)}, which says the same: leave one out."
-            yield "cutoff", twice if kind in _CUTOFFS else messages.foreign(kind, names)
-            return
         foreign = [key for key in given if key not in names]
         for key in foreign:
             yield key, messages.foreign(kind, names)
