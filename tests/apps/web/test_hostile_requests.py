@@ -224,7 +224,7 @@ def attacks() -> Iterator[bytes]:
         yield request("GET", f"{root}/", host=host)
     for site, path in itertools.product(("cross-site", "same-site"), ("/record", "/joint", "/draft", "/runs/1/cancel")):
         yield request("POST", root + path, f"sec-fetch-site: {site}")
-    for body, path in itertools.product(BODIES, ("/record", "/jointfile", "/draft", "/again", "/channels")):
+    for body, path in itertools.product(BODIES, ("/record", "/draft", "/again", "/channels")):
         yield request("POST", root + path, body=body, kind=MULTIPART)
     for name in NAMES:
         yield request("POST", f"{root}/record", body=file_form(name, b"rubbish"), kind=MULTIPART)
@@ -233,7 +233,7 @@ def attacks() -> Iterator[bytes]:
     for suffix in (".mat", ".npy", ".npz", ".json", ".h5", ".parquet", ".mcap", ".tdms", ".db3"):
         yield request("POST", f"{root}/record", body=file_form(f"a{suffix}", b"\x00rubbish"), kind=MULTIPART)
     for text in JOINT_FILES:
-        yield request("POST", f"{root}/jointfile", body=file_form("a.toml", text), kind=MULTIPART)
+        yield request("POST", f"{root}/record", body=file_form("a.toml", text), kind=MULTIPART)
     for entries, path in itertools.product(ENTRIES, ("/joint", "/draft")):
         yield request("POST", root + path, body=entries.encode(), kind=FORM)
         if path == "/draft":

@@ -156,8 +156,6 @@ def build_application(folder: Path, token: str, limits: Limits | None = None) ->
 _ROUTES = [
     Route("/", routes.show_record),
     Route("/record", routes.take_record, methods=["POST"]),
-    Route("/more", routes.add_records, methods=["POST"]),
-    Route("/only", routes.leave_records_out, methods=["POST"]),
     Route("/example", routes.make_example, methods=["POST"]),
     Route("/again", routes.read_again, methods=["POST"]),
     Route("/channels", routes.show_channels, methods=["GET"]),
@@ -165,7 +163,6 @@ _ROUTES = [
     Route("/plot/{column:number}.svg", routes.draw_column),
     Route("/joint", routes.show_joint, methods=["GET"]),
     Route("/joint", routes.identify, methods=["POST"]),
-    Route("/jointfile", routes.import_joint_file, methods=["POST"]),
     Route("/draft", routes.save_draft, methods=["POST"]),
     Route("/runs/{number:number}", routes.show_run),
     Route("/runs/{number:number}/events", routes.stream_progress),

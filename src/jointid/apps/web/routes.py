@@ -16,7 +16,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response, StreamingResponse
 
 from jointid.apps.web import form, pages
-from jointid.apps.web.folder import MODELS, PageError, Run, link, read_json, refusal_of, write_json
+from jointid.apps.web.folder import MODELS, PageError, Run, read_json, refusal_of, write_json
 from jointid.apps.web.pages import AppState, receive_files
 from jointid.apps.web.preview import draw_svg
 from jointid.common.errors import JointidError
@@ -104,32 +104,6 @@ async def _take_files(state: AppState, fresh: Path, names: list[str]) -> Respons
         return state.redirect("/channels")
     await _keep(state, fresh, [*records, *models], made["draft"])
     return state.redirect("/joint" if made["robot"] else "/channels")
-
-
-@_refusing(pages.show_record)
-async def add_records(request: Request, state: AppState) -> Response:
-    """Take further records of the same axis, or of the same robot."""
-    with state.folder.receiving() as fresh:
-        names = await receive_files(request, fresh, state.limits.upload, pages.list_suffixes(), _MOST)
-        known = state.folder.sent
-        if twice := [name for name in names if name in known]:
-            raise PageError(f"There is a file called {', '.join(twice)} already; rename the new one.")
-        if len(known) + len(names) > _MOST:
-            raise PageError(f"That would be more than {_MOST} files; identify fewer records together.")
-        for name in known:
-            link(state.folder.now / name, fresh / name)
-        async with state.files:
-            await _keep(state, fresh, [*known, *names], state.folder.draft)
-    return state.redirect("/")
-
-
-@_refusing(pages.show_record)
-async def leave_records_out(_: Request, state: AppState) -> Response:
-    """Leave all records out but the first; the model of a robot stays."""
-    sent = state.folder.sent
-    kept = [name for name in sent if name == sent[0] or name.lower().endswith(MODELS)]
-    write_json(state.folder.now / "sent.json", {"files": kept})
-    return state.redirect("/")
 
 
 @_refusing(pages.show_record)
@@ -230,19 +204,6 @@ async def show_joint(request: Request) -> Response:
     """Show step 3."""
     state = AppState.of(request)
     return pages.show_joint(state) if state.folder.sent else state.redirect("/")
-
-
-@_refusing(pages.show_joint)
-async def import_joint_file(request: Request, state: AppState) -> Response:
-    """Fill in the form from a joint file."""
-    with state.folder.receiving() as fresh:
-        (name,) = await receive_files(request, fresh, state.limits.joint_file, [".toml"])
-        made = await _fill_in(state, fresh, name)
-    if made["robot"] != state.folder.robot:
-        kind = "robot" if made["robot"] else "joint"
-        raise PageError(f"{name} is a {kind} file; choose it together with its records in step 1.")
-    state.folder.save_draft(made["draft"])
-    return state.redirect("/joint")
 
 
 @_refusing(pages.show_joint)
