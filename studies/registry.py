@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal
 
-from jointid.paper.published import SYMBOLS
+from jointid.paper.tables import SYMBOLS
 from jointid.paper.twin import TABLE_2
 from jointid.tuning.margins import NAMES
 from studies.forces import ASKED, ForceRun

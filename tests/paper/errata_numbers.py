@@ -4,27 +4,57 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from decimal import ROUND_DOWN, Decimal
 
 from jointid import Filtering, FlexibleJoint
-from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, Cell, PublishedTable
-from jointid.paper.recomputed import (
+from jointid.paper.reproduce import Erratum
+from jointid.paper.tables import (
     DENOMINATORS,
+    SYMBOLS,
+    TABLES,
     TESTS,
-    agrees,
+    Cell,
+    PublishedTable,
     compute_variations,
     format_as_print,
     format_digits,
     recompute_cells,
     sum_sides,
 )
-from jointid.paper.reproduce import Erratum
 
+
+@dataclass(frozen=True, slots=True)
+class PublishedSettings:
+    """Settings of the experiment, as the text of section V gives them."""
+
+    sample_rate: float = 1000.0  # Hz, V.A
+    natural_frequency: float = 30.0  # Hz, stated as confirmed with the output blocked, V.A
+    bandwidth: float = 30.0  # Hz, of the position loop, V.A
+    condition_number: float = 30.0  # of W, its scaling not stated, V.A
+    rigid_cutoff: float = 5.0  # Hz, of the filters for the rigid model, V.B
+    flexible_cutoff: float = 60.0  # Hz, of those for the flexible model, V.C
+    decimation: int = 12  # one sample in so many is kept, V.C
+    added_mass: float = 10.0  # kg, on the load in the second test, V.D
+
+
+EXPERIMENT = PublishedSettings()
+
+REGRESSOR = (
+    ("v1", "v1", "sign(v1)", "-q2", "-v2", "0", "0", "0"),
+    ("0", "0", "0", "q2", "v2", "v12", "v12", "sign(v12)"),
+)
+"""The matrix under (5) as printed, in the letters of `models.joints`; its parameters are those of Table 2."""
 REGRESSOR_OF_2 = (
     ("a1", "v1", "sign(v1)", "-q2", "-v2", "0", "0", "0"),
     ("0", "0", "0", "q2", "v2", "a12", "v12", "sign(v12)"),
 )
 """The regressor of (2), in the letters of `models.joints` and in the order of the parameters of Table 2."""
+
+
+def agrees(printed: Decimal, recomputed: Decimal | float, rounding: str | None = None) -> bool:
+    """Test whether a number rounds to the printed one."""
+    return Decimal(recomputed).quantize(printed, rounding) == printed
 
 
 def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:

@@ -11,11 +11,13 @@ import pytest
 
 from jointid.models.joints import FlexibleJoint
 from jointid.models.position_forces import Motion
-from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, PublishedTable
-from jointid.paper.recomputed import (
+from jointid.paper.reproduce import ERRATA
+from jointid.paper.tables import (
     METHODS,
+    SYMBOLS,
+    TABLES,
     TESTS,
-    agrees,
+    PublishedTable,
     compare_table,
     compute_relative_deviations,
     compute_relative_errors,
@@ -24,11 +26,13 @@ from jointid.paper.recomputed import (
     recompute_cells,
     sum_sides,
 )
-from jointid.paper.reproduce import ERRATA
 from jointid.paper.twin import TABLE_2, TABLE_4
 from tests.paper.errata_numbers import (
+    EXPERIMENT,
     RECOMPUTED,
+    REGRESSOR,
     REGRESSOR_OF_2,
+    agrees,
     compute_shifts,
     compute_stiffness,
     find_largest_decimation,

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
+from typing import NamedTuple
 
 from jointid import (
     DIDIM,
@@ -32,8 +33,7 @@ from jointid.common.document import Block, Document, Heading, Paragraph, Picture
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.validation import Validation
-from jointid.paper.published import SYMBOLS, TABLES
-from jointid.paper.recomputed import DENOMINATORS, Denominator, compare_table
+from jointid.paper.tables import DENOMINATORS, SYMBOLS, TABLES, Denominator, compare_table
 from jointid.paper.twin import Twin, twin
 
 
@@ -170,13 +170,7 @@ def report_reproduction(run: Reproduction, draw: Callable[[Validation], bytes]) 
     ]
     for numbers, part in (((2, 3), run.first), ((4, 5), run.second)):
         blocks += _tabulate_axis(numbers, part)
-    blocks += (
-        _list_variations(run)
-        + _list_relative_errors(run)
-        + _list_validations(run, draw)
-        + _list_conditioning(run)
-        + _list_damping(run)
-    )
+    blocks += [*_list_variations(run), *_list_relative_errors(run), *_list_validations(run, draw), *_list_checks(run)]
     blocks += _list_errata()
     return Document("The paper, reproduced", tuple(blocks))
 
@@ -238,27 +232,21 @@ def _list_relative_errors(run: Reproduction) -> list[Block]:
 
 def _list_validations(run: Reproduction, draw: Callable[[Validation], bytes]) -> list[Block]:
     blocks: list[Block] = [Heading("Figures 4 and 5: cross test and direct validation")]
+    cross = "Figure 4: the loop simulated with IDIM's values, on a run with other pulses"
+    direct = "Figure 5: the loop simulated with DIDIM's values, on its own run"
     for name, validation, words in (
-        (
-            "figure4",
-            run.first.idim_simulated,
-            "Figure 4: the loop simulated with IDIM's values, on a run with other pulses",
-        ),
-        ("figure5", run.first.didim_direct, "Figure 5: the loop simulated with DIDIM's values, on its own run"),
-    ):
+        ("figure4", run.first.idim_simulated, cross), ("figure5", run.first.didim_direct, direct)
+    ):  # fmt: skip
+        shares = (_format_share(ratio) for ratio in (validation.relative_error, validation.filtered_error))
         blocks.append(Picture(f"{name}.png", partial(bytes, draw(validation)), words))
-        blocks.append(
-            Paragraph(
-                f"Torque error {_format_share(validation.relative_error)} % raw, "
-                f"{_format_share(validation.filtered_error)} % filtered."
-            )
-        )
+        blocks.append(Paragraph("Torque error {} % raw, {} % filtered.".format(*shares)))
     return blocks
 
 
-def _list_conditioning(run: Reproduction) -> list[Block]:
+def _list_checks(run: Reproduction) -> list[Block]:
     found = run.first.idim.fit.conditioning
     assert found is not None
+    rows = tuple((SYMBOLS.get(name, name), f"{100 * shift:+.2f}") for name, shift in run.damping_shifts.items())
     return [
         Heading("The excitation check"),
         Paragraph(
@@ -266,12 +254,6 @@ def _list_conditioning(run: Reproduction) -> list[Block]:
             f"{found.raw:.4g} raw, {found.normalised:.3g} with the columns normalised, {found.scaled:.3g} with the "
             "columns scaled by the parameters."
         ),
-    ]
-
-
-def _list_damping(run: Reproduction) -> list[Block]:
-    rows = tuple((SYMBOLS.get(name, name), f"{100 * shift:+.2f}") for name, shift in run.damping_shifts.items())
-    return [
         Heading("The test of F12"),
         Paragraph(
             "The paper takes F12 out of the model and finds that neither residual nor parameters change by 1 %. Here "
@@ -320,13 +302,8 @@ def _format_share(ratio: float) -> str:
     return f"{100 * ratio:.2f}"
 
 
-@dataclass(frozen=True, slots=True)
-class Erratum:
-    """One finding.
-
-    Attributes:
-        recomputed: from the paper's own numbers and equations.
-    """
+class Erratum(NamedTuple):
+    """One finding; `recomputed` is from the paper's own numbers and equations."""
 
     item: str
     where: str
@@ -335,7 +312,7 @@ class Erratum:
     what_we_do: str
 
 
-ERRATA: tuple[Erratum, ...] = tuple(
+ERRATA = tuple(
     Erratum(**one)
     for one in tomllib.loads(files("jointid.paper").joinpath("errata.toml").read_text(encoding="utf-8"))["erratum"]
 )

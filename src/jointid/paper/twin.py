@@ -25,7 +25,7 @@ from jointid import ClosedLoop, Filtering, FlexibleJoint, Record, excitation, si
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.controller import Cascade
-from jointid.paper.published import TABLES
+from jointid.paper.tables import TABLES
 
 SAMPLE_TIME = 1e-3
 DURATION = 24.0

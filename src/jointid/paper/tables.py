@@ -1,17 +1,106 @@
-"""Recompute the published tables, by the paper's sections and equations."""
+"""Published numbers as printed, Tables 1 to 7, and what follows from them by the paper's sections and equations.
+
+M. Gautier, A. Janot, A. Jubien, P.-O. Vandanjon, "Joint stiffness identification from only motor force/torque data",
+CDC 2011. `errata` lists inconsistencies.
+
+`Decimal` keeps printed digits (0.80 is not 0.8) and exact differences. Parameters have the names of `models.joints`;
+the paper's Fv12, the damping between the masses, is F12.
+"""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
+from importlib.resources import files
 from types import MappingProxyType
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from jointid import FlexibleJoint, RigidJoint
 from jointid.common.document import Table
 from jointid.common.text import align, number
-from jointid.paper.published import SYMBOLS, TABLES, Cell, PublishedTable
+
+PrintedRows: TypeAlias = Mapping[str, tuple[Decimal, ...]]
+Cell: TypeAlias = tuple[str, str]
+"""The column and the parameter of a printed number."""
+
+SYMBOLS: Mapping[str, str] = MappingProxyType(
+    {
+        parameter.name: parameter.symbol
+        for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic"))
+        for parameter in joint.parameters
+    }
+)
+"""The symbol of every parameter, as the tables below spell it."""
+
+_NAMES = {symbol: name for name, symbol in SYMBOLS.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PublishedTable:
+    """One table of the paper.
+
+    Attributes:
+        columns: names of the numbers in a row: value, two_sigma and relative_percent (100 sigma / value) in Tables 1
+            to 5; a method in Table 6; a test in Table 7.
+        rows: by parameter, one number per column; kg, N s/m, N, N/m in Tables 1 to 6, % in Table 7.
+        frequency: Hz, the natural frequency under the table.
+        residual_percent: of the inverse model, ``||Y - W chi|| / ||Y||``.
+        simulated_percent: of the simulation, ``||Y - Ys|| / ||Y||``.
+        sums: of motor and load side, by the names of the rigid joint.
+        iterations: number stated in the paper, by the place of the statement.
+    """
+
+    number: int
+    caption: str
+    columns: tuple[str, ...]
+    rows: PrintedRows
+    frequency: Decimal | None = None
+    residual_percent: Decimal | None = None
+    simulated_percent: Decimal | None = None
+    sums: Mapping[str, Decimal] = field(default_factory=dict)
+    iterations: Mapping[str, int] = field(default_factory=dict)
+
+    def column(self, name: str) -> dict[str, Decimal]:
+        """Return one column, by parameter."""
+        place = self.columns.index(name)
+        return {parameter: numbers[place] for parameter, numbers in self.rows.items()}
+
+    def cell(self, cell: Cell) -> Decimal:
+        """Return one number, by its column and parameter."""
+        column, parameter = cell
+        return self.rows[parameter][self.columns.index(column)]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The identified values, ready for `models.joints` (Tables 1 to 5)."""
+        return {parameter: float(value) for parameter, value in self.column("value").items()}
+
+
+def _read_table(stated: dict[str, Any]) -> PublishedTable:
+    rows = (line.split() for line in stated["rows"].splitlines())
+    numbers = {
+        key: Decimal(stated[key]) for key in ("frequency", "residual_percent", "simulated_percent") if key in stated
+    }
+    return PublishedTable(
+        stated["number"],
+        stated["caption"],
+        tuple(stated["columns"]),
+        MappingProxyType({_NAMES[symbol]: tuple(map(Decimal, printed)) for symbol, *printed in rows}),
+        sums=MappingProxyType({name: Decimal(printed) for name, printed in stated.get("sums", {}).items()}),
+        iterations=MappingProxyType(stated.get("iterations", {})),
+        **numbers,
+    )
+
+
+TABLES: Mapping[int, PublishedTable] = MappingProxyType(
+    {
+        stated["number"]: _read_table(stated)
+        for stated in tomllib.loads(files("jointid.paper").joinpath("tables.toml").read_text(encoding="utf-8"))["table"]
+    }
+)
+"""The tables of the paper, by number."""
 
 Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
 
@@ -52,11 +141,6 @@ def compute_relative_errors(
     """A column of Table 7 in %, by (15) relative to DIDIM, or to IDIM."""
     of = (didim if denominator == "DIDIM" else idim).column("value")
     return {name: 100 * abs(change / of[name]) for name, change in compute_variations(idim, didim).items()}
-
-
-def agrees(printed: Decimal, recomputed: Decimal | float, rounding: str | None = None) -> bool:
-    """Test whether a number rounds to the printed one."""
-    return Decimal(recomputed).quantize(printed, rounding) == printed
 
 
 def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
