@@ -131,29 +131,19 @@ class Profile:
 
     def signals(self, channel: str, column: str, place: Place) -> list[TraceSignal]:
         """Signals of a channel that a column name matches."""
-        spoken = _name_words(column)
-        return [
-            s for s in self.channels.get(channel, ()) if any(_split_words(name) in spoken for name in s.names_on(place))
-        ]
+        spoken = index_columns([column])
+        return [one for one in self.channels.get(channel, ()) if _find_named(one.names_on(place), spoken)]
 
     def candidates(self, channel: str, columns: Spoken, place: Place) -> list[str]:
         """Columns that can be a channel; fallbacks only where nothing else is."""
-        found: dict[str, TraceSignal] = {}
-        for signal in self.channels.get(channel, ()):
-            for name in signal.names_on(place):
-                for column in columns.get(_split_words(name), ()):
-                    found.setdefault(column, signal)
-        return [name for name, signal in found.items() if not signal.fallback] or list(found)
+        found = {s: _find_named(s.names_on(place), columns) for s in self.channels.get(channel, ())}
+        first = [name for signal, names in found.items() for name in names if not signal.fallback]
+        return list(dict.fromkeys(first or (name for names in found.values() for name in names)))
 
     def gain_columns(self, columns: Spoken, place: Place) -> dict[str, DriveGain]:
         """Columns of the controller's gains, where exactly one fits."""
-        made = {}
-        for gain in self.gains:
-            names = _fill_names(gain.columns, place)
-            found = {column for name in names for column in columns.get(_split_words(name), ())}
-            if len(found) == 1:
-                made[found.pop()] = gain
-        return made
+        found = {gain: _find_named(_fill_names(gain.columns, place), columns) for gain in self.gains}
+        return {names[0]: gain for gain, names in found.items() if len(names) == 1}
 
     def side(self, channel: str, column: str, place: Place) -> Side | None:
         """Transmission side of a channel, by column or by default."""
@@ -184,8 +174,7 @@ class Profile:
 
     def time_column(self, columns: Iterable[str]) -> str | None:
         """The time column, if the trace has exactly one known name."""
-        wanted = [_split_words(name) for name in self.time]
-        found = [column for column in columns if any(words in wanted for words in _name_words(column))]
+        found = _find_named(self.time, index_columns(columns))
         return found[0] if len(found) == 1 else None
 
     def find_columns(
@@ -240,6 +229,11 @@ def place_of(axis: int | None = None, joint: str | None = None) -> Place:
     """Return a place in a trace, for the placeholders of names."""
     numbers: dict[str, int | str] = {} if axis is None else {"axis": axis, "index": axis - 1}
     return numbers if joint is None else {**numbers, "joint": joint}
+
+
+def _find_named(names: Iterable[str], columns: Spoken) -> list[str]:
+    """Return the columns that have one of these names."""
+    return list(dict.fromkeys(column for name in names for column in columns.get(_split_words(name), ())))
 
 
 def _fill_names(names: Iterable[str], place: Place) -> Iterator[str]:
