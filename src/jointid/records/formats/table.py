@@ -122,6 +122,7 @@ class Found:
             self._require_new(name)
             self.scalars[name] = float(array.item())
             return
+        require_size(self.path, self.numbers + array.size * len(array.dtype.names or " "))
         for column, view in find_columns(name, array, self.passed).items():
             self.add(column, to_numbers(view), unit)
 
