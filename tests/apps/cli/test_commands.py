@@ -476,6 +476,7 @@ file = "b.csv"
     [
         ("report", EMPS, "--held-out", "nope.csv"),
         ("design", EMPS, "--goal", "nope"),
+        ("identify", EMPS, "--window", "6", "--figure", "torque.png"),
     ],
 )
 def test_a_file_or_goal_that_is_not_there_is_refused_before_the_joint_is_identified(

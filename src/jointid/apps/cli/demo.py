@@ -5,10 +5,10 @@ from __future__ import annotations
 import datetime
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from jointid.apps.cli.console import Flag, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.common.document import Document
@@ -19,6 +19,9 @@ from jointid.common.messages import Progress, Work
 if TYPE_CHECKING:
     from jointid import Estimate, Record, Robot
     from jointid.simulation.robots import RobotLoop
+
+_Made: TypeAlias = "tuple[str, Sequence[str], Estimate | None, Mapping[str, float]]"
+"""What a demo says of itself, what to do next, its estimate, and the truth of its parameters."""
 
 _ROBOT = ("robot.toml", "robot.xml")
 _ANSWER = ("record.csv", "estimate.json", "torque.png")
@@ -71,40 +74,17 @@ def demo(
     listener = listen(quiet)
     work = Work(listener, "simulating and identifying", 2, "steps")
     options = Options(quiet=quiet or not details)
-    made = make(folder, seed, options, listener, work)
+    said, steps, estimate, truth = make(folder, seed, options, listener, work)
     work.reach(work.total)
-    if details and made.estimate is not None:
-        show(made.estimate, details=True)
+    if details and estimate is not None:
+        show(estimate, details=True)
         show()
-    show(made.document().text())
+    from jointid.estimation.result.summary import parameters_table
+
+    show(Document(said, () if estimate is None else (parameters_table(estimate, truth=truth),)).text())
     show()
-    for line in made.steps:
+    for line in steps:
         show(line)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Made:
-    """Output of a demo.
-
-    Attributes:
-        said: in a sentence.
-        steps: what to do next.
-        estimate: None of a fleet.
-        truth: of its parameters, by name.
-    """
-
-    said: str
-    steps: Sequence[str]
-    estimate: Estimate | None = None
-    truth: Mapping[str, float] = field(default_factory=dict)
-
-    def document(self) -> Document:
-        """Return the sentence, and the values beside the truth."""
-        from jointid.estimation.result.summary import parameters_table
-
-        return Document(
-            self.said, () if self.estimate is None else (parameters_table(self.estimate, truth=self.truth),)
-        )
 
 
 def _make_axis(folder: Path, seed: int, options: Options, listener: Progress, work: Work) -> _Made:
@@ -181,13 +161,11 @@ def _make_fleet(folder: Path, seed: int, options: Options, listener: Progress, w
         ready(listener)
     work.add()
     _write_fleet(folder, seed)
-    return _Made(
-        said="The stiffness of axis-001 falls by a tenth one day; 5 % of files are spoiled.",
-        steps=(
-            f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs",
-            f"See what changed, which takes minutes: jointid campaign {folder / 'campaign.toml'}",
-        ),
+    steps = (
+        f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs",
+        f"See what changed, which takes minutes: jointid campaign {folder / 'campaign.toml'}",
     )
+    return "The stiffness of axis-001 falls by a tenth one day; 5 % of files are spoiled.", steps, None, {}
 
 
 def _write_fleet(folder: Path, seed: int) -> None:
@@ -264,13 +242,9 @@ def _identify(
     _, estimate = options.identify(options.load(file))
     answers.write(answers.to_dict(estimate), folder / "estimate.json")
     figures.save(figures.torque(estimate), folder / "torque.png")
-    return _Made(
-        said=str(estimate.answer),
-        steps=(
-            f"Written to {folder}: record.csv, {', '.join(texts)}, estimate.json, torque.png",
-            f"All of it on one page: jointid report {file} --html report.html",
-            f"Change the {file.stem} file, then: jointid identify {file}",
-        ),
-        estimate=estimate,
-        truth=truth(estimate),
+    steps = (
+        f"Written to {folder}: record.csv, {', '.join(texts)}, estimate.json, torque.png",
+        f"All of it on one page: jointid report {file} --html report.html",
+        f"Change the {file.stem} file, then: jointid identify {file}",
     )
+    return str(estimate.answer), steps, estimate, truth(estimate)

@@ -70,6 +70,7 @@ def identify(
     """
     from jointid import Windowing, figures
     from jointid.config import require_joint
+    from jointid.estimation.result.parts import IN_WINDOWS
 
     records = record or []
     figures.require_format(figure)
@@ -85,6 +86,8 @@ def identify(
             raise MethodError(
                 f"A log is one record; received {len(records)} with --window: name one, or leave --window out."
             )
+        if figure is not None:
+            raise MethodError(IN_WINDOWS)
         ready(options.progress)
         log = require_joint(file, "A log in windows")
         estimate = log.identify_log(
@@ -94,7 +97,7 @@ def identify(
         ready(options.progress)
         estimate = file.identify_together(records, options.progress)
     else:
-        estimate = options.identify(file)[1]
+        estimate = options.identify(file, whole=figure is not None)[1]
     deliver(estimate, json, (figure, figures.torque), details=details)
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
