@@ -17,8 +17,6 @@ from jointid.common import messages
 from jointid.common.errors import JointFileError
 from jointid.common.files import open_file
 
-_PLACE = re.compile(r"(?P<reason>.*) \(at (line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
-
 _LARGEST = 2**20  # bytes; a state space of order 100 takes a quarter of it
 _DEEPEST = 256  # points in a key: the parser takes the square of their number
 
@@ -55,23 +53,13 @@ def parse_toml(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise JointFileError(_syntax_fault(text, str(error))) from error
+        raise JointFileError(
+            f'The text is not TOML: {error}; expected [tables] and lines of key = value, text in "quotes": correct it.'
+        ) from error
     except RecursionError:
         raise JointFileError("The joint file nests lists or tables too deeply; no key of it needs that.") from None
     except ValueError as error:  # a number of more digits than Python reads
         raise JointFileError("The joint file holds a number of thousands of digits; correct it.") from error
-
-
-def _syntax_fault(text: str, message: str) -> str:
-    match = _PLACE.fullmatch(message)
-    reason = match["reason"] if match else message
-    lines = text.splitlines() or [""]
-    line = int(match["line"]) if match and match["line"] else len(lines)
-    column = int(match["column"]) if match and match["column"] else len(lines[-1]) + 1
-    return (
-        f"Line {line}, column {column} is not TOML ({reason[:1].lower()}{reason[1:]}); expected [tables] and lines of "
-        'key = value, text in "quotes": correct that line.'
-    )
 
 
 def apply_changes(tables: Mapping[str, Any], changes: Iterable[str]) -> dict[str, Any]:
