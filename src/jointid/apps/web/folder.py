@@ -22,6 +22,7 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 MODELS = (".urdf", ".xml", ".mjcf")
 """Suffixes of a robot's model."""
 FULL = "The disk on which this page keeps its files is full; free space there, and try again."
+REFUSED = 2  # exit code of a process whose refusal is in fault.json
 
 _OURS = ("answer.txt", "learned.txt", "log.txt", "progress.txt")  # in a format of records
 _THEIRS = "record-"

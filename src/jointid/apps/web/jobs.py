@@ -12,8 +12,7 @@ import time
 from asyncio.subprocess import PIPE
 from pathlib import Path
 
-from jointid.apps.web.folder import FULL, Limits, PageError, Run, read_json, refuse_links
-from jointid.apps.web.worker import REFUSED
+from jointid.apps.web.folder import FULL, REFUSED, Limits, PageError, Run, read_json, refuse_links
 from jointid.common.bounds import TOO_LARGE
 from jointid.common.errors import Fault, JointFileError, JointidError
 from jointid.common.files import is_full

@@ -15,12 +15,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jointid.apps.web.folder import MODELS
+from jointid.apps.web.folder import MODELS, REFUSED
 from jointid.common.bounds import LIBRARIES, TOO_LARGE, limit_memory, measure_memory
 from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import write_whole
-
-REFUSED = 2
 
 
 def preview(folder: Path) -> None:
