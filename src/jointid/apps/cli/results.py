@@ -133,7 +133,6 @@ def validate(
     """
     from jointid import figures
     from jointid import validate as run
-    from jointid.config import JointFile
 
     outputs = options.json, figure, residuals
     for picture in (figure, residuals):
@@ -145,10 +144,7 @@ def validate(
             "or --record OTHER beside the record that the file names."
         )
     identified = _read_or_identify(file, estimate, options.progress)
-    if isinstance(file, JointFile):
-        chosen = {"method": identified.settings.method, "friction": file.joint.friction.name}
-        file = options.load_joint(joint, what="A validation", **chosen)
-        ready(options.progress)
+    ready(options.progress)
     found = run(identified, file.record(options.record))
     deliver(found, options.json, (figure, figures.torque), (residuals, figures.residual))
 
