@@ -730,8 +730,8 @@ class JointFile(File[Record]):
         missing = [p.name for p in parameters if p.start is None]
         if missing:
             raise MethodError(
-                f"A simulation needs a value for every parameter; {', '.join(missing)} has none: give it a value or a "
-                "start in the table parameters, or identify the joint first."
+                f"A simulation needs a value for every parameter; without one: {', '.join(missing)}. Give each a value "
+                "or a start in the table parameters, or identify the joint first."
             )
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 

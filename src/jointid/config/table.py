@@ -228,15 +228,15 @@ class Reader:
             if not isinstance(kind, str) or kind not in owner.variants:
                 return self._refuse((*place, owner.decided_by), _describe_choice(owner, raw), "choice")
             owner = owner.variants[kind]
-        given, seen = dict[str, Any](), set[str]()
+        given = dict[str, Any]()
         for key, value in raw.items():
             meant = self._meant(owner, key, raw, place)
             if meant is not None:
-                seen.add(meant)
-                given[meant] = self.value(owner.declared()[meant], value, (*place, key))
+                reader = self if meant == key or isinstance(value, dict | list) else Reader()  # one fault for one key
+                given[meant] = reader.value(owner.declared()[meant], value, (*place, key))
             else:
                 given[key] = WRONG
-        for key, rest in () if set(raw) & set(owner.ambiguous) else owner.find_missing(seen):
+        for key, rest in () if set(raw) & set(owner.ambiguous) else owner.find_missing([*given]):
             given[key] = self._refuse((*place, key), rest, "missing")
         wrong = [key for key, value in given.items() if value is WRONG]
         self.wrong.update((*place, key) for key in wrong)
