@@ -266,7 +266,7 @@ def test_values_are_those_fixed_and_those_started_from() -> None:
         SMALLEST + "[parameters]\ninertia = { start = 90.0 }\nviscous = 200\ncoulomb = 20\noffset = { start = 1 }"
     )
     assert file.values() == {"inertia": 90.0, "viscous": 200.0, "coulomb": 20.0, "offset": 1.0}
-    with pytest.raises(MethodError, match=r"every parameter; inertia, viscous, coulomb, offset has none"):
+    with pytest.raises(MethodError, match=r"every parameter; without one: inertia, viscous, coulomb, offset"):
         loads(SMALLEST).values()
 
 

@@ -13,7 +13,7 @@ from jointid.config import deleted, load, loads
 from tests.joint_files import CASCADE, CHANNELS, FLEXIBLE, JOINT, LINK, SMALLEST, faults, told
 
 FAULTS = [
-    (SMALLEST + "position_gian = 'x'", "controller.position_gian unknown"),
+    (SMALLEST + "position_gian = 3", "controller.position_gian unknown"),
     (
         SMALLEST.replace("velocity_gain = 2000.0", "derivative_gain = 3.0\nintegral_gain = 1.0").replace(
             "cascade", "pd"
@@ -207,7 +207,7 @@ def test_a_fault_has_its_place_and_code(text: str, said: str) -> None:
     ("wrong", "meant"),
     [
         (
-            SMALLEST + "INTEGRAL_GAIN = 3.0",
+            SMALLEST + "INTEGRAL_GAIN = 'x'",
             "controller.INTEGRAL_GAIN is not a known key; .* did you mean integral_gain",
         ),
         (SMALLEST + "[Method]", "Method is not a known key; .* did you mean method"),
