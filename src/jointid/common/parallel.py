@@ -125,10 +125,6 @@ class Aside(Generic[Result]):
         """Whether it runs in a separate process."""
         return self._process is not None
 
-    def is_done(self, within: float = 0.0) -> bool:
-        """Test whether the result arrives within some seconds; False without a process."""
-        return self._answer is not None and self._answer.poll(within)
-
     def result(self) -> Result:
         """Wait for the result."""
         if self._answer is not None and self._process is not None:

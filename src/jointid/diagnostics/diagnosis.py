@@ -352,8 +352,8 @@ class Diagnosis(Documented):
         bad = [one.name for one in self.axes if not one.explained]
         coloured = [one.name for one in self.axes if one.coloured]
         alone = len(self.axes) == 1
-        whole = "torque" if alone else "torques of all joints"
-        first = f"The model explains the {whole} but for noise, as far as this record shows."
+        left = ("{:.2g} %" if alone else "at most {:.2g} %").format(100 * max(a.left for a in self.axes))
+        first = f"The model leaves {left} of the torque, which is noise as far as this record shows."
         if bad:
             first = f"The model does not explain the torque{self._of(bad)}."
         elif unjudged := [one.name for one in self.axes if not one.judged]:

@@ -353,5 +353,5 @@ def test_little_that_is_left_is_not_called_noise_where_it_is_coloured() -> None:
     found = diagnose_robot(identified(arm(4), more), more)
     joint = found.axes[3]
     assert joint.explained and joint.coloured
-    assert "but for noise" not in found.answer and "joint4 is not white" in found.answer
+    assert "is noise" not in found.answer and "joint4 is not white" in found.answer
     assert named(found) == [("joint4", "stribeck")]
