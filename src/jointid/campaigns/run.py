@@ -40,7 +40,6 @@ from jointid.estimation.result.answer import Trust
 from jointid.uncertainty.identifiability import Kind, Known
 from jointid.uncertainty.verdict import POOR_FIT
 
-_BLOCK = 2**20
 _PATIENCE = 10.0  # s that a scheduler has to answer
 _LOOK = 5.0  # s without a result, after which it is seen whether any can come
 _DEATHS = 2  # of workers, after which a case is set aside

@@ -16,8 +16,6 @@ from jointid.models.controllers import CONTROLLER_UNITS
 OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}
 """Output units of a controller, by the motion of its side."""
 
-_LENGTHS = ("m", "m/s", "m/s2", "m s")  # what is behind a "per" for a side that moves straight
-
 
 class Stated(float):
     """A number with the words it was given in; its value is what a plain number there would be.

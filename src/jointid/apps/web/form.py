@@ -195,10 +195,9 @@ KIND = replace(
         *_KINDS, empty="choose ...", labels={"prismatic": "straight: m, N", "revolute": "it turns: rad, N m"}
     ),
 )
-CLOCK, TEXT = (
-    _make_fields("record", *names)
-    for names in (("time", "time_unit", "sample_time"), ("delimiter", "decimal", "header"))
-)
+_TIME, *_RATE = _make_fields("record", "time", "time_unit", "sample_time")
+CLOCK = (replace(_TIME, form="column"), *_RATE)
+TEXT = _make_fields("record", "delimiter", "decimal", "header")
 GEAR = _make_fields("transmission")
 DRIVE = (*_make_fields("joint", "torque_constant"), *_make_fields("drive"))
 CHANNEL_FIELDS = {channel: _make_channel(channel) for channel in CHANNELS}

@@ -46,7 +46,6 @@ from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import MassMotion, RobotLoop
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
-_WHOLE = 1e-8  # of a weight that is 1
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
 _OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
 _QUANTITIES = {
