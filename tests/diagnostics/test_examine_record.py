@@ -88,7 +88,7 @@ def told(record: Record, loop: ClosedLoop) -> Examination:
     found = examine(record, loop)
     assert not found.healthy
     assert found.sentence.endswith(".")
-    assert len(str(found).splitlines()) < 60
+    assert len(str(found).splitlines()) < 100  # with the diagnosis
     return found
 
 
@@ -110,7 +110,7 @@ def test_nothing_is_wrong_with_a_clean_twin(loop: str, noise: str) -> None:
     made = twin(loop, noise=noise, seed=100)  # type: ignore[arg-type]
     found = examine(made.record, made.loop)
     assert found.healthy, str(found)
-    assert len(str(found).splitlines()) <= 48
+    assert len(str(found).splitlines()) < 100  # with the diagnosis
     known = {one.name: one for one in found.parameters}
     assert known["stiffness"].remark == "well"
     assert known["stiffness"].percent == pytest.approx(0.9, abs=0.6)
