@@ -261,7 +261,7 @@ class _Listing:
             yield Case(name or path.stem, text, record, stamp, _day(None, stamp), settings=settings)
 
     def _path(self, key: str, row: Mapping[str, str], place: Path) -> tuple[Path, str]:
-        """Return a pattern, empty if there is none, and the folder from which it is taken."""
+        """Return a pattern of paths, or an empty one, and its folder."""
         folder, pattern = (place, row[key]) if row.get(key) else (self._folder, self._fleet.get(key, ""))
         known = ["{joint}"] if key == "joint" else [f"{{{one}}}" for one in _PLACEHOLDERS]
         for found in _PLACEHOLDER.finditer(pattern):

@@ -47,7 +47,7 @@ class KernelCache(FunctionCache):
         return self._try(super().load_overload, sig, target_context)
 
     def _try(self, load: Any, *arguments: Any) -> Any:
-        """Return what is loaded; None of a damaged cache, which is emptied."""
+        """Load a kernel; return None for a damaged cache, which is emptied."""
         if self._cache_file._source_stamp is None:  # not before all that it calls is defined
             self._cache_file._source_stamp = _stamp(self._function, self._options)
         try:

@@ -307,7 +307,7 @@ class _Shown:
 
 
 def table_at(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return a table of a file that is not checked yet, empty if there is none."""
+    """Return a table of an unchecked file, or an empty one."""
     below = raw.get(key)
     return below if isinstance(below, dict) else {}
 

@@ -314,7 +314,7 @@ class File(ABC, Generic[R]):
 
     def tables(self) -> dict[str, Any]:
         """Return the tables of the file, as they were read."""
-        return {} if self.table is None else self.table.written()
+        return {} if self.table is None else self.table.to_toml()
 
 
 def name_axes(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:

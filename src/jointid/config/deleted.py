@@ -1,4 +1,4 @@
-"""Keys that joint, robot and campaign files no longer have, with what to do instead."""
+"""Deleted keys of joint, robot and campaign files, with their replacements."""
 
 from __future__ import annotations
 

@@ -181,20 +181,20 @@ def carried_bodies(
         if (inertial := links.get(link)) is not None:
             yield link, (pose, _body_of_urdf(inertial))
         for joint in joints:
-            if _named(joint, "parent") == link and joint.get("name") not in moving:
+            if _link_name(joint, "parent") == link and joint.get("name") not in moving:
                 moved = _pose_of_urdf(joint)
                 if (at := still.get(str(joint.get("name")))) is not None:
                     axis = _vector(joint.find("axis"), "xyz", "1 0 0")
                     axis /= np.linalg.norm(axis)
                     slides = joint.get("type") == "prismatic"
                     moved = moved @ (_pose(np.eye(3), at * axis) if slides else _pose(_turn(at * axis), np.zeros(3)))
-                yield from enter(_named(joint, "child"), pose @ moved)
+                yield from enter(_link_name(joint, "child"), pose @ moved)
 
-    pairs = ((joint.get("name", ""), _named(joint, "child")) for joint in joints)
+    pairs = ((joint.get("name", ""), _link_name(joint, "child")) for joint in joints)
     return {name: dict(enter(child, np.eye(4))) for name, child in pairs if name in moving}
 
 
-def _named(joint: ET.Element, end: str) -> str:
+def _link_name(joint: ET.Element, end: str) -> str:
     """Return the name of the link at an end of a joint of a URDF."""
     found = joint.find(end)
     return "" if found is None else found.get("link", "")

@@ -138,7 +138,7 @@ def _unit_faults(file: FileTable, name: str, kinds: Collection[Kind]) -> Iterato
 
 
 def _torque_faults(file: FileTable) -> Iterator[Fault]:
-    """Yield what stands against a torque from the controller."""
+    """Yield the contradictions to a torque from the controller."""
     if not file.computes_torque:
         return
     if "torque" in file.channels:

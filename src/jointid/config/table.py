@@ -98,11 +98,11 @@ class Table:
 
     def settings(self, *without: str) -> dict[str, Any]:
         """Return the given values as settings of a dataclass, by key, without those named."""
-        return {key: _built(value) for key, value in self.given.items() if key not in without}
+        return {key: _to_setting(value) for key, value in self.given.items() if key not in without}
 
-    def written(self) -> dict[str, Any]:
+    def to_toml(self) -> dict[str, Any]:
         """Return the given values as TOML has them."""
-        return {key: _written(value) for key, value in self.given.items()}
+        return {key: _to_toml(value) for key, value in self.given.items()}
 
     def quantities(self, before: str = "") -> Iterator[tuple[str, str]]:
         """Yield the texts of the numbers that are given with a unit, each after the path of its key."""
@@ -177,7 +177,7 @@ def _default(one: Declared) -> Any:
     return None if one.default is MISSING else one.default
 
 
-def _built(value: Any) -> Any:
+def _to_setting(value: Any) -> Any:
     """Return a value of a table as the setting of a dataclass."""
     match value:
         case Table():
@@ -185,23 +185,23 @@ def _built(value: Any) -> Any:
         case Stated():
             return float(value)
         case tuple() | list():
-            return tuple(map(_built, value))
+            return tuple(map(_to_setting, value))
         case dict():
-            return {key: _built(one) for key, one in value.items()}
+            return {key: _to_setting(one) for key, one in value.items()}
     return value
 
 
-def _written(value: Any) -> Any:
+def _to_toml(value: Any) -> Any:
     """Return a value of a table as TOML has it."""
     match value:
         case Table():
-            return _written(value.given[value.shorthand]) if {*value.given} == {value.shorthand} else value.written()
+            return _to_toml(value.given[value.shorthand]) if {*value.given} == {value.shorthand} else value.to_toml()
         case Stated():
             return value.text
         case tuple():
-            return [_written(one) for one in value]
+            return [_to_toml(one) for one in value]
         case dict():
-            return {key: _written(one) for key, one in value.items()}
+            return {key: _to_toml(one) for key, one in value.items()}
     return value
 
 
@@ -230,7 +230,7 @@ class Reader:
             owner = owner.variants[kind]
         given = dict[str, Any]()
         for key, value in raw.items():
-            meant = self._meant(owner, key, raw, place)
+            meant = self._find_key(owner, key, raw, place)
             if meant is not None:
                 reader = self if meant == key or isinstance(value, dict | list) else Reader()  # one fault for one key
                 given[meant] = reader.value(owner.declared()[meant], value, (*place, key))
@@ -294,8 +294,8 @@ class Reader:
         self.wrong.update((*place, name) for name, value in named.items() if value is WRONG)
         return {name: value for name, value in named.items() if value is not WRONG}
 
-    def _meant(self, owner: type[Table], key: str, raw: Mapping[str, Any], place: Place) -> str | None:
-        """Return the key that a name is, or that a misspelt one is near; a required key is then not missing, too."""
+    def _find_key(self, owner: type[Table], key: str, raw: Mapping[str, Any], place: Place) -> str | None:
+        """Return the key of a name, or the nearest key of a misspelt one; a required key is then not missing, too."""
         keys = owner.declared()
         if key in keys:
             return key

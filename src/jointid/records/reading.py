@@ -246,7 +246,7 @@ def _collect(faults: list[str]) -> Iterator[None]:
 
 
 class _Signals:
-    """The columns of a table that are channels, with what is wrong and what was put right.
+    """Columns of the channels, with their faults and corrections.
 
     Attributes:
         columns: of the channels, with their units and wraps.

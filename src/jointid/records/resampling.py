@@ -287,7 +287,7 @@ def align_updates(
 
 
 def find_refreshes(what: str, channel: Channel, update_time: float) -> NDArray[np.bool_]:
-    """Return the rows, (samples,), at which a channel that is logged more often than refreshed has a new value.
+    """Return the rows, (samples,), at which a channel is refreshed, less often than it is logged.
 
     Raises:
         RecordError: its values change at other instants.

@@ -361,7 +361,7 @@ def make_robot_file(draft: Draft, sent: Sequence[str], folder: Path) -> str:
 
 
 def describe_record(columns: Sequence[str]) -> dict[str, Any]:
-    """Return the entries of the forms that the names of columns make, and a sentence on whose log it is."""
+    """Fill in the forms from the names of columns, and name the drive whose log has them."""
     log = recognise(tuple(columns))
     if log is None:
         return {"draft": {}, "sentence": ""}

@@ -1,4 +1,4 @@
-"""What the addresses of the page share: its state, forms and files that come in, and pages that go out.
+"""State of the page, its incoming forms and files, and its outgoing pages.
 
 Forms and files come in bounded; pages go out as HTML from templates of our own, every text that came in escaped.
 """

@@ -158,7 +158,7 @@ async def _preview(state: AppState, folder: Path, names: list[str], draft: Mappi
 
 
 async def _fill_in(state: AppState, folder: Path, name: str) -> dict[str, Any]:
-    """Return what a joint file or robot file makes of the forms."""
+    """Fill in the forms from a joint file or a robot file."""
     if (folder / name).stat().st_size > state.limits.joint_file:
         most = pages.format_size(state.limits.joint_file)
         raise PageError(f"{name} is larger than {most}, the most of a joint file; is it the record?")

@@ -183,7 +183,7 @@ class WindowModel(Protocol):
 
     @property
     def motion_measured(self) -> bool:
-        """Whether the regressor is of a measured motion, which a disturbance biases."""
+        """Whether the regressor has a measured motion, and so a bias by disturbances."""
 
     def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
         """Return the rows of a window, of a record for each axis; None where it does not move.

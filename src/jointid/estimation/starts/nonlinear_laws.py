@@ -80,7 +80,7 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
 
 
 def divide_friction(problem: ClosedLoopProblem, start: Mapping[str, float], history: History) -> FloatArray:
-    """Move a start's friction to the motor side where that fits better."""
+    """Move a start's friction to the motor side if the fit improves."""
     own, moved = {p.name for p in problem.free if p.quantity in (Quantity.FORCE, Quantity.VISCOUS)}, dict(start)
     for motor in own:
         if (load := motor.replace("motor_", "load_", 1)) in own - {motor}:

@@ -108,7 +108,7 @@ class JointModel:
 
     @classmethod
     def of(cls, estimate: Estimate, name: str, controller: Controller | None = None) -> JointModel:
-        """Return the model on the side that was identified, with the controller's numbers that were identified beside.
+        """Return the model on the identified side, with the identified numbers of the controller.
 
         Raises:
             MethodError: each of several records has parameters of its own.

@@ -227,7 +227,7 @@ def torques_chart(
 def _compare(
     axes: Axes, axis: AxisSignals, x: FloatArray, measured: FloatArray, predicted: FloatArray, width: float = 1.2
 ) -> None:
-    """Draw what was measured and what was predicted of an axis."""
+    """Draw the measured and the predicted signal of an axis."""
     line(axes, x, measured, MEASURED, "measured", width)
     line(axes, x, predicted, SIMULATED, axis.prediction, width)
 

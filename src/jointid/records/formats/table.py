@@ -106,7 +106,7 @@ def join_tables(tables: Sequence[Table]) -> Table:
 
 @dataclass(slots=True)
 class Found:
-    """What is found in a file, by name; `numbers` counts those of the columns, the others are as of `Table`."""
+    """Contents of a file by name; `numbers` counts the values of the columns, the others are as in `Table`."""
 
     path: Path
     columns: dict[str, FloatArray] = field(default_factory=dict)
