@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 import jointid as ji
-from jointid.config import JointFile
 from jointid.models.friction import AsymmetricFriction, AsymmetricStribeckFriction, SymmetricFriction
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.loop_input import prepare
@@ -41,7 +40,6 @@ _LEFT_OUT = 20  # samples, of the benchmark's measure
 def residuals(folder: Path) -> Iterator[tuple[str, str, tuple[float | None, ...]]]:
     """Yield method, record, and the residuals of all frictions, in % of the force; None where a method has no such."""
     file = ji.load(JOINT)
-    assert isinstance(file, JointFile)
     assert file.loop is not None
     for name, (method, filtering) in METHODS.items():
         for record in RECORDS:
@@ -68,7 +66,6 @@ def outputs(folder: Path) -> Iterator[tuple[str, str, list[tuple[float, float]],
     under the force that PULSES logged, from rest, without its first samples.
     """
     file = ji.load(JOINT)
-    assert isinstance(file, JointFile)
     assert file.loop is not None
     records = {name: file.record(folder / f"{name}.mat") for name in RECORDS}
     driven = records["DATA_EMPS_PULSES"]

@@ -13,7 +13,7 @@ import pytest
 from jointid.apps.cli import main
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.transmission import Transmission
-from jointid.config import JointFile, dumps, loads
+from jointid.config import File, dumps, loads
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import load_estimate, to_dict, write
@@ -87,7 +87,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def file_of(folder: Path, text: str, side: str = "load") -> JointFile:
+def file_of(folder: Path, text: str, side: str = "load") -> File:
     return loads(text.replace("SIDE", side), folder)
 
 
@@ -216,7 +216,7 @@ def test_a_simulated_record_is_written_on_the_sides_of_its_channels(folder: Path
 
 def test_an_injected_force_may_be_on_the_other_side_of_the_torque(folder: Path) -> None:
     injected = 'injected = { column = "f [N]", side = "load" }\n[parameters]'
-    assert file_of(folder, GEARED.replace("[parameters]", injected)).columns["injected"].side == "load"
+    assert file_of(folder, GEARED.replace("[parameters]", injected)).axis.columns["injected"].side == "load"
     with pytest.raises(JointFileError):
         file_of(folder, GEARED.replace("[parameters]", injected.replace("f [N]", "f [A]")))
     with pytest.raises(RecordError):

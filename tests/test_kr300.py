@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.config import JointFile
+from jointid.config import File
 from jointid.estimation.result.answer import Trust
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "kr300"
@@ -16,7 +16,7 @@ PAGE = (EXAMPLE / "README.md").read_text(encoding="utf-8")
 ROWS = re.findall(r"^\| (\d) \| ([AB]) \| (.*) \|$", PAGE, re.MULTILINE)
 
 
-def axis(number: int, data_dir: Path, record: str) -> tuple[JointFile, ji.Record]:
+def axis(number: int, data_dir: Path, record: str) -> tuple[File, ji.Record]:
     file = ji.load(EXAMPLE / f"axis{number}.toml")
     return file, file.record(data_dir / "kr300" / f"rec_{record}.mat")
 

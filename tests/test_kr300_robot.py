@@ -12,8 +12,7 @@ from scipy.io import loadmat
 
 import jointid as ji
 from jointid import MethodError
-from jointid.config import load
-from jointid.config.robot_file import RobotFile
+from jointid.config import File, load
 from jointid.controller import Cascade
 from jointid.diagnostics.diagnose import diagnose_robot
 from jointid.diagnostics.validation import validate
@@ -32,7 +31,7 @@ ROWS = re.findall(r"^\| ([AB]) on ([AB]) \| (.*) \|$", PAGE, re.MULTILINE)
 
 
 @pytest.fixture(scope="module")
-def file() -> RobotFile:
+def file() -> File:
     return load(EXAMPLE / "robot.toml")
 
 
@@ -62,7 +61,7 @@ def fit_of_kinematics(robot: Robot, data_dir: Path) -> float:
     return float(np.linalg.norm(left) / np.linalg.norm(Y))
 
 
-def test_the_lengths_of_the_data_sheet_are_those_of_the_nominal_model(file: RobotFile, data_dir: Path) -> None:
+def test_the_lengths_of_the_data_sheet_are_those_of_the_nominal_model(file: File, data_dir: Path) -> None:
     assert fit_of_kinematics(file.robot, data_dir) < 2e-5
     forearm = file.robot.links[3]
     longer = replace(forearm, origin=forearm.origin + np.array([0.05, 0.0, 0.0]))
@@ -70,7 +69,7 @@ def test_the_lengths_of_the_data_sheet_are_those_of_the_nominal_model(file: Robo
     assert fit_of_kinematics(wrong, data_dir) > 1e-3
 
 
-def test_its_masses_are_those_of_the_nominal_model(file: RobotFile, data_dir: Path) -> None:
+def test_its_masses_are_those_of_the_nominal_model(file: File, data_dir: Path) -> None:
     data = loadmat(data_dir / "kr300" / "rec_B.mat", squeeze_me=True, struct_as_record=False)
     for k in range(0, 2501, 500):
         found = np.diag(mass_matrix_at(file.robot, data["ref_kin"].phi_r_all[k]))
@@ -79,7 +78,7 @@ def test_its_masses_are_those_of_the_nominal_model(file: RobotFile, data_dir: Pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("first", "second", "cells"), ROWS)
-def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str, second: str, cells: str) -> None:
+def test_the_table_is_what_comes_out(file: File, data_dir: Path, first: str, second: str, cells: str) -> None:
     records = {name: file.records(data_dir / "kr300" / f"rec_{name}.mat") for name in "AB"}
     estimate = identified(file.robot, records[first])
     found = validate(estimate, records[second])
@@ -91,7 +90,7 @@ def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str
 
 
 @pytest.mark.parametrize("name", ["A", "B"])
-def test_its_springs_are_refused_on_the_drive_side(file: RobotFile, data_dir: Path, name: str) -> None:
+def test_its_springs_are_refused_on_the_drive_side(file: File, data_dir: Path, name: str) -> None:
     joints = tuple(
         replace(joint, spring=JointSpring(stiffness) if stiffness else None)
         for joint, stiffness in zip(file.robot.joints, (4.58e6, 7.52e6, 4.10e6, 0, 0, 0), strict=True)
@@ -102,7 +101,7 @@ def test_its_springs_are_refused_on_the_drive_side(file: RobotFile, data_dir: Pa
 
 
 @pytest.mark.slow
-def test_no_law_of_reference_and_position_makes_its_torque(file: RobotFile, data_dir: Path) -> None:
+def test_no_law_of_reference_and_position_makes_its_torque(file: File, data_dir: Path) -> None:
     """The loops of record A: any linear law leaves a fifth of the torques, so that something else is added to them."""
     records = file.records(data_dir / "kr300" / "rec_A.mat")
     laws = [Cascade(position_gain=15.0, velocity_gain=gain) for gain in (3e4, 3e4, 2e4, 2e3, 2e3, 1e3)]

@@ -15,7 +15,7 @@ from jointid.apps.cli import main
 from jointid.campaigns.campaign import Case
 from jointid.campaigns.run import run_case
 from jointid.campaigns.store import Outcome
-from jointid.config import JointFile
+from jointid.config import File
 from jointid.output.report import sections
 from jointid.uncertainty.verdict import Subject
 
@@ -34,7 +34,7 @@ velocity_gain = 2000.0
 """
 
 
-def _recorded(folder: Path, gain: float) -> JointFile:
+def _recorded(folder: Path, gain: float) -> File:
     """Write a record of a drive, and a joint file that declares its position gain."""
     loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=4.0, travel=0.04, rest=0.05, sample_time=1e-3)

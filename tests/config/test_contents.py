@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.config import JointFile, Source, dumps, loads
+from jointid.config import Axis, File, Source, dumps, loads
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
@@ -35,16 +35,13 @@ from tests.joint_files import BOTH_ENCODERS, CASCADE, CHANNELS, FLEXIBLE, JOINT,
 
 
 def test_every_default() -> None:
-    assert loads(SMALLEST) == JointFile(
+    axis = Axis(
+        name=None,
         joint=RigidJoint("prismatic", SymmetricFriction()),
         columns={"torque": Column("i"), "reference": Column("r"), "motor_position": Column("q")},
-        method=DIDIM(),
         controller=Cascade(position_gain=100.0, velocity_gain=2000.0),
-        filtering=Filtering(),
-        parameters={},
-        source=Source(),
-        name=None,
     )
+    assert loads(SMALLEST) == File(axes=(axis,), method=DIDIM())
     assert loads(SMALLEST).path == Path("joint.toml")
 
 
@@ -109,7 +106,8 @@ def test_all_of_a_file() -> None:
     )
     joint = FlexibleJoint("revolute", AsymmetricFriction(), "A")
     known = {parameter.name: parameter for parameter in joint.parameters}
-    assert file == JointFile(
+    axis = Axis(
+        name="axis 3",
         joint=joint,
         columns={
             "torque": Column("i", "mA", 0.5, -1, Timing.AVERAGED, tap=Tap.MEASURED),
@@ -118,16 +116,6 @@ def test_all_of_a_file() -> None:
             "load_position": Column("p", optional=True, sample_time=0.002),
             "injected": Column("x", "A", in_torque=False),
         },
-        method=DIDIM(
-            minimiser="nelder-mead",
-            frequency=25.0,
-            rigid_cutoff=4.0,
-            tolerance=1e-3,
-            simulations=500,
-            restarts=0,
-            statistics="inverse-model",
-            free=("position_gain", "delay"),
-        ),
         controller=PD(
             position_gain=3.0,
             derivative_gain=0.1,
@@ -138,7 +126,6 @@ def test_all_of_a_file() -> None:
             period=0.002,
             delay=0.0005,
         ),
-        filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
         parameters={
             "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
             "damping": known["damping"].fix(126.0),
@@ -154,6 +141,21 @@ def test_all_of_a_file() -> None:
             options={"delimiter": ";", "decimal": ",", "header": True},
             resample=Resampling(1e-3, "cubic", longest_gap=0),
         ),
+    )
+    assert file == File(
+        axes=(axis,),
+        method=DIDIM(
+            minimiser="nelder-mead",
+            frequency=25.0,
+            rigid_cutoff=4.0,
+            tolerance=1e-3,
+            simulations=500,
+            restarts=0,
+            statistics="inverse-model",
+            free=("position_gain", "delay"),
+        ),
+        filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
+        parameters=axis.parameters,
         name="axis 3",
     )
     assert file.path == Path("here/joint.toml")
@@ -265,9 +267,9 @@ def test_values_are_those_fixed_and_those_started_from() -> None:
     file = loads(
         SMALLEST + "[parameters]\ninertia = { start = 90.0 }\nviscous = 200\ncoulomb = 20\noffset = { start = 1 }"
     )
-    assert file.values() == {"inertia": 90.0, "viscous": 200.0, "coulomb": 20.0, "offset": 1.0}
+    assert file.axis.values() == {"inertia": 90.0, "viscous": 200.0, "coulomb": 20.0, "offset": 1.0}
     with pytest.raises(MethodError, match=r"every parameter; without one: inertia, viscous, coulomb, offset"):
-        loads(SMALLEST).values()
+        loads(SMALLEST).axis.values()
 
 
 # Methods without a controller

@@ -43,7 +43,7 @@ def shown(text: str, made: Controller, folder: Path, **values: float) -> Learned
         made, Structure(), numbers, np.eye(len(numbers)), (), (), (), 1.0, 0.01, 1.0, 1.0, 100.0, np.zeros(1), "N m",
         "rad", "run 1", file.joint.transmission,
     )  # fmt: skip
-    return learned.beside(file.drive_numbers(made))
+    return learned.beside(file.axis.drive_numbers(made))
 
 
 def test_a_gain_that_may_be_below_0_has_a_time_from_its_upper_end() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError, RecordError
-from jointid.config import JointFile, Run, load, loads
+from jointid.config import File, Run, load, loads
 from jointid.models.controllers import Cascade
 from tests.estimates import identify
 from tests.joint_files import CASCADE, EXAMPLE, SMALLEST, faults, told
@@ -25,7 +25,7 @@ def run(tmp_path: Path) -> Path:
     return tmp_path / "runs" / "run.csv"
 
 
-def saved(folder: Path, text: str) -> JointFile:
+def saved(folder: Path, text: str) -> File:
     (folder / "joint.toml").write_text(text, encoding="utf-8")
     return load(folder / "joint.toml")
 
@@ -121,7 +121,8 @@ def test_several_records(run: Path) -> None:
     with pytest.raises(JointFileError, match="lists 2 records and 1 are named"):
         file.each([folder / "other.csv"])
     assert [one.runs for one in file.each([folder / "runs" / ".." / "b.csv"])] == [file.runs[1:]], "by its path"
-    joined = replace(first, source=replace(first.source, files=("q.csv", "tau.csv"), offsets=(0.0, 1.0)))
+    source = replace(first.source, files=("q.csv", "tau.csv"), offsets=(0.0, 1.0))
+    joined = replace(first, axes=(replace(first.axis, source=source),))
     assert joined.each()[0].source.files == joined.each()[0].source.offsets == ()  # a named record takes their place
     assert file.of_record(folder / "b.csv").controller == second.controller
     assert file.of_record(folder / "other.csv") is file

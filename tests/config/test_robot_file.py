@@ -10,8 +10,7 @@ import pytest
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.messages import dot_path
-from jointid.config import dumps, load, loads
-from jointid.config.robot_file import RobotFile
+from jointid.config import File, dumps, file_of, load, loads
 from jointid.config.toml import parse_toml
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
@@ -79,13 +78,12 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_robot_and_its_record(folder: Path) -> None:
     file = load(folder / "robot.toml")
-    assert isinstance(file, RobotFile)
     first, second, _ = file.robot.joints
     assert (first.viscous, first.rotor_inertia) == (3.0, chain(3).joints[0].rotor_inertia)
     assert (second.rotor_inertia, second.spring) == (0.5, JointSpring(1e4, viscous=0.5))
     assert file.robot.coupling[2].tolist() == [0.0, 0.1, 1.0] and file.feed_forward == "gravity"
     assert file.robot.gravity == pytest.approx([9.81, 0.0, 0.0], abs=1e-12)
-    assert isinstance(file.joints[1].controller, PD)
+    assert isinstance(file.axes[1].controller, PD)
     rows = np.loadtxt(folder / "log.csv", delimiter=",", skiprows=1)
     records = file.records()
     for i, (record, gear) in enumerate(zip(records, (1, 100, 1), strict=True)):
@@ -121,7 +119,7 @@ def test_clocks_and_wraps_of_a_robot_are_repaired_as_those_of_a_joint(folder: Pa
 def test_what_is_written_is_read_back(folder: Path) -> None:
     file = load(folder / "robot.toml", ["joints.3.offset=1.5"])
     again = loads(dumps(file), folder)
-    assert again.robot.joints == file.robot.joints and again.joints == file.joints
+    assert again.robot.joints == file.robot.joints and again.axes == file.axes
     assert again.robot.joints[2].offset == 1.5 and again.feed_forward == "gravity"
 
 
@@ -166,7 +164,7 @@ REFUSED = [
 @pytest.mark.parametrize(("before", "after", "said"), REFUSED)
 def test_a_fault_has_its_place_in_the_robot_file(folder: Path, before: str, after: str, said: str) -> None:
     with pytest.raises(JointFileError) as caught:
-        RobotFile.of(parse_toml(TEXT.replace(before, after, 1)), folder / "robot.toml")
+        file_of(parse_toml(TEXT.replace(before, after, 1)), folder / "robot.toml")
     (fault,) = caught.value.faults
     assert f"{dot_path(fault.place)} {fault.code}".strip() == said
 
@@ -181,11 +179,11 @@ def test_joints_that_are_not_those_of_the_model(folder: Path) -> None:
     tables = parse_toml(TEXT)
     tables["joints"] = tables["joints"][:2]
     with pytest.raises(JointFileError, match=r"lacks joint2; .* locked = \{ joint2 = 0\.0 \}"):
-        RobotFile.of(tables, folder / "robot.toml")
+        file_of(tables, folder / "robot.toml")
     tables = parse_toml(TEXT)
     tables["joints"].reverse()
     with pytest.raises(JointFileError, match="write them as joint0, joint1, joint2"):
-        RobotFile.of(tables, folder / "robot.toml")
+        file_of(tables, folder / "robot.toml")
 
 
 def test_joints_that_the_log_lacks_stand_still(folder: Path) -> None:
@@ -204,10 +202,10 @@ def test_each_record_has_the_payload_that_is_stated(folder: Path, monkeypatch: p
     empty, loaded = folder / "log.csv", folder / "loaded.csv"
     loaded.write_bytes(empty.read_bytes())
     text = TEXT + f'[[records]]\nfile = "log.csv"\n[[records]]\nfile = "loaded.csv"\n{payload}'
-    file = RobotFile.of(parse_toml(text), folder / "robot.toml")
+    file = file_of(parse_toml(text), folder / "robot.toml")
     stated = pytest.approx((2, 0.2, 0, 0, 0.01, 0, 0, 0.04, 0, 0.05))
     seen = []
-    monkeypatch.setattr(RobotFile, "identify", lambda _, logs, progress: seen.extend(logs))
+    monkeypatch.setattr(File, "identify", lambda _, logs, progress: seen.extend(logs))
     for paths in ([], [empty, loaded], [loaded, empty]):
         file.identify_together(paths)
     assert [log[-1].payload for log in seen] == [(), stated, (), stated, stated, ()]
@@ -222,7 +220,7 @@ def test_each_record_has_the_payload_that_is_stated(folder: Path, monkeypatch: p
         (("loaded.csv", "./log.csv"), r'records\.2\.file is "\./log\.csv", listed before with another payload'),
     ):
         with pytest.raises(JointFileError, match=fault):
-            RobotFile.of(parse_toml(text.replace(*change)), folder / "robot.toml")
+            file_of(parse_toml(text.replace(*change)), folder / "robot.toml")
 
 
 @pytest.mark.parametrize("roll", ["3.1415926", "0.5"])
@@ -245,11 +243,11 @@ def test_friction_backwards_and_a_start_in_motion_are_of_the_loop(folder: Path) 
     )
     text = text.replace("[[joints]]\n", law).replace("viscous = 3.0", "viscous = 3.0\nviscous_backwards = 2.0")
     text = text.replace('feed_forward = "gravity"', "in_motion = true")
-    file = RobotFile.of(parse_toml(text), folder / "robot.toml")
+    file = file_of(parse_toml(text), folder / "robot.toml")
     assert file.loop.in_motion
     assert file.loop.robot.joints[0].viscous_backwards == 2.0
-    assert file.tables()["joints"][0]["viscous_backwards"] == 2.0
-    assert "viscous_backwards" not in file.tables()["joints"][1]
+    assert file.tables["joints"][0]["viscous_backwards"] == 2.0
+    assert "viscous_backwards" not in file.tables["joints"][1]
 
 
 def test_a_joint_takes_the_keys_of_a_joint_file(folder: Path) -> None:
@@ -268,7 +266,7 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
     first, second, _ = file.robot.joints
     assert (first.viscous, first.viscous_backwards) == (3.0, 2.0) and first.asymmetric
     assert second.spring == JointSpring(1e4, viscous=0.5) and second.rotor_inertia == 0.5
-    assert [one.joint.friction.name for one in file.joints] == ["asymmetric", "symmetric", "symmetric"]
+    assert [one.joint.friction.name for one in file.axes] == ["asymmetric", "symmetric", "symmetric"]
     assert list(file.parameters) == ["joint1.link_viscous"] and file.parameters["joint1.link_viscous"].start == 0.5
     bounded = text.replace("viscous_backwards = { start = 2.0 }", "viscous_backwards = { start = 2.0, lower = 1.0 }")
     (folder / "robot.toml").write_text(bounded.replace("{ start = 3.0 }", "3.0", 1), encoding="utf-8")
@@ -291,15 +289,12 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
         'model = "flexible"\nspring = { stiffness = 9.0 }\nparameters = { load_inertia = 1 }',
     ],
 )
-def test_what_a_robot_has_not_loads_and_is_said_by_every_verb(folder: Path, said: str) -> None:
+def test_what_a_robot_has_not_is_refused_but_for_the_axis_alone(folder: Path, said: str) -> None:
     text = TEXT.replace("viscous = 3.0", said)
     (folder / "robot.toml").write_text(text, encoding="utf-8")
-    file = load(folder / "robot.toml")
-    assert len(file.record()) == len(file.joints) == 3
-    for verb in (lambda: file.identify(file.record()), lambda: file.robot):
-        with pytest.raises(MethodError, match=r"^joints\.1\."):
-            verb()
-    assert loads(dumps(file), folder).tables() == file.tables() == parse_toml(text)
+    with pytest.raises(JointFileError, match=r"^joints\.1\."):
+        load(folder / "robot.toml")
+    assert load(folder / "robot.toml", axis="joint0").axis.name == "joint0"
 
 
 LAWS = """friction = "presliding"
@@ -323,7 +318,7 @@ def test_a_robot_takes_the_laws_of_its_joints_and_their_numbers(folder: Path) ->
         "hysteresis_torque": 1.0,
     }  # fmt: skip
     again = loads(dumps(file), folder)
-    assert again.robot.joints == file.robot.joints and again.joints == file.joints
+    assert again.robot.joints == file.robot.joints and again.axes == file.axes
     with pytest.raises(
         MethodError, match=r'The drive side .* received the law "presliding" of joint0: declare another'
     ):
@@ -378,7 +373,7 @@ def test_a_robot_file_of_one_joint_is_simulated_as_its_joint_file(tmp_path: Path
     record = Record(reference=Channel(moved, "rad", 1e-3))
     runs = [simulate(robot.loop, (record,), steps=steps) for steps in (4, 8)]
     begun = Initial(float(runs[1].motor_position[0, 0]), 0.0, 0.0)
-    exact = simulate(joint.loop, prepare(joint.loop, record), joint.values(), begun)
+    exact = simulate(joint.loop, prepare(joint.loop, record), joint.axis.values(), begun)
     peak = np.max(np.abs(exact.torque))
     coarse, fine = (float(np.max(np.abs(run.torque[:, 0] - exact.torque)) / peak) for run in runs)
     assert fine < 2e-9

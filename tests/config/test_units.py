@@ -237,7 +237,7 @@ def test_a_learned_law_behind_a_gear_is_read_back_with_its_gain(constant: str, g
     text = changed(('"0.8 A s/rad"', "0.8"), ('torque_constant = "0.72 N m/A"', said), ("[controller]", drive))
     file = loads(text)
     learned = Cascade(position_gain=3.0, velocity_gain=4.0, gain=gain)  # on the side of its record: the load's
-    written = controller_text(learned, file.joint.transmission, file.torque_per_unit)
+    written = controller_text(learned, file.joint.transmission, file.axis.torque_per_unit)
     assert loads(with_table(text, written)).controller == learned
 
 
@@ -273,7 +273,7 @@ def test_what_is_to_be_learned_may_say_some_of_its_gains_in_any_words(said: str,
 def test_values_scale_with_the_torque_constant_where_log_and_controller_are_in_a(
     changes: list[tuple[str, str]], scale: str
 ) -> None:
-    assert loads(changed(*changes)).scale == scale
+    assert loads(changed(*changes)).axis.scale == scale
 
 
 def test_a_wrong_torque_constant_scales_every_value_and_a_line_says_so(tmp_path: Path) -> None:

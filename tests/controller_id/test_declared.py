@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from jointid.config.contents import JointFile
+from jointid.config import File
 from jointid.controller_id import learn
 from jointid.controller_id.limitations import fill_from_declaration
 from jointid.models.controllers import Cascade, Controller
@@ -23,7 +23,7 @@ def test_a_unit_of_the_drive_is_the_same_on_the_load(
     monkeypatch.setattr(learn, "learn_controller", lambda _, **given: given["gain"])
     file: Any = SimpleNamespace(controller=declared, joint=SimpleNamespace(transmission=None))
     record: Any = None
-    assert JointFile.learn_controller(file, record) == gain
+    assert File.learn_controller(file, record) == gain
 
 
 def test_a_declared_limit_stays_the_torque_that_it_is() -> None:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.config import loads
-from jointid.config.contents import JointFile
+from jointid.config import File, loads
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.numbers import describe_in_drive, number_fault
 from jointid.models.controllers import numbers_of, with_numbers
@@ -59,7 +58,7 @@ VALUES: Mapping[str, dict[str, float]] = {
 }  # fmt: skip
 
 
-def logged(file: JointFile, text: str, changed: Mapping[str, float]) -> Record:
+def logged(file: File, text: str, changed: Mapping[str, float]) -> Record:
     """The record of the drive whose law has other numbers than the file declares."""
     law = file.controller
     assert law is not None

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.config import JointFile, loads
+from jointid.config import loads
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -145,7 +145,6 @@ def test_positions_are_of_several_records_and_of_windows() -> None:
 def test_a_log_of_positions_is_read_in_windows(folder: Path) -> None:
     (folder / "joint.toml").write_text(FILE.format(record="", channels="", method=""))
     file = ji.load(folder / "joint.toml")
-    assert isinstance(file, JointFile)
     found = file.identify_log(None, ji.Windowing(length=2.0))
     assert max(map(abs, deviations(found))) < 4.0 and scale_status(found) == ["unknown"]
     log, cascade = file.log(), ji.controller.Cascade(position_gain=15.0, velocity_gain=30.0, integral_gain=5.0)
@@ -274,7 +273,7 @@ def test_a_bad_log_of_a_joint_and_of_a_robot_is_named(text: str, folder: Path) -
 
     def records(text: str) -> Any:
         file = loads(text, folder)
-        return file.record() if isinstance(file, JointFile) else file.records()[0]
+        return file.records()[0]
 
     text = text.replace("= 400.0", '= "400 N m/rad"').replace("= 30.0", '= "30 N m s/rad"')
     amperes = text.format(record="", channels='torque = { column = "tau", unit = "A" }', method="")

@@ -33,9 +33,7 @@ from jointid.common.files import digest
 from jointid.common.messages import Progress, Work, ignore_progress
 from jointid.common.parallel import BLAS_THREADS, THREADS, cores, end_with_parent
 from jointid.common.text import pluralise
-from jointid.config import JointFile, loads
-from jointid.config.contents import File
-from jointid.config.robot_file import RobotFile
+from jointid.config import File, loads
 from jointid.estimation.result.answer import Trust
 from jointid.uncertainty.identifiability import Kind, Known
 from jointid.uncertainty.verdict import POOR_FIT
@@ -93,13 +91,13 @@ def _finite(value: float | None) -> float | None:
 
 
 @lru_cache(maxsize=64)
-def _file(text: str, changes: tuple[str, ...]) -> JointFile | RobotFile:
+def _file(text: str, changes: tuple[str, ...]) -> File:
     return loads(text, changes=changes)
 
 
 def _identify(case: Case, path: Path) -> dict[str, Any]:
     """Entries of a row from an estimate."""
-    file: File[Any] = _file(case.joint_file, (*case.settings, *case.changes))
+    file = _file(case.joint_file, (*case.settings, *case.changes))
     if file.runs:
         raise MethodError(
             f"The joint file of {case.joint} lists several [[records]], and a campaign identifies from one at a time; "

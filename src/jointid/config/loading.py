@@ -6,24 +6,23 @@ import copy
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import tomlkit
 
-from jointid.common.errors import MethodError
+from jointid.common.errors import JointFileError, MethodError
 from jointid.common.settings import settings_of
-from jointid.config.axis_units import keys_of_controller, table_at
-from jointid.config.contents import File, JointFile
+from jointid.config.axis_units import keys_of_controller, table_at, translate_gains
+from jointid.config.file import File, joint_file_of
 from jointid.config.rules import choose_method
 from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.toml import apply_changes, parse_toml, read_text
 from jointid.models.controllers import LAWS
 
-if TYPE_CHECKING:
-    from jointid.config.robot_file import RobotFile
+_MOST = 1000  # keys of a table, records of a file
 
 
 def load(
@@ -34,14 +33,14 @@ def load(
     method: str | None = None,
     filtering: str | None = None,
     friction: str | None = None,
-) -> JointFile | RobotFile:
+) -> File:
     """Load a joint file, or a robot file, which has the table [robot]; it is checked completely.
 
     Args:
         path: of the TOML file, in UTF-8.
         changes: keys to set before it is checked, each as ``method.frequency=30``.
-        axis: the joint of a robot file that is returned as a joint file; see `RobotFile.joint_file`. Changes of
-            [method] are then of its own method.
+        axis: the joint of a robot file that is returned as a joint file, as if no other joint moved: with its own
+            `method` and `gravity`, and with its numbers as starts. Changes of [method] are then of its own method.
         method: its name, whatever the file and the changes say; another one than the file's comes with its default
             settings.
         filtering: a preset, likewise.
@@ -54,12 +53,7 @@ def load(
     """
     path = Path(path)
     choices = {"method": method, "filtering": filtering, "friction": friction}
-    file = _file(parse_toml(read_text(path)), path, changes, axis, **choices)
-    if axis is None:
-        return file
-    if isinstance(file, JointFile):
-        raise MethodError(f"{file.path} is a joint file, which has no axis {axis}; leave --axis out.")
-    return file.joint_file(axis)
+    return _file(parse_toml(read_text(path)), path, changes, axis, **choices)
 
 
 def load_joint(
@@ -69,7 +63,7 @@ def load_joint(
     what: str = "This work",
     axis: str | None = None,
     **choices: str | None,
-) -> JointFile:
+) -> File:
     """Load a joint file, or one joint of a robot file, for work on a single joint.
 
     Args:
@@ -89,7 +83,7 @@ def load_joint(
     return require_joint(load(path, changes, axis=axis, **choices), what)
 
 
-def require_joint(file: File[Any], what: str) -> JointFile:
+def require_joint(file: File, what: str) -> File:
     """Return a file that is a joint's.
 
     Args:
@@ -99,7 +93,7 @@ def require_joint(file: File[Any], what: str) -> JointFile:
     Raises:
         MethodError: it is a robot file.
     """
-    if isinstance(file, JointFile):
+    if file.robot is None:
         return file
     raise _robot_error(file.path, what)
 
@@ -108,7 +102,7 @@ def _robot_error(path: Path, what: str) -> MethodError:
     return MethodError(f"{what} takes one joint, and {path} is a robot file; name one of its joints by --axis.")
 
 
-def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = (), axis: str | None = None) -> JointFile:
+def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = (), axis: str | None = None) -> File:
     """Load a joint file whose controller, or gains, may be missing, to learn them.
 
     The keys of [controller], such as the gain of the drive's chain, are kept; a missing gain of the loop is 1.
@@ -135,13 +129,11 @@ def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = (), axi
     known = add_gains_of_times(keys_of_controller(tables))
     stand_ins = [f"controller.{one.name}=1.0" for one in required if one.type is float and one.name not in known]
     law_said = ["controller.law=cascade"] if law == "cascade" else []
-    file = JointFile.of(apply_changes(raw, [*law_said, *stand_ins, *changes]), path)
-    return replace(file, said=known.intersection(file.said))
+    file = file_of(apply_changes(raw, [*law_said, *stand_ins, *changes]), path)
+    return replace(file, axes=(replace(file.axis, said=known.intersection(file.axis.said)),))
 
 
-def loads(
-    text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: str | None
-) -> JointFile | RobotFile:
+def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: str | None) -> File:
     """Load a joint file, or a robot file, from its text; see `load`.
 
     Args:
@@ -161,7 +153,7 @@ def _file(
     method: str | None = None,
     filtering: str | None = None,
     friction: str | None = None,
-) -> JointFile | RobotFile:
+) -> File:
     """Return the file of some tables with changes; see `load`."""
     changes = list(changes)
     number = None if axis is None else _number_of(tables, axis)
@@ -179,12 +171,42 @@ def _file(
     laws = [f"joints.{k + 1}.friction" for k in range(count)] if is_robot else ["joint.friction"]
     chosen = [("method.name", method), ("filtering.preset", filtering), *((key, friction) for key in laws)]
     last = [f"{key}={json.dumps(choice)}" for key, choice in chosen if choice is not None]
-    changed = apply_changes(tables, [*changes, *last])
-    if is_robot:
-        from jointid.config.robot_file import RobotFile
+    return file_of(apply_changes(tables, [*changes, *last]), path, axis)
 
-        return RobotFile.of(changed, path)
-    return JointFile.of(changed, path)
+
+def file_of(tables: Mapping[str, Any], path: Path = Path("joint.toml"), axis: str | None = None) -> File:
+    """Return the file of some tables.
+
+    Args:
+        tables: by name, as `tomllib` reads them.
+        path: of the file.
+        axis: as of `load`.
+
+    Raises:
+        JointFileError: with one sentence for each fault, of the file or of the model that it names.
+    """
+    if crowded := list(_size_faults(tables)):  # each of so many would be a sentence
+        raise JointFileError(crowded)
+    if "robot" in tables:
+        from jointid.config.robot_file import read_robot_file
+
+        return read_robot_file(tables, path, axis)
+    if axis is not None:
+        raise MethodError(f"{path} is a joint file, which has no axis {axis}; leave --axis out.")
+    said, faults = FileTable.read(translate_gains(tables))
+    return replace(joint_file_of(said, path, faults), tables=tables)
+
+
+def _size_faults(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:
+    """Yield tables with too many keys, and lists with too many tables."""
+    if len(raw) > _MOST:
+        yield f"{where} has {len(raw)} keys; expected at most {_MOST}: is it another kind of file?"
+        return
+    for key, value in raw.items():
+        if isinstance(value, dict):
+            yield from _size_faults(value, key)
+        elif isinstance(value, list) and len(value) > _MOST and isinstance(value[0], dict):
+            yield f"{key} lists {len(value)} tables; expected at most {_MOST}: split the joint file."
 
 
 def _number_of(tables: Mapping[str, Any], axis: str) -> int | None:
@@ -218,9 +240,9 @@ def _method_name(tables: Mapping[str, Any]) -> str | None:
     return choose_method(file, file.method.name, file.model or "rigid")
 
 
-def dumps(file: JointFile | RobotFile) -> str:
+def dumps(file: File) -> str:
     """Return a joint file or a robot file as TOML; `loads` gives it back.
 
     Without its comments, and with the changes with which it was loaded.
     """
-    return tomlkit.dumps(file.tables())
+    return tomlkit.dumps(file.tables)

@@ -8,11 +8,10 @@ that all joints share it is checked as a joint file. In the name of a column ``{
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,7 +22,7 @@ from jointid.common.parameters import Parameter
 from jointid.common.settings import Declared, setting, settings_of
 from jointid.common.text import join
 from jointid.common.units import Kind
-from jointid.config.contents import FeedForward, File, JointFile, name_axes, resolve_place
+from jointid.config.file import Axis, FeedForward, File, axis_of, joint_file_of, name_axes, resolve_place
 from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.rules import foreign_settings
 from jointid.config.schema import (
@@ -38,17 +37,11 @@ from jointid.config.schema import (
 )
 from jointid.config.source import Run
 from jointid.config.table import Reader, Table, fault_at, part, required
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.robots.numbers import name_in_robot
 from jointid.models.joints import FlexibleJoint
-from jointid.models.limits import AxisLimits
 from jointid.models.robots.inertial import MassProperties, is_physical
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
-from jointid.records import formats
-from jointid.records.record import Record
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
 
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
@@ -251,169 +244,87 @@ def _fill_placeholders(table: ChannelTable, name: str, number: int) -> ChannelTa
     return type(table)(filled)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RobotFile(File[tuple[Record, ...]]):
-    """A robot file: the robot, and what is recorded of each of its joints.
+def read_robot_file(tables: Mapping[str, Any], path: Path, axis: str | None = None) -> File:
+    """Return a robot file; see `jointid.config.file_of`."""
+    said = read_robot_tables(tables)
+    name = said.method_name
+    if faults := [fault_at(("method", key), rest) for key, rest in foreign_settings(said.method, name, "robot")]:
+        raise JointFileError(faults)
+    bare, method = _robot(said, path.parent), said.method.method(name, "robot")
+    axes = _axes(said, bare)
+    if axis is not None:
+        return replace(_alone(said, bare, axis, path), tables=tables)
+    _require_one_payload(said.records, path.parent)
+    return File(
+        axes=axes,
+        robot=_with_numbers(said, bare, axes),
+        method=method,
+        filtering=said.filtering.build(),
+        parameters=_parameters(axes),
+        feed_forward=said.robot.feed_forward,
+        in_motion=said.robot.in_motion,
+        model_path=path.parent / said.robot.model,
+        locked=dict(said.robot.locked),
+        name=said.robot.name,
+        runs=tuple(Run(one.file, payload=one.payload) for one in said.records),
+        path=path,
+        tables=tables,
+    )
 
-    Attributes:
-        model: the robot, with what the file says of its joints; gravity as the base stands.
-        joints: the joint file of each joint: channels, transmission, controller.
-        payloads: `Record.payload` of those that have one, by their paths.
-        unmodelled: sentences on what the joints have and the model of a robot has not, which every verb refuses.
+
+def _with_numbers(said: RobotFileTable, bare: Robot, axes: Sequence[Axis]) -> Robot:
+    """Return the robot with the numbers and laws of its joints."""
+    each = list(zip(said.joints, bare.joints, axes, strict=True))
+    faults = [
+        fault_at(("joints", n, *place), rest) for n, (own, _, axis) in enumerate(each)
+        for place, rest in _model_faults(own, axis)
+    ]  # fmt: skip
+    if currents := {str(axis.name): axis.joint.torque_unit for axis in axes if axis.joint.torque_unit}:
+        units = join(list(dict.fromkeys(currents.values())))
+        faults.append(Fault(
+            f"The torque of {join(list(currents))} is in {units}; the joints of a robot share inertias, so "
+            f"expected N m or N: give each of these joints torque_constant (1.0 for parameters per {units})."
+        ))  # fmt: skip
+    if faults:
+        raise JointFileError(faults)
+    try:
+        return replace(bare, joints=tuple(_joint(*one) for one in each))
+    except JointidError as error:
+        raise JointFileError(f"joints: {error}") from error
+
+
+def _alone(said: RobotFileTable, model: Robot, name: str, path: Path) -> File:
+    """Return the file of one joint, identified alone, as if no other joint moved.
+
+    The method is that of `joints.method`, or that of the robot with default settings. Gravity is what
+    `joints.gravity` says. Numbers of the [[joints]] table are starts of the parameters; that of a
+    rigid joint's inertia is the rotor's with the links that it moves, all other joints at 0.
+
+    Args:
+        said: the tables.
+        model: the robot as its model says.
+        name: of the joint.
+        path: of the file.
+
+    Raises:
+        MethodError: the robot has no such joint.
     """
-
-    model: Robot
-    joints: tuple[JointFile, ...]
-    payloads: Mapping[Path, tuple[float, ...]]
-    unmodelled: tuple[str, ...]
-    table: RobotFileTable = field(repr=False)
-
-    @classmethod
-    def of(cls, tables: Mapping[str, Any], path: Path = Path("robot.toml")) -> Self:
-        """Build a robot file from its tables.
-
-        Args:
-            tables: by name, as `tomllib` reads them.
-            path: of the robot file.
-
-        Raises:
-            JointFileError: with one sentence for each fault, of the file or of the model that it names.
-        """
-        said = read_robot_tables(tables)
-        name = said.method_name
-        foreign = foreign_settings(said.method, name, "robot")
-        if faults := [fault_at(("method", key), rest) for key, rest in foreign]:
-            raise JointFileError(faults)
-        bare, method = _robot(said, path.parent), said.method.method(name, "robot")
-        files = _joint_files(said, bare, path)
-        each = list(zip(said.joints, bare.joints, files, strict=True))
-        unmodelled = [
-            f"joints.{n + 1}{rest}" for n, (own, _, file) in enumerate(each) for rest in _model_faults(own, file)
-        ]
-        if currents := {str(one.name): one.joint.torque_unit for one in files if one.joint.torque_unit}:
-            units = join(list(dict.fromkeys(currents.values())))
-            unmodelled.append(
-                f"The torque of {join(list(currents))} is in {units}; the joints of a robot share inertias, so "
-                f"expected N m or N: give each of these joints torque_constant (1.0 for parameters per {units})."
-            )
-        try:
-            robot = bare if unmodelled else replace(bare, joints=tuple(_joint(*one) for one in each))
-        except JointidError as error:
-            raise JointFileError(f"joints: {error}") from error
-        return cls(
-            model=robot,
-            joints=files,
-            method=method,
-            filtering=said.filtering.build(),
-            parameters=_parameters(files),
-            source=files[0].source,
-            feed_forward=said.robot.feed_forward,
-            name=said.robot.name,
-            runs=tuple(Run(one.file) for one in said.records),
-            payloads=_payloads(said.records, path.parent),
-            unmodelled=tuple(unmodelled),
-            path=path,
-            table=said,
-        )
-
-    @property
-    def axes(self) -> tuple[JointFile, ...]:
-        """The joint file of each joint."""
-        return self.joints
-
-    def _of_axes(self, records: tuple[Record, ...]) -> tuple[Record, ...]:
-        return records
-
-    @property
-    def model_path(self) -> Path:
-        """The file of the model."""
-        return Path(self.path.parent / self.table.robot.model)
-
-    @property
-    def locked(self) -> dict[str, float]:
-        """By name the positions of the model's joints that stand still, rad or m."""
-        return dict(self.table.robot.locked)
-
-    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
-        """Return the files that are read: the model, and the record that the file names or that takes its place."""
-        return (self.model_path, *File.inputs(self, record))
-
-    def _cut(
-        self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, formats.Table, str], Record]
-    ) -> tuple[Record, ...]:
-        """Return the records, the last joint's with the listed payload."""
-        *found, last = File._cut(self, path, cut)
-        payload = self.payloads.get(resolve_place(Path(self.record_path(path))), ())
-        return (*found, replace(last, payload=payload))
-
-    @property
-    def robot(self) -> Robot:
-        """The robot.
-
-        Raises:
-            MethodError: a joint has a law, or a number, that the model of a robot has not.
-        """
-        if self.unmodelled:
-            raise MethodError("\n".join(self.unmodelled))
-        return self.model
-
-    @property
-    def limits(self) -> tuple[AxisLimits, ...]:
-        """Limits of each joint in a test that is planned."""
-        return tuple(file.limits for file in self.joints)
-
-    def joint_file(self, name: str) -> JointFile:
-        """Return the joint file of one joint, identified alone, as if no other joint moved.
-
-        The method is that of `joints.method`, or that of the robot with default settings. Gravity is what
-        `joints.gravity` says. Numbers of the [[joints]] table are starts of the parameters; that of a
-        rigid joint's inertia is the rotor's with the links that it moves, all other joints at 0.
-
-        Args:
-            name: of the joint.
-
-        Raises:
-            MethodError: the robot has no such joint.
-        """
-        names = [str(file.name) for file in self.joints]
-        if name not in names:
-            raise MethodError(f"The axis{messages.no_choice(name, names)}")
-        number = names.index(name)
-        said = self.table
-        own, kind = said.joints[number], self.model.links[number].kind
-        file = JointFile.of_table(said.table(number, kind, alone=True), self.path)
-        parameters = dict(file.parameters)
-        whole = self.model.axis_inertia(number) + self.model.joints[number].rotor_inertia
-        rigid = [(parameter, whole) for parameter in file.joint.parameters if parameter.name == "inertia"]
-        for parameter, start in (*rigid, *_stated_starts(own, file)):
-            known = parameters.get(parameter.name, parameter)
-            unsaid = parameter.name not in parameters or known.start is None
-            if unsaid and known.lower <= start <= known.upper:
-                parameters[parameter.name] = replace(known, start=start)
-        return replace(file, parameters=parameters)
-
-    @property
-    def loop(self) -> RobotLoop:
-        """The robot under its controllers.
-
-        Raises:
-            MethodError: a joint has no controller.
-        """
-        missing = [file.name for file in self.joints if file.controller is None]
-        if missing:
-            raise MethodError(
-                f"A robot is simulated under its controllers; without one: {', '.join(map(str, missing))}. Add a "
-                "controller to the [[joints]] table, or identify by idim from motor positions."
-            )
-        controllers = tuple(file.controller for file in self.joints if file.controller is not None)
-        return RobotLoop(self.robot, controllers, self.table.robot.in_motion)
-
-    @property
-    def setup(self) -> Robot | RobotLoop | RobotDriveSide:
-        """The robot as its method takes it: alone, under its controllers, or along its motors' motion."""
-        if isinstance(self.method, DriveSideFit):
-            return RobotDriveSide(self.robot)
-        return self.loop if self.simulates else self.robot
+    names = [one.name for one in said.joints]
+    if name not in names:
+        raise MethodError(f"The axis{messages.no_choice(name, names)}")
+    number = names.index(name)
+    own, kind = said.joints[number], model.links[number].kind
+    file = joint_file_of(said.table(number, kind, alone=True), path)
+    axis, parameters = file.axis, dict(file.parameters)
+    rotor = float(own.given.get("rotor_inertia", model.joints[number].rotor_inertia))
+    whole = model.axis_inertia(number) + rotor
+    rigid = [(parameter, whole) for parameter in axis.joint.parameters if parameter.name == "inertia"]
+    for parameter, start in (*rigid, *_stated_starts(own, axis)):
+        known = parameters.get(parameter.name, parameter)
+        unsaid = parameter.name not in parameters or known.start is None
+        if unsaid and known.lower <= start <= known.upper:
+            parameters[parameter.name] = replace(known, start=start)
+    return replace(file, axes=(replace(axis, parameters=parameters),), parameters=parameters)
 
 
 def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
@@ -432,14 +343,13 @@ def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
     return said
 
 
-def _payloads(runs: Sequence[RobotRunTable], folder: Path) -> dict[Path, tuple[float, ...]]:
-    """Return payloads by the paths of their records."""
+def _require_one_payload(runs: Sequence[RobotRunTable], folder: Path) -> None:
+    """Refuse a record that is listed with two payloads."""
     found = dict[Path, tuple[float, ...]]()
     for number, run in enumerate(runs):
         if found.setdefault(resolve_place(folder / run.file), run.payload) != run.payload:
             rest = f' is "{run.file}", listed before with another payload; expected one: leave one of both out.'
             raise JointFileError(fault_at(("records", number, "file"), rest))
-    return {path: payload for path, payload in found.items() if payload}
 
 
 def _robot(said: RobotFileTable, folder: Path) -> Robot:
@@ -476,31 +386,31 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     return replace(ordered, gravity=turned, name=said.robot.name or ordered.name)
 
 
-def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointFile, ...]:
-    files, faults = list[JointFile](), dict[Fault, list[str]]()
+def _axes(said: RobotFileTable, robot: Robot) -> tuple[Axis, ...]:
+    axes, faults = list[Axis](), dict[Fault, list[str]]()
     for number, (own, link) in enumerate(zip(said.joints, robot.links, strict=True)):
         if own.kind not in (None, link.kind):
             rest = f' is "{own.kind}", but the model says "{link.kind}": leave it out, or correct the model.'
             raise JointFileError(fault_at(("joints", number, "kind"), rest))
         try:
-            files.append(JointFile.of_table(said.table(number, link.kind), path))
+            axes.append(axis_of(said.table(number, link.kind)))
         except JointFileError as error:
             for fault in error.faults:
                 of_axis = fault.place[:1] == ("joints",)
                 faults[fault] = list(robot.names) if of_axis else [*faults.get(fault, ()), own.name]
-    for file in files:
-        if file.joint.transmission is not None and file.joint.transmission.side == "motor":
+    for axis in axes:
+        if axis.joint.transmission is not None and axis.joint.transmission.side == "motor":
             side = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
-            faults.setdefault(Fault(side), []).append(str(file.name))
-    for name, joints in _shared_columns(files).items():
+            faults.setdefault(Fault(side), []).append(str(axis.name))
+    for name, joints in _shared_columns(axes).items():
         shared = Fault(f"{name} is one column of several joints; give each one of its own, as with {{axis}}.")
         faults.setdefault(shared, []).extend(joints)
     if faults:
         raise JointFileError(name_axes(faults, len(robot)))
-    return tuple(files)
+    return tuple(axes)
 
 
-def _parameters(axes: Sequence[JointFile]) -> dict[str, Parameter]:
+def _parameters(axes: Sequence[Axis]) -> dict[str, Parameter]:
     """Return values and bounds that the identification keeps, by the names of a robot's parameters."""
     found = dict[str, Parameter]()
     for axis in axes:
@@ -527,10 +437,10 @@ _OF_SPRING = {name: name.removeprefix("load_") for name in ("stiffness", "dampin
 """Parameters of a joint that are numbers of a robot's spring."""
 
 
-def _starts(file: JointFile) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Return starts of a joint file's parameters: of the motor, of the spring, and beside these the laws' own."""
+def _starts(axis: Axis) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return starts of an axis's parameters: of the motor, of the spring, and beside these the laws' own."""
     motor, spring, numbers = dict[str, float](), dict[str, float](), dict[str, float]()
-    for name, parameter in file.parameters.items():
+    for name, parameter in axis.parameters.items():
         own = name.removeprefix("motor_")
         own = _AS_MOTOR.get(own, own)
         if parameter.start is None:
@@ -544,14 +454,14 @@ def _starts(file: JointFile) -> tuple[dict[str, float], dict[str, float], dict[s
     return motor, spring, numbers
 
 
-def _stated_starts(own: RobotJointTable, file: JointFile) -> Iterator[tuple[Parameter, float]]:
+def _stated_starts(own: RobotJointTable, axis: Axis) -> Iterator[tuple[Parameter, float]]:
     """Yield parameters of a joint with the numbers of its table, the inverse of `_starts`."""
     numbers = own.settings(*_TABLES)
     for name in ("viscous", "coulomb"):
         if name in numbers:
             numbers.setdefault(f"{name}_backwards", numbers[name])
     spring = {} if own.spring is None else own.spring.settings("law")
-    for parameter in file.joint.parameters:
+    for parameter in axis.joint.parameters:
         name = parameter.name.removeprefix("motor_")
         of_spring = _OF_SPRING.get(parameter.name.removesuffix("_forwards").removesuffix("_backwards"))
         given = numbers.get(_AS_MOTOR.get(name, name)) if of_spring is None else spring.get(of_spring)
@@ -559,50 +469,50 @@ def _stated_starts(own: RobotJointTable, file: JointFile) -> Iterator[tuple[Para
             yield parameter, float(given)
 
 
-def _joint(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> RobotJoint:
+def _joint(own: RobotJointTable, joint: RobotJoint, axis: Axis) -> RobotJoint:
     """Return a joint of the model with the file's numbers and laws."""
-    motor, spring, numbers = _starts(file)
+    motor, spring, numbers = _starts(axis)
     given = {name: value for name, value in own.settings(*_TABLES).items() if name in (*_NUMBERS, "coupling")} | motor
-    friction = file.joint.friction
+    friction = axis.joint.friction
     if friction.stepped:
         given["friction"] = friction
     if friction.name.startswith("asymmetric") and not {"viscous_backwards", "coulomb_backwards"} & set(given):
         given["viscous_backwards"] = given.get("viscous", joint.viscous)
-    if isinstance(file.joint, FlexibleJoint):
+    if isinstance(axis.joint, FlexibleJoint):
         stated = {} if own.spring is None else own.spring.settings("law")
-        given["spring"] = JointSpring(**stated | spring, law=file.joint.spring)
+        given["spring"] = JointSpring(**stated | spring, law=axis.joint.spring)
     return replace(joint, **given, numbers=numbers)
 
 
-def _model_faults(own: RobotJointTable, file: JointFile) -> Iterator[str]:
-    """Yield the rest of a sentence on unsupported tables, and on missing numbers of the laws."""
-    motor, excess, numbers = _starts(file)
-    friction, spring = file.joint.friction.name, getattr(file.joint, "spring", None)
-    if "load_inertia" in file.parameters:
-        yield ".parameters.load_inertia is that of the robot's links; leave it out, or change the model of the robot."
+def _model_faults(own: RobotJointTable, axis: Axis) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield place and rest of a sentence on unsupported tables, and on missing numbers of the laws."""
+    motor, excess, numbers = _starts(axis)
+    friction, spring = axis.joint.friction.name, getattr(axis.joint, "spring", None)
+    if "load_inertia" in axis.parameters:
+        yield ("parameters", "load_inertia"), " is that of the robot's links; leave it out, or change the model."
     if friction.endswith("stribeck") and own.stribeck_speed is None and "stribeck_speed" not in motor:
-        yield ".stribeck_speed is missing; expected the speed below which friction rises: add it."
+        yield ("stribeck_speed",), " is missing; expected the speed below which friction rises: add it."
     if spring is not None and "stiffness" not in excess and (own.spring is None or own.spring.stiffness is None):
-        yield ".spring.stiffness is missing; expected a positive number (where a search begins): add it."
+        yield ("spring", "stiffness"), " is missing; expected a positive number (where a search begins): add it."
     if isinstance(spring, ElasticLoad):
-        yield f'.spring is "{spring.name}"; in a robot what swings is a link of its own: add a link with a spring.'
-    if file.joint.gravity is not None:
-        yield ".gravity is that of the masses of the robot's model; leave it out."
-    if file.joint.ripple is not None:
-        yield ".ripple is not simulated with a robot; leave it out."
+        yield ("spring",), f' is "{spring.name}"; what swings is a link of its own: add a link with a spring.'
+    if axis.joint.gravity is not None:
+        yield ("gravity",), " is that of the masses of the robot's model; leave it out."
+    if axis.joint.ripple is not None:
+        yield ("ripple",), " is not simulated with a robot; leave it out."
     elif not isinstance(spring, ElasticLoad):
-        known = {one.name for one in file.joint.linear.parameters} | set(numbers)
-        for name in [one.name for one in file.joint.parameters if one.name not in known]:
+        known = {one.name for one in axis.joint.linear.parameters} | set(numbers)
+        for name in [one.name for one in axis.joint.parameters if one.name not in known]:
             force, rises, _ = name.partition("stribeck_")  # friction rises towards standstill where its force is given
             if not rises or f"{force}stribeck_force" in numbers:
-                yield f".parameters.{name} is missing; expected a number of the joint's laws: add it."
+                yield ("parameters", name), " is missing; expected a number of the joint's laws: add it."
 
 
-def _shared_columns(files: Sequence[JointFile]) -> dict[str, list[str]]:
+def _shared_columns(axes: Sequence[Axis]) -> dict[str, list[str]]:
     """Return channels that share a column, with the names of their joints."""
     found: dict[str, list[str]] = {}
-    for file in files:
-        for channel, column in file.columns.items():
-            if column.column and file.drive.traces is None:
-                found.setdefault(f'{channel} from "{column.column}"', []).append(str(file.name))
+    for axis in axes:
+        for channel, column in axis.columns.items():
+            if column.column and axis.drive.traces is None:
+                found.setdefault(f'{channel} from "{column.column}"', []).append(str(axis.name))
     return {name: joints for name, joints in found.items() if len(joints) > 1}

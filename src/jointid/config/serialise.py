@@ -16,7 +16,7 @@ from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT, Parameter
 from jointid.common.text import number
 from jointid.common.transmission import SIDES, Transmission
-from jointid.config.contents import JointFile
+from jointid.config.file import File
 from jointid.config.toml import relocate_path, with_paths, with_record, with_table
 from jointid.models.controllers import (
     CONTROLLER_UNITS,
@@ -79,7 +79,7 @@ def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | 
 
 
 def save_with_controller(
-    file: JointFile, controller: Controller, path: Path, record: str | os.PathLike[str] | None = None
+    file: File, controller: Controller, path: Path, record: str | os.PathLike[str] | None = None
 ) -> None:
     """Write a joint file with its [controller] another one; all else of its text, comments too, stays as it is.
 
@@ -131,10 +131,11 @@ def controller_text(
     return text if joint is None else _with_units(text, controller, joint, {one.number: one for one in shown})
 
 
-def learned_text(file: JointFile, controller: Controller) -> str:
+def learned_text(file: File, controller: Controller) -> str:
     """Return [controller] as TOML for a joint file whose controller was learned: units, and what the drive shows."""
-    shown = file.drive_numbers(controller)
-    return controller_text(controller, file.joint.transmission, file.torque_per_unit, file.joint, shown)
+    axis = file.axis
+    shown = axis.drive_numbers(controller)
+    return controller_text(controller, axis.joint.transmission, axis.torque_per_unit, axis.joint, shown)
 
 
 def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[str, DriveNumber]) -> str:

@@ -116,6 +116,7 @@ class Run:
         default_factory=dict,
         metadata=declare("numbers of the controller that were others in this record, by the keys of [controller]"),
     )
+    payload: tuple[float, ...] = ()  # `Record.payload` of what the last link of a robot carries
 
 
 @add_settings_to_docstring

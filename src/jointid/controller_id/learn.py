@@ -77,7 +77,7 @@ def learn_controller(
     if not isinstance(record, Record):
         raise MethodError(
             f"A controller is learned from one record of one joint; received {type(record).__name__}: of a robot give "
-            "that of a joint, or take one joint of its file by joint_file or --axis."
+            "that of a joint, or take one joint of its file by axis or --axis."
         )
     if not (math.isfinite(gain) and gain > 0):
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")

@@ -118,7 +118,7 @@ class LearnedController(Documented):
     regression_share: float = math.nan
 
     def beside(self, shown: Iterable[DriveNumber]) -> LearnedController:
-        """Add the numbers as the drive shows them; `shown` converts, as `JointFile.drive_numbers` returns it."""
+        """Add the numbers as the drive shows them; `shown` is what `Axis.drive_numbers` of a file returns."""
         return replace(self, in_drive=numbers_in_drive(self.numbers, self.correlation, shown))
 
     def __getitem__(self, name: str) -> LearnedNumber:

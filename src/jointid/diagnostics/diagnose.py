@@ -77,7 +77,7 @@ def diagnose(
         estimate: of a joint by DIDIM, of this record; of a robot by any method.
         record: that it was identified from; of a robot the record of each joint.
         tests: settings of the tests of a joint's loop, see `LoopTests`.
-        shown: how the drive shows the numbers of a joint's controller, as `JointFile.declared_numbers` has it; without
+        shown: how the drive shows the numbers of a joint's controller, as `File.declared_numbers` has it; without
             it they are in percent of the declared values.
         controllers: of each joint of a robot as declared, None where one is not known; those of the estimate's loop if
             none are given.

@@ -210,7 +210,7 @@ def examine(
         method: of the identification; see `jointid.identify`, as for the next two.
         filtering: of the identification.
         parameters: changes to the joint's parameters.
-        shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has it;
+        shown: how the drive shows the numbers of its controller, as `jointid.config.File.declared_numbers` has it;
             without it they are given in SI.
         controllers: of each joint of a robot, see `jointid.diagnose`, as for the next.
         feed_forward: kind of the injected signals of a robot's records.

@@ -178,7 +178,7 @@ def find_causes(
         record: with torque and reference.
         loop: as declared.
         estimate: of the joint under it, if there is one: its filter is used, and its error if smaller.
-        shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.drive_numbers` has it;
+        shown: how the drive shows the numbers of its controller, as `jointid.config.Axis.drive_numbers` has it;
             without it they are given in SI.
         progress: called with each step.
         low: fits by `screen_causes`; made anew without them.

@@ -11,7 +11,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.transmission import Side
-from jointid.config.contents import File, JointFile
+from jointid.config import Axis, File
 from jointid.planning.designed import Design, PlayedAxis
 from jointid.records.columns import Column, unit_of_column
 from jointid.records.formats import format_of
@@ -28,10 +28,10 @@ class FileLayout:
     A channel that the test has and the file does not name is in the unit of the motor's position, or of the torque.
 
     Attributes:
-        files: the joint file of each axis; of several, the columns of such channels begin with the joint's name.
+        files: what the file says of each axis; of several, the columns of such channels begin with the joint's name.
     """
 
-    files: tuple[JointFile, ...]
+    files: tuple[Axis, ...]
 
     @property
     def options(self) -> Mapping[str, Any]:
@@ -52,7 +52,7 @@ class FileLayout:
             found |= self._add_columns(file, record).columns_to_write(record)
         return found
 
-    def _add_columns(self, file: JointFile, record: Record) -> JointFile:
+    def _add_columns(self, file: Axis, record: Record) -> Axis:
         """Return the file with a column of every channel, and with the clock of the test."""
         columns = dict(file.columns)
         for name in record.channels:
@@ -63,7 +63,7 @@ class FileLayout:
         source = file.source if own_clock else replace(file.source, sample_time=None)
         return replace(file, columns=columns, source=source)
 
-    def _axis(self, file: JointFile) -> PlayedAxis:
+    def _axis(self, file: Axis) -> PlayedAxis:
         small, joint, gear = np.array([0.0, _SMALL]), file.joint, file.joint.transmission
         position = Channel(small, POSITION_UNIT[joint.kind], 1e-3)
         torque = Channel(small, joint.force_unit, 1e-3, Timing.HELD)
@@ -88,6 +88,6 @@ class FileLayout:
         )  # fmt: skip
 
 
-def lay_out(file: File[Any], design: Design) -> Design:
+def lay_out(file: File, design: Design) -> Design:
     """Return a design whose files have the columns, units and sides of a joint file or a robot file."""
     return replace(design, layout=FileLayout(file.axes))

@@ -87,7 +87,7 @@ def tune(
         estimate: with the loop, its deviations and correlations: by DIDIM with least squares, rigid or flexible.
         settings: the required margins; see `Tuning`.
         drive: a `Drive` with rated torque and encoder counts, for feed-forward in these.
-        shown: conversion to the drive's numbers, as `jointid.config.JointFile.declared_numbers` returns.
+        shown: conversion to the drive's numbers, as `jointid.config.File.declared_numbers` returns.
         progress: receives messages.
 
     Returns:

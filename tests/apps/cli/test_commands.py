@@ -21,7 +21,7 @@ from jointid.apps.cli import main
 from jointid.apps.cli.app import _GONE
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Message
-from jointid.config import JointFile, load
+from jointid.config import File, load
 from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import INTEGRAL, Structure
@@ -482,7 +482,7 @@ file = "b.csv"
 def test_a_file_or_goal_that_is_not_there_is_refused_before_the_joint_is_identified(
     words: tuple[str | Path, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(JointFile, "identify", None)
+    monkeypatch.setattr(File, "identify", None)
     assert run(*words) == 2
 
 
@@ -491,7 +491,7 @@ def test_what_needs_a_record_whole_refuses_one_in_windows_before_the_joint_is_id
     words: tuple[str, ...], demo: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(demo)
-    monkeypatch.setattr(JointFile, "identify", None)
+    monkeypatch.setattr(File, "identify", None)
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", 10**8)
     assert run(words[0], "joint.toml", "-q", *words[1:]) == 2
 

@@ -15,7 +15,7 @@ import pytest
 import jointid as ji
 from jointid.apps.cli import main
 from jointid.common.errors import MethodError
-from jointid.config import JointFile, loads
+from jointid.config import File, loads
 
 JOINT = """
 [joint]
@@ -77,8 +77,8 @@ def test_the_reason_is_printed_where_the_search_for_the_cause_is_interrupted(
     def fail(*_: Any, **__: Any) -> Any:
         raise MethodError("The loop is not stable; check the gain.")
 
-    monkeypatch.setattr(JointFile, "identify", fail)
-    monkeypatch.setattr(JointFile, "explain", interrupt)
+    monkeypatch.setattr(File, "identify", fail)
+    monkeypatch.setattr(File, "explain", interrupt)
     assert identify("joint.toml", "-q") == 130
     assert "Known so far: The loop is not stable; check the gain." in capsys.readouterr().out
 

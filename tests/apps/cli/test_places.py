@@ -67,7 +67,7 @@ def test_no_command_writes_over_what_it_reads(
     command: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(answers, "read_choices", lambda _: {})
-    monkeypatch.setattr("jointid.config.contents.JointFile.record", lambda *_, **__: pytest.fail("the work has begun"))
+    monkeypatch.setattr("jointid.config.file.File.record", lambda *_, **__: pytest.fail("the work has begun"))
     before = contents(place)
     assert run(*command.split()) == 2
     assert "would be replaced" in capsys.readouterr().err

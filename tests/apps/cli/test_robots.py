@@ -12,7 +12,7 @@ import pytest
 
 from jointid.apps.cli.app import app
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.config.robot_file import RobotFile
+from jointid.config import File
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output.export.mjcf import robot_mjcf
@@ -217,6 +217,6 @@ def test_what_a_robot_has_not_is_refused_before_it_identifies(
     words: tuple[str, ...], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(RobotFile, "identify", None)
+    monkeypatch.setattr(File, "identify", None)
     with pytest.raises(JointidError):
         run(words[0], folder / "robot.toml", *words[1:])

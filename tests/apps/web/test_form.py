@@ -55,7 +55,7 @@ def test_what_is_filled_in_is_what_is_written() -> None:
     assert file.controller is not None
     assert (file.controller.limit, file.controller.delay) == (10.0, pytest.approx(0.8e-3))
     assert file.parameters["coulomb"].start == 20.0
-    assert file.columns["torque"].unit == "N"
+    assert file.axis.columns["torque"].unit == "N"
 
 
 @pytest.mark.parametrize(

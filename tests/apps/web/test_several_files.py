@@ -14,7 +14,7 @@ from jointid.apps.cli import main
 from jointid.apps.web.folder import Run
 from jointid.apps.web.form import fill_in_form, make_joint_file, make_reading_tables, make_robot_file, make_tables
 from jointid.common.errors import JointFileError
-from jointid.config import JointFile, loads
+from jointid.config import file_of, loads
 from jointid.models.robots.robot import Robot
 from jointid.output.export.mjcf import robot_mjcf
 from tests.apps.cli.test_robots import HEAD, write_robot
@@ -46,7 +46,7 @@ def test_a_joint_file_of_several_records_comes_through_the_form() -> None:
     assert [(run.file, run.added_inertia) for run in file.runs] == [("one.csv", 0.0), ("two.csv", 2.5)]
     assert file.together == loads(JOINT).together
     tables = make_reading_tables(made["draft"], ["one.csv", "two.csv"])
-    assert JointFile.of(tables).columns["torque"].unit == "N"
+    assert file_of(tables).axis.columns["torque"].unit == "N"
 
 
 def test_every_record_that_is_sent_is_one_of_several() -> None:

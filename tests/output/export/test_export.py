@@ -64,7 +64,7 @@ def test_the_joint_file_keeps_its_text_and_gives_the_values_back(
     text = (folder / "filled.toml").read_text(encoding="utf-8")
     assert text.startswith(JOINT_FILE)
     file = ji.load(folder / "filled.toml")
-    assert file.values() == TABLE_2 | {"offset": -3.0}
+    assert file.axis.values() == TABLE_2 | {"offset": -3.0}
     found = file.parameters
     assert all(found[name].free for name in TABLE_2 if name != "offset")
     assert not found["offset"].free  # as it was
@@ -86,7 +86,7 @@ def test_fixed_values_are_kept_and_paths_lead_to_the_same_record(folder: Path) -
     assert exported(folder, "below/fixed.toml", "--set", "export.values=fixed") == 0
     file = ji.load(folder / "below" / "fixed.toml")
     assert not any(parameter.free for parameter in file.parameters.values())
-    assert file.values() == TABLE_2 | {"offset": -3.0}
+    assert file.axis.values() == TABLE_2 | {"offset": -3.0}
     assert file.source.file == "../record.csv"
 
 
@@ -128,7 +128,7 @@ def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> Non
 def test_a_joint_file_that_was_made_by_a_program_is_written_whole() -> None:
     file = loads(JOINT_FILE)
     made = ji.export(model(file.joint, TABLE_2), "joint-file", file=file)
-    assert loads(made.text).values() == TABLE_2
+    assert loads(made.text).axis.values() == TABLE_2
     with pytest.raises(ji.MethodError):
         ji.export(model(file.joint, TABLE_2), "joint-file")
     with pytest.raises(ji.MethodError):
@@ -152,7 +152,7 @@ def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_join
     assert exported(tmp_path, "filled.toml") == 0
     file = ji.load(tmp_path / "filled.toml")
     assert file.joint.friction.name == "asymmetric"
-    assert file.values() == values
+    assert file.axis.values() == values
 
 
 @pytest.mark.parametrize("out", ["a.toml", "a.json", "a.xml", "a.urdf"])

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 
     from jointid import Estimate
     from jointid.apps.cli.terminal import Bars
-    from jointid.config import JointFile
-    from jointid.config.contents import File
-    from jointid.config.robot_file import RobotFile
+    from jointid.config import File
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())]
@@ -92,9 +90,7 @@ class Inputs:
         """The listener to progress."""
         return listen(self.quiet)
 
-    def load(
-        self, joint: Path, *outputs: Path | None, estimate: Path | None = None, **choices: str | None
-    ) -> JointFile | RobotFile:
+    def load(self, joint: Path, *outputs: Path | None, estimate: Path | None = None, **choices: str | None) -> File:
         """Load the joint file or robot file with its changes, as an estimate says; see `jointid.config.load`.
 
         Raises:
@@ -112,7 +108,7 @@ class Inputs:
         spare(outputs, *file.inputs(self.record))
         return file.of_record(self.record)
 
-    def load_joint(self, joint: Path, *outputs: Path | None, what: str, **choices: str | None) -> JointFile:
+    def load_joint(self, joint: Path, *outputs: Path | None, what: str, **choices: str | None) -> File:
         """Load the joint file with its changes.
 
         Raises:
@@ -127,7 +123,7 @@ class Inputs:
         return file.of_record(self.record)
 
     def identify(
-        self, file: File[Any], *, checks: bool = True, judged: bool = False, whole: bool = False
+        self, file: File, *, checks: bool = True, judged: bool = False, whole: bool = False
     ) -> tuple[Any, Estimate]:
         """Identify a joint or a robot from the record, as its file says, and return the record, too.
 

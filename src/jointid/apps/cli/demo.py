@@ -103,13 +103,11 @@ def _make_axis(folder: Path, seed: int, options: Options, listener: Progress, wo
 
 def _make_robot(folder: Path, seed: int, options: Options, listener: Progress, work: Work) -> _Made:
     from jointid.config import load
-    from jointid.config.robot_file import RobotFile
 
     del listener  # the engine of a robot is compiled with its first simulation
     texts = {name: files("jointid.apps.cli").joinpath("demo_robot", name).read_text("utf-8") for name in _ROBOT}
     with _fresh(folder, texts, _ANSWER):
         file = load(folder / "robot.toml")
-        assert isinstance(file, RobotFile)
         options.progress("simulating 8 s of a robot of two joints, with 2 % of noise on each torque")
         robot, records = _simulate_robot(file.loop, seed)
     file.write(records, folder / "record.csv")

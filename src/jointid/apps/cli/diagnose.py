@@ -11,8 +11,7 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 
 if TYPE_CHECKING:
     from jointid import Record
-    from jointid.config import JointFile
-    from jointid.config.contents import File
+    from jointid.config import File
     from jointid.diagnostics.examine_record import Examination
     from jointid.diagnostics.law_comparison import LawComparison
 
@@ -35,10 +34,10 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
         laws: also compare the laws of spring and friction, each by how well it predicts parts of the record that were
             kept from its fit.
     """
-    from jointid.config import JointFile, require_joint
+    from jointid.config import require_joint
 
     file = options.load(joint, options.json)
-    if isinstance(file, JointFile) and file.loop is not None:
+    if file.robot is None and file.loop is not None:
         file = options.load_joint(joint, what="A diagnosis", method="didim")
     if laws and require_joint(file, "A comparison of laws").loop is None:
         raise MethodError("Laws are compared in the closed loop; declare the [controller].")
@@ -53,10 +52,9 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
     return 0 if nothing else FAULTY
 
 
-def _diagnose_record(file: File[Any], path: Path, options: Options, laws: bool) -> Examination:
+def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Examination:
     """Diagnose one record, print what is found, and write it."""
     from jointid import examine
-    from jointid.config import JointFile
     from jointid.diagnostics.examine_record import unreadable
 
     try:
@@ -68,15 +66,15 @@ def _diagnose_record(file: File[Any], path: Path, options: Options, laws: bool) 
         deliver(found, options.json)
         return found
     ready(options.progress)
-    declared: dict[str, Any] = {"controllers": file.controllers, "feed_forward": file.feed_forward}
-    if isinstance(file, JointFile):
-        declared = {"shown": file.declared_numbers}
+    declared: dict[str, Any] = {"shown": file.declared_numbers}
+    if file.robot is not None:
+        declared = {"controllers": file.controllers, "feed_forward": file.feed_forward}
     found = examine(
         record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters,
         progress=options.progress, **declared,
     )  # fmt: skip
     try:
-        if laws and isinstance(file, JointFile):
+        if laws:
             found = replace(found, laws=_compare_laws(file, record, options))
     except JointidError:
         deliver(found, options.json)
@@ -85,7 +83,7 @@ def _diagnose_record(file: File[Any], path: Path, options: Options, laws: bool) 
     return found
 
 
-def _compare_laws(file: JointFile, record: Record, options: Options) -> tuple[LawComparison, ...]:
+def _compare_laws(file: File, record: Record, options: Options) -> tuple[LawComparison, ...]:
     """Compare the laws of friction, and of a flexible joint those of its spring before."""
     from jointid import DIDIM, compare
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -23,7 +23,7 @@ from jointid.common.errors import MethodError
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid.config.contents import File
+    from jointid.config import File
 
 
 def identify(
@@ -78,7 +78,7 @@ def identify(
     first = records[0] if records else None
     one = first if len(records) == 1 else None
     options = Options(record=one, changes=changes, axis=axis, json=json, quiet=quiet)
-    file: File[Any] = options.load(joint, json, figure, method=method, filtering=filtering, friction=friction)
+    file: File = options.load(joint, json, figure, method=method, filtering=filtering, friction=friction)
     if figure is not None and len(records) > 1:
         require_joint(file, "--figure of several records")
     if window is not None or settling is not None:
@@ -129,7 +129,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     file = load_to_learn(joint, options.changes, options.axis)
     spare((options.json, write), *file.inputs(options.record))
     learned = file.learn_controller(file.record(options.record), options.progress)
-    learned = learned.beside(file.drive_numbers(learned.controller))
+    learned = learned.beside(file.axis.drive_numbers(learned.controller))
     deliver(learned, options.json)
     show(f"\n{learned_text(file, learned.controller).rstrip()}")
     if write is not None:
@@ -203,7 +203,6 @@ def payload(
         quiet: say nothing of the progress of searches.
     """
     from jointid import identify_payload
-    from jointid.config.robot_file import RobotFile
     from jointid.output.json import load_estimate
 
     spare((json,), without, with_)
@@ -214,7 +213,7 @@ def payload(
             f"of identify --json, and received {'neither' if without is None else 'both'}."
         )
     file = options.load(robot, json, estimate=estimate)
-    if not isinstance(file, RobotFile):
+    if file.robot is None:
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
     if file.parameters:
         raise MethodError(

@@ -12,9 +12,7 @@ from jointid.common.files import require_room
 
 if TYPE_CHECKING:
     from jointid import Record
-    from jointid.config import JointFile
-    from jointid.config.contents import File
-    from jointid.config.robot_file import RobotFile
+    from jointid.config import File
     from jointid.planning.designed import Design
 
 
@@ -58,7 +56,6 @@ def design(
     """
     from jointid import design as run
     from jointid import figures
-    from jointid.config import JointFile
     from jointid.output.test_layout import lay_out
 
     figures.require_format(figure)
@@ -72,7 +69,7 @@ def design(
         "goal": goal, "duration": duration, "search_time": search_time, "injection": injection,
         "progress": options.progress, "within": within,
     }  # fmt: skip
-    if isinstance(file, JointFile):
+    if file.robot is None:
         file = options.load_joint(joint, what="Planning", method="didim")
         _require_goal(file, goal)
         asked |= {"limits": file.limits, "motion": None if motion is None else _read(motion, file)}
@@ -90,7 +87,7 @@ def design(
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
 
 
-def _choose_record(file: File[Any], record: Path | None) -> Path | None:
+def _choose_record(file: File, record: Path | None) -> Path | None:
     """Return the record that a test is planned from: the named one, or of a list the first."""
     if record is not None or not file.only_lists:
         return record
@@ -98,7 +95,7 @@ def _choose_record(file: File[Any], record: Path | None) -> Path | None:
     return file.listed[0]
 
 
-def _require_goal(file: JointFile, goal: str) -> None:
+def _require_goal(file: File, goal: str) -> None:
     """Raise a `MethodError` if no test can be planned for this goal, before the record is read."""
     from jointid.planning.goals import parse_goal
 
@@ -106,7 +103,7 @@ def _require_goal(file: JointFile, goal: str) -> None:
     parse_goal(goal, {p.name: file.joint.unit(p) for p in own if p.free})
 
 
-def _plan_robot(file: RobotFile, options: Options, asked: dict[str, Any], motion: tuple[Record, ...] | None) -> Design:
+def _plan_robot(file: File, options: Options, asked: dict[str, Any], motion: tuple[Record, ...] | None) -> Design:
     """Plan the test of a robot from a record, or from its model alone."""
     from jointid import design
 
@@ -125,10 +122,11 @@ def _plan_robot(file: RobotFile, options: Options, asked: dict[str, Any], motion
             show(f"The record that the robot file names is not used, and the robot is as its model says: {error}")
         else:
             return design(estimate, records, **asked)
+    assert file.robot is not None
     return design(file.robot, sample_time=file.source.sample_time if motion is None else None, **asked)
 
 
-def _read(motion: Path, file: JointFile) -> Record:
+def _read(motion: Path, file: File) -> Record:
     """Read a test of the user's own, or a past record: one of a drive has other columns beside those of a test.
 
     Raises:
@@ -139,13 +137,15 @@ def _read(motion: Path, file: JointFile) -> Record:
 
     joint, known = file.joint, {one.name for one in inspect(motion).channels}
     try:
-        return file.driving(motion)
+        found: Record = file.driving(motion)
     except RecordError as error:
         if not {"t", "reference"} <= known <= {"t", "reference", "injected"}:
             raise RecordError(
                 f"{error} It was read as a past record, as the joint file says; a test of your own has the columns t, "
                 "reference and, if a signal is added, injected, and no others."
             ) from None
+    else:
+        return found
     columns = {
         "reference": Column("reference", POSITION_UNIT[joint.kind]),
         "injected": Column("injected", joint.force_unit, optional=True),

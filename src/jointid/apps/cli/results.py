@@ -27,7 +27,7 @@ _EXPORT = "export."  # the beginning of a change that is a setting of the writte
 
 if TYPE_CHECKING:
     from jointid import Estimate, Report
-    from jointid.config.contents import File
+    from jointid.config import File
     from jointid.diagnostics.validation import Validation
 
 
@@ -57,7 +57,6 @@ def report(
     """
     from jointid import Report
     from jointid import validate as validate_estimate
-    from jointid.config import JointFile
     from jointid.output.json import load_estimate
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_page
@@ -67,13 +66,13 @@ def report(
     file = options.load(joint, html, options.json, estimate=estimate)
     asked = {"axis": options.axis, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
-    if not isinstance(file, JointFile):
+    if file.robot is not None:
         _refuse_options(
             "The report of a robot has neither profiles nor tuning",
             {"--no-profiles": no_profiles, "--no-tuning": no_tuning},
         )
     unseen = None if held_out is None else file.record(held_out)
-    system: Literal["joint", "robot"] = "joint" if isinstance(file, JointFile) else "robot"
+    system: Literal["joint", "robot"] = "joint" if file.robot is None else "robot"
     records = file.source.files_of(file.record_path(options.record), joint.parent)
     again = repetition(joint, records, asked, options.changes, html.name, system)
     if estimate is None:
@@ -197,7 +196,6 @@ def export(
         side: of a transmission, whose numbers are written; without it the load's for URDF, MJCF and actuators, and else
             the side that was identified.
     """
-    from jointid.config import JointFile
     from jointid.estimation.result.estimate import law_fingerprint
     from jointid.output.export import export as run
     from jointid.output.export import find_language
@@ -208,9 +206,9 @@ def export(
     settings = dict(map(_setting, (one for one in changes if one.startswith(_EXPORT))))
     language = find_language(format or out.suffix.lower()).name
     system: Any = file
-    if not isinstance(file, JointFile):
+    if file.robot is not None:
         _refuse_options("A robot is written as bodies behind their gears", {"--side": side})
-        if language == "urdf" and file.model_path.suffix.lower() == ".urdf":
+        if language == "urdf" and file.model_path is not None and file.model_path.suffix.lower() == ".urdf":
             settings |= {"model": file.model_path, "locked": file.locked}
     else:
         system = file.joint  # whose controller may be another one
@@ -218,7 +216,7 @@ def export(
         settings |= {"file": file, "folder": out.parent} if language == "joint-file" else {}
     found = _read_or_identify(file, None) if estimate is None else load_estimate(estimate, system)
     under = found.settings.controller
-    if isinstance(file, JointFile) and file.loop is not None and under not in ("", law_fingerprint(file.loop)):
+    if file.robot is None and file.loop is not None and under not in ("", law_fingerprint(file.loop)):
         show("The controller of the joint file is not the one the joint was identified under.")
     exported = run(found, language, controllers=file.controllers, **settings)
     exported.save(out)
@@ -236,7 +234,7 @@ def _setting(change: str) -> tuple[str, Any]:
         return key.strip(), text.strip()
 
 
-def _read_or_identify(file: File[Any], estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
+def _read_or_identify(file: File, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
     """Return an estimate: from its file, or else from the record that the joint file or robot file names."""
     from jointid.output.json import load_estimate
 

@@ -12,8 +12,7 @@ from jointid.common.files import require_room
 from jointid.common.text import in_words, interval
 
 if TYPE_CHECKING:
-    from jointid.config import JointFile
-    from jointid.config.robot_file import RobotFile
+    from jointid.config import File
 
 
 def simulate(
@@ -37,16 +36,14 @@ def simulate(
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
     """
-    from jointid.config import JointFile
-
     file = options.load(joint, options.json, out, estimate=estimate)
-    if isinstance(file, JointFile):
+    if file.robot is None:
         _simulate_joint(file, estimate, out, options)
     else:
         _simulate_robot(file, estimate, out, options)
 
 
-def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, options: Options) -> None:
+def _simulate_joint(file: File, estimate: Path | None, out: Path | None, options: Options) -> None:
     from jointid import simulate as run
     from jointid.common.transmission import transmission_lines
     from jointid.models.disturbances import EncoderOffset
@@ -58,7 +55,7 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
     # What is written begins with its first sample, from where a position loop's offset will be counted.
     logged = replace(file.driving(options.record), begin=0.0)
     if estimate is None:
-        values = file.values()
+        values = file.axis.values()
     else:
         identified = answers.load_estimate(estimate, file).identified
         values = identified.values
@@ -82,13 +79,14 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
         answers.write(answer, options.json)
 
 
-def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, options: Options) -> None:
+def _simulate_robot(file: File, estimate: Path | None, out: Path | None, options: Options) -> None:
     from jointid import simulate as run
     from jointid.output.json import documents, load_estimate, write
     from jointid.simulation.robots import tracking_errors
     from jointid.simulation.simulated import require_success
 
-    loop, records, robot = file.loop, file.driving(options.record), file.robot
+    loop, records = file.loop, file.driving(options.record)
+    robot = loop.robot
     if estimate is not None:
         loop = replace(loop, robot=load_estimate(estimate, file).require_robot().robot())
     found = require_success(run(loop, records), f"The simulation of {robot.name}")

@@ -20,7 +20,7 @@ from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
 from jointid.common.settings import Declared
 from jointid.common.text import join
-from jointid.config import JointFile, dumps, loads
+from jointid.config import dumps, file_of, loads
 from jointid.config.schema import FileTable
 from jointid.config.table import list_keys
 from jointid.config.toml import parse_toml
@@ -340,7 +340,7 @@ def make_joint_file(draft: Draft, sent: Sequence[str]) -> str:
     if learn and lacking and "profile" not in said.get("drive", {}):
         rest = f"cannot be learned without {join(lacking)}; choose that column in step 2, or fill in the controller."
         raise JointFileError(_make_fault(_LAW, rest))
-    return dumps(JointFile.of(said | {"controller": {**said.get("controller", {}), **_STAND_IN}} if learn else said))
+    return dumps(file_of(said | {"controller": {**said.get("controller", {}), **_STAND_IN}} if learn else said))
 
 
 def make_robot_file(draft: Draft, sent: Sequence[str], folder: Path) -> str:

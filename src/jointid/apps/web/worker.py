@@ -49,10 +49,10 @@ def example(folder: Path) -> None:
 def check(folder: Path) -> None:
     """Read the records as the forms say, and write what the first one holds."""
     from jointid.apps.web.form import make_reading_tables
-    from jointid.config import JointFile
+    from jointid.config import file_of
 
     names = _records(folder)
-    file = JointFile.of(make_reading_tables(_read(folder, "draft.json"), names), folder / "joint.toml")
+    file = file_of(make_reading_tables(_read(folder, "draft.json"), names), folder / "joint.toml")
     first, *_ = [file.record(folder / name) for name in ([names[0]] if file.source.files else names)]
     torque = first.torque
     assert torque is not None

@@ -99,7 +99,7 @@ def export(
 ) -> Export:
     """Return an estimate in another tool's language.
 
-    - "joint-file": TOML with the values filled in. Settings: `file`, the `JointFile` it was identified with, whose text
+    - "joint-file": TOML with the values filled in. Settings: `file`, the `File` it was identified with, whose text
       is kept; `values`, "start" (where the next search begins) or "fixed" (what is kept); `folder`, where it will be.
     - "state-space": linear, continuous and sampled, as JSON for SciPy, python-control and MATLAB. Settings: `period`
       and `delay` in s, to sample with; without them the record's and the joint's.

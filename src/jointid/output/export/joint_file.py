@@ -8,7 +8,7 @@ from typing import Literal
 
 from jointid.common.errors import JointFileError, MethodError
 from jointid.common.parameters import Parameter
-from jointid.config import JointFile, dumps, loads, with_paths, with_table
+from jointid.config import File, dumps, loads, with_paths, with_table
 from jointid.config.serialise import parameter_table
 from jointid.output.export.joint_model import JointModel, interval, number, remarks
 
@@ -20,7 +20,7 @@ _STARTS = (
 def joint_file(
     model: JointModel,
     *,
-    file: JointFile | None = None,
+    file: File | None = None,
     values: Literal["start", "fixed"] = "start",
     folder: Path | None = None,
 ) -> tuple[str, tuple[str, ...]]:
@@ -68,7 +68,7 @@ def joint_file(
     return made, tuple(lost)
 
 
-def _require_same_joint(file: JointFile | None, model: JointModel) -> JointFile:
+def _require_same_joint(file: File | None, model: JointModel) -> File:
     if file is None:
         raise MethodError(
             "A joint file is made from the one the joint was identified with, which has its record and controller; "
@@ -88,7 +88,7 @@ def _require_same_joint(file: JointFile | None, model: JointModel) -> JointFile:
     return file
 
 
-def _fill_in(file: JointFile, written: str) -> str:
+def _fill_in(file: File, written: str) -> str:
     """Return the file's text with new parameters; written anew if it was loaded with changes, or changed since."""
     try:
         text = with_table(file.path.read_text(encoding="utf-8-sig"), written)

@@ -13,7 +13,7 @@ from jointid import ClosedLoop
 from jointid.common.document import optional_number
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import open_file
-from jointid.config.contents import File
+from jointid.config import File
 from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS
 from jointid.estimation.result.estimate import Estimate
@@ -32,7 +32,7 @@ _REMEDY = "give the file that identify --json wrote"
 _REMEDY_OF_REPORT = "give what identify --json or report --html wrote"
 
 
-def load_estimate(path: str | Path, system: File[Any] | System) -> Estimate:
+def load_estimate(path: str | Path, system: File | System) -> Estimate:
     """Return the estimate of a joint or a robot from the file that keeps it.
 
     It predicts, is compared, validated, reported and exported as when it was identified. The measured and predicted

@@ -1,0 +1,771 @@
+"""The contents of a joint file or a robot file: its axes, and what the verbs take.
+
+A joint file has one axis and no robot, a robot file an axis for each joint.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
+
+from jointid.common import units
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parameters import TORQUE_UNIT, Parameter
+from jointid.common.units import Kind
+from jointid.config.axis_units import controller_gain, drive_numbers, unit_faults
+from jointid.config.rules import change_parameter, choose_method, find_contradictions, needed_channels, torque_unit
+from jointid.config.schema import FileTable, add_gains_of_times
+from jointid.config.source import Run, Source, Together
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.methods.registry import Method
+from jointid.estimation.problems.log_windows import Windowing
+from jointid.estimation.problems.several_records import SeveralRecords
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import PD, Controller, with_numbers
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.limits import AxisLimits
+from jointid.models.robots.robot import Robot
+from jointid.records.checks import check_record
+from jointid.records.chunks import Log, begin_together
+from jointid.records.clock import Cut
+from jointid.records.columns import Column, known_units
+from jointid.records.drives import Drive
+from jointid.records.formats import Table as RecordedTable
+from jointid.records.reading import RecordReader
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.records.writing import columns_to_write, write_columns
+
+if TYPE_CHECKING:
+    from jointid.controller_id.learned_controller import LearnedController
+
+FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Axis:
+    """What a file says of one axis.
+
+    Attributes:
+        name: of the joint.
+        joint: the model; its torque is in A or V where the torque's channel is.
+        columns: the channels, and where they are found; with a profile of the drive it finds the others.
+        controller: the controller's law as the joint sees it through its transmission, None while it is not known.
+        drive: whose traces the record is made of, and the numbers behind its units.
+        source: the file of the record.
+        parameters: changes to the parameters by name, as `identify` takes them.
+        limits: of the axis in a test that is planned; see `jointid.design`.
+        needed: channels that the method reads.
+        said: keys of [controller] that the file gives, and the gains that they say in other words.
+        quantities: texts of the controller's numbers that are given with a unit, by the path of their key.
+    """
+
+    name: str | None
+    joint: Joint
+    columns: Mapping[str, Column]
+    controller: Controller | None = None
+    drive: Drive = field(default_factory=Drive)
+    source: Source = field(default_factory=Source)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict, compare=False)
+    limits: AxisLimits = field(default_factory=AxisLimits)
+    needed: Collection[str] = field(default=(), compare=False, repr=False)
+    said: Collection[str] = field(default=(), compare=False, repr=False)
+    quantities: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def loop(self) -> ClosedLoop | None:
+        """The joint under its controller, None while the controller is not known."""
+        return None if self.controller is None else ClosedLoop(self.joint, self.controller)
+
+    @property
+    def computes_torque(self) -> bool:
+        """Whether the torque is computed from the controller and the motor position."""
+        logged = "torque" in self.columns or self.drive.traces is not None
+        return self.source.torque == "from_controller" or (not logged and self.controller is not None)
+
+    def with_torque(self, record: Record) -> Record:
+        """Return a record of this axis with the computed torque, if it is not a logged one.
+
+        Raises:
+            RecordError: see `jointid.compute_controller_torque`.
+        """
+        if not self.computes_torque or self.loop is None:
+            return record
+        from jointid.simulation.controller_torque import compute_controller_torque
+
+        return compute_controller_torque(record, self.loop)
+
+    @property
+    def torque_per_unit(self) -> float | None:
+        """The torque constant: torque per plain number of a controller on the motor's side."""
+        return self.drive.torque_constant or self.drive.torque_per_volt
+
+    def drive_numbers(self, learned: Controller) -> tuple[DriveNumber, ...]:
+        """Return how the drive shows the numbers of a learned law, beside those that the file declares."""
+        return drive_numbers(learned, self.controller, self.said, self.quantities, self.joint, self.drive)
+
+    @property
+    def declared_numbers(self) -> tuple[DriveNumber, ...]:
+        """How the drive shows the numbers of the declared controller.
+
+        The torque constant is one of them where it takes the logged torque, and no gain, to its unit.
+        """
+        if self.controller is None:
+            return ()
+        constant = self.torque_per_unit
+        if constant is None or self.scale or not self._is_logged_by_unit("torque"):
+            return self.drive_numbers(self.controller)
+        there = DriveNumber("torque_constant", "torque_constant", self._constant_unit, 1.0, declared=constant)
+        return (*self.drive_numbers(self.controller), there)
+
+    @property
+    def scale(self) -> str:
+        """The torque constant where all values scale with it, as log and controller are in A or V.
+
+        No record then shows an error of the constant. An injected torque, or a gain, would; the text is then empty.
+        """
+        constant, gear = self.torque_per_unit, self.joint.transmission
+        if constant is None or "torque" not in self.columns:
+            return ""
+        if any(name in self.columns and not self._is_logged_by_unit(name) for name in ("torque", "injected")):
+            return ""
+        through = 1.0 if gear is None else abs(gear.motor_per_load)
+        if getattr(self.controller, "gain", constant) not in (constant, constant * through):
+            return ""
+        return f"{constant:g} {self._constant_unit}"
+
+    @property
+    def _motor(self) -> Kind:
+        gear = self.joint.transmission
+        return self.joint.kind if gear is None else gear.motor
+
+    @property
+    def _constant_unit(self) -> str:
+        return f"{TORQUE_UNIT[self._motor]}/{'V' if self.drive.torque_constant is None else 'A'}"
+
+    def _is_logged_by_unit(self, name: str) -> bool:
+        """Whether a column is stated in A or V."""
+        column = self.columns.get(name)
+        unit = None if column is None else column.stated_unit(known_units(name, self._motor))
+        return unit is not None and units.unit(unit).dimension in ("current", "voltage")
+
+    def read_record(self, table: RecordedTable, name: str) -> Record:
+        """Return the record of this axis from a table of columns; see `File.record`.
+
+        Args:
+            table: as the file of the record has it.
+            name: of the record.
+        """
+        record = self._reader(self.channels, table).build_record(table, name)
+        controller, torque = self.controller, record.torque
+        limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
+        gear = self.joint.transmission
+        check_record(
+            record,
+            limit=limit,
+            side=None if gear is None else gear.side,
+            ratio=1.0 if gear is None else abs(gear.motor_per_load),
+        )
+        return record
+
+    def read_driving(self, table: RecordedTable, name: str) -> Record:
+        """Return the signals that drive a simulation from a table; see `File.driving`."""
+        seen = ("torque", "motor_position", "load_position")
+        columns = {name: replace(c, optional=True) if name in seen else c for name, c in self.channels.items()}
+        added = [one for one in (f"{self.name}.injected", "injected") if one in table.columns]
+        if added and "injected" not in columns and self.drive.traces is None:  # a designed test has it
+            columns["injected"] = self.column_like("torque", added[0])
+        record = self._reader(columns, table).build_record(table, name)
+        record.require(("reference",), "a simulation")
+        return record
+
+    def column_like(self, channel: str, name: str) -> Column:
+        """Return the column of a signal that is not declared, in the unit and on the side of a channel."""
+        like = self.columns.get(channel, Column())
+        return replace(like, column=name, optional=False, timing=None, tap=None, sample_time=None, update_time=None)
+
+    def _reader(self, columns: Mapping[str, Column], table: RecordedTable) -> RecordReader:
+        law = self.controller if isinstance(self.controller, PD) else None
+        gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
+        return RecordReader(columns, **{**self.reading, **self.source.reading(table)}, gains=gains)
+
+    def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
+        """Return the columns of the file that `File.write` makes, by their names.
+
+        Raises:
+            RecordError: see `jointid.records.writing.columns_to_write`.
+        """
+        return columns_to_write(record, self.columns, **self._written)
+
+    @property
+    def column_names(self) -> frozenset[str]:
+        """Names of the columns that channels are declared by, as the file of the record has them."""
+        return frozenset(column.column for column in self.columns.values() if column.column)
+
+    @property
+    def channels(self) -> dict[str, Column]:
+        """The channels to read: those that the method needs, and others if they are there."""
+        needed = {*self.needed, "injected"}
+        if self.computes_torque and self.controller is not None:
+            needed |= {"motor_position", *self.controller.channels}
+        columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
+        if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
+            unsought = {"injected", "torque"} if self.computes_torque else {"injected"}
+            columns |= {n: Column() for n in needed - unsought if n not in columns}
+        return columns
+
+    @property
+    def _written(self) -> dict[str, Any]:
+        """Arguments of reading and writing a record, beside its columns."""
+        return {
+            "drive": self.drive,
+            "time": self.source.time,
+            "time_unit": self.source.time_unit,
+            "sample_time": self.source.sample_time,
+            "kind": self.joint.kind,
+            "transmission": self.joint.transmission,
+        }
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """Arguments of reading a record, beside its columns."""
+        source = self.source
+        cut = Cut(source.start, source.stop, source.part)
+        return self._written | {"clock_tolerance": source.clock_tolerance, "resample": source.resample, "cut": cut}
+
+    def values(self) -> dict[str, float]:
+        """Return a value for every parameter of the joint, for a simulation: fixed values and starts.
+
+        Raises:
+            MethodError: a parameter has neither.
+        """
+        parameters = [self.parameters.get(p.name, p) for p in self.joint.parameters]
+        missing = [p.name for p in parameters if p.start is None]
+        if missing:
+            raise MethodError(
+                f"A simulation needs a value for every parameter; without one: {', '.join(missing)}. Give each a value "
+                "or a start in the table parameters, or identify the joint first."
+            )
+        return {p.name: float(p.start) for p in parameters if p.start is not None}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class File:
+    """A joint file or a robot file: what is identified, from what, and how.
+
+    Attributes:
+        axes: what it says of each axis; one of a joint file.
+        robot: of a robot file, with what it says of the joints; gravity as the base stands.
+        method: with its settings.
+        filtering: how signals are filtered.
+        parameters: changes to the parameters by name, as `identify` takes them.
+        feed_forward: what the drives are given beside the controllers' torque.
+        in_motion: whether the records of a robot begin while it moves.
+        model_path: the file of the robot's model.
+        locked: by name the positions of the model's joints that stand still, rad or m.
+        path: of the file; a text is taken to stand in `joint.toml`.
+        name: what reports call the joint or the robot.
+        runs: records that the file lists, to be identified together.
+        together: how they are; see `jointid.SeveralRecords`.
+        tables: of the file, as they were read, with the changes of `load`.
+
+    Example:
+        >>> from jointid.config import loads
+        >>> file = loads('''
+        ... [joint]
+        ... kind = "revolute"
+        ... [record.channels]
+        ... torque = { column = "i_q", unit = "A" }
+        ... motor_position = { column = "pos [deg]" }
+        ... ''')
+        >>> print(file.method.name, file.joint.torque_unit)
+        idim A
+    """
+
+    axes: tuple[Axis, ...]
+    robot: Robot | None = field(default=None, compare=False)
+    method: Method
+    filtering: Filtering = field(default_factory=Filtering)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    feed_forward: FeedForward = "none"
+    in_motion: bool = False
+    model_path: Path | None = field(default=None, compare=False)
+    locked: Mapping[str, float] = field(default_factory=dict)
+    path: Path = field(default=Path("joint.toml"), compare=False)
+    name: str | None = None
+    runs: tuple[Run, ...] = ()
+    together: Together = field(default_factory=Together)
+    tables: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def axis(self) -> Axis:
+        """The axis of a joint file.
+
+        Raises:
+            MethodError: it is a robot file.
+        """
+        if self.robot is not None:
+            raise MethodError(f"{self.path} is a robot file, and this is for one joint; name one of them by --axis.")
+        return self.axes[0]
+
+    @property
+    def joint(self) -> Joint:
+        """The joint of a joint file."""
+        return self.axis.joint
+
+    @property
+    def controller(self) -> Controller | None:
+        """The controller of a joint file, as the joint sees it through its transmission."""
+        return self.axis.controller
+
+    @property
+    def controllers(self) -> tuple[Controller | None, ...]:
+        """The controller of each axis, None where it is not known."""
+        return tuple(axis.controller for axis in self.axes)
+
+    @property
+    def drive(self) -> Drive:
+        """The drive of a joint file."""
+        return self.axis.drive
+
+    @property
+    def source(self) -> Source:
+        """The file of the record."""
+        return self.axes[0].source
+
+    @property
+    def limits(self) -> AxisLimits | tuple[AxisLimits, ...]:
+        """Limits of the joint, or of each joint of a robot, in a test that is planned."""
+        return self.axis.limits if self.robot is None else tuple(axis.limits for axis in self.axes)
+
+    @property
+    def declared_numbers(self) -> tuple[DriveNumber, ...]:
+        """How the drive of a joint shows the numbers of its controller."""
+        return self.axis.declared_numbers if self.robot is None else ()
+
+    @property
+    def loop(self) -> Any:
+        """The joint or the robot under its controllers; None while that of a joint is not known.
+
+        Raises:
+            MethodError: a joint of a robot has no controller.
+        """
+        if self.robot is None:
+            return self.axis.loop
+        missing = [str(axis.name) for axis in self.axes if axis.controller is None]
+        if missing:
+            raise MethodError(
+                f"A robot is simulated under its controllers; without one: {', '.join(missing)}. Add a controller to "
+                "the [[joints]] table, or identify by idim from motor positions."
+            )
+        from jointid.simulation.robots import RobotLoop
+
+        return RobotLoop(self.robot, tuple(one for one in self.controllers if one is not None), self.in_motion)
+
+    @property
+    def setup(self) -> Any:
+        """The joint or robot as its method takes it: under its controllers, alone, or along its motors' motion."""
+        if self.robot is None:
+            return self.loop or self.joint
+        if isinstance(self.method, DriveSideFit):
+            from jointid.simulation.robot_drive_side import RobotDriveSide
+
+            return RobotDriveSide(self.robot)
+        return self.loop if self.simulates else self.robot
+
+    @property
+    def simulates(self) -> bool:
+        """Whether the method simulates the motion under the controllers."""
+        return isinstance(self.method, DIDIM) or getattr(self.method, "estimator", None) == "iv"
+
+    @property
+    def design_settings(self) -> dict[str, Any]:
+        """Arguments of `design` for an estimate by this file.
+
+        Raises:
+            MethodError: a joint of a robot has no controller, and the method simulates it.
+        """
+        loop = None if isinstance(self.method, IDIM) else self.loop
+        return {"limits": self.limits, "filtering": self.filtering, "loop": loop}
+
+    def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
+        """Read the record of every axis, from one reading of the file; see `record`."""
+        return self._read(path, Axis.read_record)
+
+    def record(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> Any:
+        """Read the record for `identify`: a `Record`, of a robot a tuple with one for each joint.
+
+        A channel that the method does not need may be absent, except an injected signal: without it the torque
+        would be taken for the controller's. A feed-forward to compute is added if the method simulates.
+
+        Args:
+            path: of the record, instead of the one that the file names.
+            judged: whether the declared controllers are held against the torques as well. These are the controllers'
+                and the feed-forward's, so a computed one is added where every axis has a controller and a reference.
+
+        Raises:
+            RecordError: there is no such file, or it does not hold what the file says; `faults` has a
+                sentence for each missing column, gap, jump of the clock, impossible scale, constant torque, and
+                torque at the controller's limit; each names its joint of a robot.
+            MethodError: the feed-forward needs references of one rate.
+        """
+        found = self.records(path)
+        whole = None not in self.controllers and all(one.reference is not None for one in found)
+        computed = any(axis.computes_torque for axis in self.axes)
+        found = self._fed_forward(found) if self.simulates or (judged and whole) or computed else found
+        found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
+        run = self._listed_as(path)
+        if run is not None and run.added_inertia:
+            said = f"{run.added_inertia:g} {self._added_unit} were added to the load (records.added_inertia)"
+            remark = f"{said}: the inertia that this record alone determines includes them"
+            found = tuple(replace(one, remarks=(*one.remarks, remark)) for one in found)
+        return self._of_axes(found)
+
+    def driving(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Read the signals that drive a simulation: reference and injection, others if present.
+
+        Args:
+            path: of the record, instead of the one that the file names.
+
+        Raises:
+            RecordError: there is no such file, or it has no reference.
+            MethodError: the feed-forward needs references of one rate.
+        """
+        return self._of_axes(self._fed_forward(self._read(path, Axis.read_driving)))
+
+    def _of_axes(self, records: tuple[Record, ...]) -> Any:
+        return records[0] if self.robot is None else records
+
+    def _read(
+        self, path: str | os.PathLike[str] | None, read: Callable[[Axis, RecordedTable, str], Record]
+    ) -> tuple[Record, ...]:
+        """Read a table once, and make the record of each axis from it; all begin at one instant."""
+        path = self.record_path(path)
+        table = self.source.read(path, self.path.parent)
+        found, faults = list[Record](), dict[Fault, list[str]]()
+        for axis in self.axes:
+            try:
+                found.append(read(axis, table, Path(path).stem))
+            except RecordError as error:
+                for fault in error.faults:
+                    faults.setdefault(fault, []).append(str(axis.name))
+        if faults:
+            raise RecordError(name_axes(faults, len(self.axes)))
+        run = self._listed_as(path)
+        if run is not None and run.payload:  # which the last link carries
+            found[-1] = replace(found[-1], payload=run.payload)
+        return begin_together(found)
+
+    def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
+        """Return the records with the feed-forward, which must be computed or logged, but not both."""
+        named = zip(self.axes, found, strict=True)
+        injected = [str(axis.name) for axis, record in named if record.injected is not None]
+        if self.feed_forward == "logged" and len(injected) < len(found):
+            raise RecordError(
+                'robot.feed_forward is "logged", and not every joint has an injected channel; declare one for each in '
+                "[record.channels]."
+            )
+        if self.feed_forward == "none" or self.feed_forward == "logged":  # noqa: PLR1714, so that mypy narrows it
+            return found
+        if injected:
+            raise RecordError(
+                f'robot.feed_forward is "{self.feed_forward}", and {", ".join(injected)} has an injected channel too; '
+                'expected one of both: leave the channel out, or take "logged".'
+            )
+        from jointid.simulation.robots import add_feed_forward
+
+        return add_feed_forward(self.loop, found, self.feed_forward)
+
+    def identify(
+        self,
+        record: Any,
+        progress: Progress = ignore_progress,
+        *,
+        checks: bool = True,
+        unchecked: Callable[[Estimate], None] | None = None,
+        **asked: Any,
+    ) -> Estimate:
+        """Identify the joint or the robot as the file says; see `jointid.identify`.
+
+        Args:
+            record: what `record` gave; or those of several logs of a robot, identified in one fit.
+            progress: is called with each step.
+            checks: whether to check the estimate.
+            unchecked: is called with the estimate before its checks.
+            asked: further arguments of `jointid.identify`.
+
+        Raises:
+            JointidError: see `jointid.identify`.
+        """
+        # It loads the compiled kernels, which a check of the file does not need.
+        from jointid.diagnostics.identify import identify
+
+        scale = self.axis.scale if self.robot is None else ""
+        settings: dict[str, Any] = {"shown": self.declared_numbers, "torque_constant": scale} | asked
+        return identify(
+            record, settings.pop("model", self.setup), self.method, filtering=self.filtering,
+            parameters=self.parameters, checks=checks, unchecked=unchecked, progress=progress, **settings,
+        )  # fmt: skip
+
+    def explain(self, error: JointidError, record: Any, progress: Progress = ignore_progress) -> JointidError:
+        """Return the error of a failed identification, of a joint with its cause before it or in its place."""
+        if self.robot is not None:
+            return error
+        from jointid.diagnostics.find_causes import explain_failure
+
+        free = getattr(self.method, "free", ())
+        return explain_failure(error, record, self.loop, progress, self.declared_numbers, free)
+
+    def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
+        """Identify from several records in one fit, of a joint each under the controller and with the load of its own.
+
+        Args:
+            paths: of the records, instead of those that the file lists.
+            progress: is called with each step.
+
+        Raises:
+            JointidError: see `jointid.identify`.
+        """
+        if self.robot is not None:
+            return self.identify([self.record(path) for path in paths or self.listed], progress)
+        each = self.each(paths)
+        if self.loop is None:
+            raise MethodError(
+                "Several records are identified by simulating their loop; add [controller] to the joint file."
+            )
+        several = SeveralRecords(
+            added_inertia=[more for one in each for more in one.added_inertias],
+            own=[more.own for one in each for more in one.runs],
+            free=self.together.free,
+            weighting=self.together.weighting,
+        )
+        alone: dict[str, Any] = {"shown": (), "torque_constant": ""}
+        loops = [one.loop for one in each]
+        return self.identify([one.record() for one in each], progress, model=loops, several=several, **alone)
+
+    def identify_log(self, path: Path | None, windows: Windowing, progress: Progress = ignore_progress) -> Estimate:
+        """Identify a joint from a record too long for memory, in windows.
+
+        Args:
+            path: of the record, instead of the one the file names.
+            windows: their length and settling.
+            progress: is called with each step.
+
+        Raises:
+            JointidError: see `jointid.identify`.
+        """
+        if self.axis.loop is None:
+            raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
+        return self.identify(self.log(path), progress, windows=windows, shown=(), torque_constant="")
+
+    def learn_controller(self, record: Record, progress: Progress = ignore_progress) -> LearnedController:
+        """Learn the controller of a joint, in its own units, which the torque constant or its gain says.
+
+        Args:
+            record: what `record` gave.
+            progress: is called with each step.
+
+        Raises:
+            JointidError: see `jointid.learn_controller`.
+        """
+        from jointid.controller_id.learn import learn_controller
+
+        gain: float = getattr(self.controller, "gain", 1.0)
+        if gain != 1.0:  # of the motor's torque; the record's is the joint's
+            gain *= abs(getattr(self.controller, "ratio", 1.0))
+        return learn_controller(
+            record, gain=gain, transmission=self.joint.transmission, declared=self.controller, progress=progress
+        )
+
+    def log(self, path: str | os.PathLike[str] | None = None) -> Log:
+        """Return the record of a joint as one that is read in chunks, when it is asked for; see `record`.
+
+        Raises:
+            RecordError: a channel has a sample time of its own, or no record is named.
+        """
+        if self.source.files and path is None:
+            raise RecordError(
+                "A record in several files is not read in chunks; join them to one file, or leave --window out."
+            )
+        return Log(self.record_path(path), self.axis.channels, self.axis.reading, self.source.options)
+
+    @property
+    def listed(self) -> list[Path]:
+        """Paths of the records that the file lists."""
+        return [self.path.parent / run.file for run in self.runs]
+
+    @property
+    def only_lists(self) -> bool:
+        """Whether the file lists all its records, for one fit of them."""
+        return bool(self.runs) and self.source.first is None
+
+    def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
+        """Return the path of the record: that one, or the one this file names.
+
+        Raises:
+            RecordError: this file names none.
+        """
+        if path is not None:
+            return path
+        if self.source.first is None:
+            raise RecordError(f"{self.path} names no record in [record]; add file to it, or name one by --record.")
+        return self.path.parent / self.source.first
+
+    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
+        """Return the files that are read: those of the record that is named, or that the file names; a robot's model.
+
+        Args:
+            record: that takes the place of those that the file names.
+        """
+        named = [run.file for run in self.runs] if self.runs else [*self.source.files, self.source.file]
+        paths = [self.path.parent / name for name in named if name]
+        found = paths if record is None else self.source.files_of(record, self.path.parent)
+        return (*(() if self.model_path is None else (self.model_path,)), *found)
+
+    def write(self, record: Any, path: str | os.PathLike[str]) -> None:
+        """Write a record, on the joints' side of their transmissions, as this file reads it: `record` gives it back.
+
+        Of a robot, a channel without a column is written as JOINT.CHANNEL. Where the file gives the sample time, the
+        time is in a column "t", which reading passes over.
+
+        Raises:
+            RecordError: the file cannot be written, or would not be read back.
+        """
+        table: dict[str, FloatArray] = {}
+        each: Sequence[Record] = (record,) if self.robot is None else record
+        for axis, one in zip(self.axes, each, strict=True):
+            for name, values in axis.columns_to_write(one).items():
+                undeclared = name in one.channels and name not in axis.column_names
+                table[f"{axis.name}.{name}" if undeclared and len(self.axes) > 1 else name] = values
+        untimed = self.source.time is None and self.source.sample_time is not None
+        if untimed and not any(name == "t" or name.isdecimal() for name in table):
+            (_, first), *_ = each[0].items()
+            table = {"t": first.time, **table}  # for whoever looks at the file
+        write_columns(table, path, **self.source.options)
+
+    @property
+    def added_inertias(self) -> tuple[float, ...]:
+        """Inertia that each run adds, given on the load, as it is on the joint's side."""
+        gear = self.joint.transmission
+        factor = 1.0 if gear is None else gear.torque("load") ** 2
+        return tuple(factor * run.added_inertia for run in self.runs)
+
+    @property
+    def _added_unit(self) -> str:
+        gear = self.joint.transmission
+        return "kg" if (self.joint.kind if gear is None else gear.load) == "prismatic" else "kg m2"
+
+    def _listed_as(self, path: str | os.PathLike[str] | None) -> Run | None:
+        """Return the listed record of a path."""
+        at = None if path is None else resolve_place(Path(path))
+        return next((run for run, one in zip(self.runs, self.listed, strict=True) if resolve_place(one) == at), None)
+
+    def of_record(self, path: str | os.PathLike[str] | None) -> Self:
+        """Return this file as it is for one record: with the controller that it lists for that one."""
+        run = self._listed_as(path)
+        return self if run is None or not run.controller else self._under(run)
+
+    def _under(self, run: Run) -> Self:
+        """Return this file with the controller of a record."""
+        changed = None if self.controller is None else with_numbers(self.controller, run.controller)
+        return replace(self, axes=(replace(self.axis, controller=changed),))
+
+    def each(self, paths: Sequence[Path] = ()) -> tuple[File, ...]:
+        """Return a copy of this file for each record that is identified together.
+
+        Args:
+            paths: of the records, instead of those the file lists: some of these, or as many in their order.
+
+        Raises:
+            JointFileError: the paths are neither listed nor as many as the records that are.
+        """
+        found = [self._listed_as(path) for path in paths]
+        known = [run for run in found if run is not None]
+        if paths and self.runs and len(paths) not in (len(known), len(self.runs)):
+            raise JointFileError(
+                f"{self.path} lists {len(self.runs)} records and {len(paths)} are named; name as many, in their order, "
+                "or some of these."
+            )
+        runs = tuple(known) if paths and len(known) == len(paths) else self.runs
+        runs = runs or tuple(Run(str(path)) for path in paths)
+        files = [str(path.absolute()) for path in paths] or [run.file for run in runs]
+        return tuple(self._alone(file, run) for file, run in zip(files, runs, strict=True))
+
+    def _alone(self, file: str, run: Run) -> File:
+        """Return this file with one record, at that path."""
+        under = self._under(run)
+        source = replace(self.source, file=file, files=(), offsets=())
+        return replace(under, axes=(replace(under.axis, source=source),), runs=(run,))
+
+
+def axis_of(file: FileTable, faults: Sequence[str] = ()) -> Axis:
+    """Build an axis from checked tables.
+
+    Args:
+        file: the tables, without those that are wrong.
+        faults: of the tables that are wrong.
+
+    Raises:
+        JointFileError: with these faults, and those between the tables.
+    """
+    if faults := [*faults, *unit_faults(file), *find_contradictions(file)]:
+        raise JointFileError(faults)
+    transmission = file.transmission.transmission(file.joint.kind) if file.transmission else None
+    joint = file.joint.joint(torque_unit(file, file.joint.kind), transmission, file.gravity, file.ripple)
+    known = {parameter.name: parameter for parameter in joint.parameters}
+    law = file.controller
+    controller = law.refer(transmission, controller_gain(file)) if law else None
+    return Axis(
+        name=file.joint.name,
+        joint=joint,
+        columns=file.record.channels.build(),
+        controller=controller,
+        drive=file.joint.drive(file.drive.build()),
+        source=file.record.build(),
+        parameters={name: change_parameter(known[name], table) for name, table in file.parameters.items()},
+        limits=file.limits.build(),
+        needed=needed_channels(_method_name(file, joint), controller, joint.model),
+        said=add_gains_of_times(law.given) if law else (),
+        quantities=dict(law.quantities()) if law else {},
+    )
+
+
+def joint_file_of(file: FileTable, path: Path, faults: Sequence[str] = ()) -> File:
+    """Build a joint file from checked tables; see `axis_of`."""
+    axis = axis_of(file, faults)
+    return File(
+        axes=(axis,),
+        method=file.method.method(_method_name(file, axis.joint), axis.joint.model),
+        filtering=file.filtering.build(),
+        parameters=axis.parameters,
+        name=axis.name,
+        runs=tuple(table.build() for table in file.records),
+        together=file.together.build(),
+        path=path,
+    )
+
+
+def _method_name(file: FileTable, joint: Joint) -> str:
+    method = choose_method(file, file.method.name, joint.model)
+    assert method is not None
+    return method
+
+
+def name_axes(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:
+    """Return sentences, each after the names of its axes where it is not of all `count` of them."""
+    return [
+        f if len(names) == count else Fault(f"{', '.join(names)}: {f}", f.place, f.code) for f, names in faults.items()
+    ]
+
+
+def resolve_place(path: Path) -> Path:
+    """Return the one path of a file by which it is known, whatever folders lead to it."""
+    return path.parent.resolve() / path.name
