@@ -20,7 +20,7 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import SPRINGS
-from jointid.output.export.mjcf import robot_mjcf
+from jointid.output.export import export
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
@@ -229,7 +229,7 @@ def test_an_export_of_a_turned_base_is_not_turned_again(roll: str, folder: Path)
     (folder / "robot.toml").write_text(text, encoding="utf-8")
     robot = load(folder / "robot.toml").robot
     robot = replace(robot, joints=tuple(replace(one, spring=None) for one in robot.joints))
-    (folder / "arm.xml").write_text(robot_mjcf(robot)[0], encoding="utf-8")
+    (folder / "arm.xml").write_text(export(robot, "mjcf").text, encoding="utf-8")
     with pytest.raises(JointFileError, match=r"robot\.base turns the model, whose own gravity is turned already"):
         load(folder / "robot.toml")
     (folder / "robot.toml").write_text(TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", ""), encoding="utf-8")

@@ -15,7 +15,7 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config import File
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
-from jointid.output.export.mjcf import robot_mjcf
+from jointid.output.export import export
 from tests.estimation.robots.twin import arm, records_of, with_payload
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -43,7 +43,7 @@ def write_robot(place: Path, truth: Robot) -> Path:
     count = range(1, len(truth) + 1)
     links = tuple(replace(link, inertial=1.2 * link.inertial) for link in truth.links)
     joints = tuple(replace(joint, offset=0.0) for joint in truth.joints)
-    (place / "arm.xml").write_text(robot_mjcf(replace(truth, links=links, joints=joints))[0], encoding="utf-8")
+    (place / "arm.xml").write_text(export(replace(truth, links=links, joints=joints), "mjcf").text, encoding="utf-8")
     text = HEAD + "".join(f'[[joints]]\nname = "joint{k}"\n' for k in count)
     (place / "robot.toml").write_text(text, encoding="utf-8")
     carrying = with_payload(truth, MassProperties(3.0, np.array([0.02, -0.03, 0.08]), 0.01 * np.eye(3)).inertial)

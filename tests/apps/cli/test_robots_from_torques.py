@@ -14,7 +14,7 @@ from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
-from jointid.output.export.mjcf import robot_mjcf
+from jointid.output.export import export
 from tests.estimation.robots.twin import with_payload
 from tests.robots_plants import Twin, six, two
 
@@ -41,7 +41,7 @@ def write_files(place: Path, twin: Twin, seconds: float, multisine: float = 0.0,
     links = tuple(replace(link, inertial=heavier * link.inertial) for link in twin.robot.links)
     rigid = tuple(replace(joint, spring=None) for joint in twin.robot.joints)
     model = replace(twin.robot, links=links, joints=rigid)
-    (place / "robot.xml").write_text(robot_mjcf(model)[0], encoding="utf-8")
+    (place / "robot.xml").write_text(export(model, "mjcf").text, encoding="utf-8")
     text = HEAD
     for joint, controller in zip(twin.robot.joints, twin.loop().controllers, strict=True):
         numbers = [f"{name} = {float(getattr(joint, name))!r}" for name in ("rotor_inertia", "viscous", "coulomb")]

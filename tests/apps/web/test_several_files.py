@@ -16,7 +16,7 @@ from jointid.apps.web.form import fill_in_form, make_joint_file, make_reading_ta
 from jointid.common.errors import JointFileError
 from jointid.config import file_of, loads
 from jointid.models.robots.robot import Robot
-from jointid.output.export.mjcf import robot_mjcf
+from jointid.output.export import export
 from tests.apps.cli.test_robots import HEAD, write_robot
 from tests.apps.web.asking import LAW, UNITS, Asker, ended
 from tests.estimation.robots.twin import arm
@@ -62,7 +62,7 @@ def test_every_record_that_is_sent_is_one_of_several() -> None:
 
 def write_model(robot: Robot, folder: Path) -> Path:
     path = folder / "arm.xml"
-    path.write_text(robot_mjcf(robot)[0], encoding="utf-8")
+    path.write_text(export(robot, "mjcf").text, encoding="utf-8")
     return path
 
 

@@ -56,7 +56,7 @@ def test_what_is_lost_is_said() -> None:
         "what the friction of joint1 rises by towards standstill", "the coupling of the motors",
         "the rotors' inertias", "how the base stands",
     ]  # fmt: skip
-    assert "left out: the rotors' inertias" in made.text
+    assert "Lost: the rotors' inertias" in made.text
 
 
 def test_a_joint_without_its_spring_has_the_friction_of_both_sides() -> None:

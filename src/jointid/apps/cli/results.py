@@ -180,8 +180,8 @@ def export(
     """Write an estimate for another tool.
 
     What its language cannot represent is listed.
-    The ending of the file says for which: .toml a joint file with the values filled in, .json a linear state space for
-    SciPy, python-control and MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator
+    The ending of the file says for which: .toml a joint file with the values filled in, .mat a linear state space for
+    MATLAB and SciPy, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator
     of Isaac Lab. --format mjlab has no ending of its own.
 
     Args:

@@ -6,9 +6,9 @@ import inspect
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, extra
 from jointid.common.files import write_whole
 from jointid.common.text import join
 from jointid.common.transmission import SIDES, Side
@@ -16,70 +16,73 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.servo_base import Controller, require_one_each
 from jointid.models.robots.robot import Robot
 from jointid.output.export.actuators import isaac_lab, mjlab
-from jointid.output.export.bodies import read_robot_model
+from jointid.output.export.bodies import Model, read_robot_model
 from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel
-from jointid.output.export.mjcf import mjcf, robot_mjcf
+from jointid.output.export.mjcf import mjcf
 from jointid.output.export.pd_law import controllers_of, pd_law
-from jointid.output.export.state_space_model import StateSpace, linear_part, state_space_json
-from jointid.output.export.urdf import robot_urdf, urdf
+from jointid.output.export.state_space import linear_part, state_space_file
+from jointid.output.export.urdf import urdf
 
 
-@dataclass(frozen=True, slots=True)
-class Language:
+class Language(NamedTuple):
     """A language that joints are written in.
 
     Attributes:
         name: what `export` and the command line call it.
         suffixes: the endings of its files, in lower case, with the dot.
-        write: returns the text of a `JointModel`, and a sentence for each part of the joint that the text does not
-            have; its keyword arguments are the settings.
+        write: returns the content of a file, and a sentence for each part that it does not have; its keyword arguments
+            are the settings.
         side: of a transmission, whose numbers it has unless another is asked for; None: those that were identified.
-        write_robot: the same as `write` of a `Robot` and the laws of its joints, as far as they are known; None where
-            the language holds one joint.
+        robots: whether it holds a robot.
     """
 
     name: str
     suffixes: tuple[str, ...]
-    write: Callable[..., tuple[str, tuple[str, ...]]]
-    side: Side | None = None
-    write_robot: Callable[..., tuple[str, tuple[str, ...]]] | None = None
+    write: Callable[..., tuple[str | bytes, list[str]]]
+    side: Side | None = "load"
+    robots: bool = True
 
 
 LANGUAGES = (
-    Language("joint-file", (".toml",), joint_file),
-    Language("state-space", (".json",), state_space_json),
-    Language("mjcf", (".xml", ".mjcf"), mjcf, "load", robot_mjcf),
-    Language("urdf", (".urdf",), urdf, "load", robot_urdf),
-    Language("isaac-lab", (".py",), isaac_lab, "load", isaac_lab),
-    Language("mjlab", (), mjlab, "load", mjlab),
+    Language("joint-file", (".toml",), joint_file, None, robots=False),
+    Language("state-space", (".mat",), state_space_file, None, robots=False),
+    Language("mjcf", (".xml", ".mjcf"), mjcf),
+    Language("urdf", (".urdf",), urdf),
+    Language("isaac-lab", (".py",), isaac_lab),
+    Language("mjlab", (), mjlab),
 )
 """Every language there is."""
 
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """A joint in another language.
+    """A joint or a robot in another language.
 
     Attributes:
         format: name of the language.
-        text: of the file.
+        content: of the file.
         lost: what the language does not hold of the joint, a sentence for each.
         note: how well the bodies of a robot fit its estimate; empty otherwise.
     """
 
     format: str
-    text: str
+    content: bytes
     lost: tuple[str, ...]
     note: str = ""
 
+    @property
+    def text(self) -> str:
+        """The content of a file of text."""
+        return self.content.decode()
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the text in UTF-8; a file that is there is replaced.
+        """Write the file, text in UTF-8; a file that is there is replaced.
 
         Raises:
             RecordError: the file cannot be written.
         """
-        write_whole(path, self.text)
+        write_whole(path, self.content)
 
     def __str__(self) -> str:
         """Return the losses, one on each line."""
@@ -101,8 +104,8 @@ def export(
 
     - "joint-file": TOML with the values filled in. Settings: `file`, the `File` it was identified with, whose text
       is kept; `values`, "start" (where the next search begins) or "fixed" (what is kept); `folder`, where it will be.
-    - "state-space": linear, continuous and sampled, as JSON for SciPy, python-control and MATLAB. Settings: `period`
-      and `delay` in s, to sample with; without them the record's and the joint's.
+    - "state-space": linear, continuous and sampled, as a .mat file. Settings: `period` and `delay` in s, to sample
+      with; without them the record's and the joint's.
     - "mjcf": motor and load with the spring between, friction of each, for MuJoCo; of a robot its bodies. Settings:
       `timestep` in s; `control`, "torque", or "pd" for the law of the controller.
     - "urdf": one joint with damping and friction, without the spring, for ROS. Of a robot its bodies. Settings:
@@ -136,42 +139,49 @@ def export(
     """
     chosen = find_language(language)
     robot = estimate if isinstance(estimate, Robot) or _require_estimate(estimate).robot is not None else None
-    write = chosen.write if robot is None else chosen.write_robot
-    if write is None:
-        others = join([one.name for one in LANGUAGES if one.write_robot is not None])
+    if robot is not None and not chosen.robots:
+        others = join([one.name for one in LANGUAGES if one.robots])
         raise MethodError(f"{chosen.name} holds one joint; a robot is written as {others}.")
-    known = [key for key, one in inspect.signature(write).parameters.items() if one.kind is one.KEYWORD_ONLY]
-    unknown = [key for key in settings if key not in known]
-    if unknown:
-        has = f"it has: {', '.join(known)}" if known else "it has none: leave it out"
-        raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; {has}.")
+    known = [key for key, one in inspect.signature(chosen.write).parameters.items() if one.kind is one.KEYWORD_ONLY]
+    if unknown := [key for key in settings if key not in known]:
+        raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; it has: {', '.join(known)}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
-    given = controllers or controllers_of(estimate)
+    given, note = controllers or controllers_of(estimate), ""
     if robot is not None:
         if side is not None:
             raise MethodError("All numbers of a robot are behind its gears; leave the side out.")
         require_one_each(given, len(robot if isinstance(robot, Robot) else robot.require_robot().model))
         bodies, note = read_robot_model(robot)
-        laws = [pd_law(one) for one in given]
-        return Export(chosen.name, *write(replace(bodies, name=name or bodies.name), laws, **settings), note)
-    require_one_each(given, 1)
-    model = JointModel.of(_require_estimate(estimate), name or "joint", *given)
-    model = model.on(side or (None if model.side is None else chosen.side))
-    return Export(chosen.name, *write(model, **settings))
+        model = Model([pd_law(one) for one in given], whole=replace(bodies, name=name or bodies.name))
+    else:
+        require_one_each(given, 1)
+        joint = JointModel.of(_require_estimate(estimate), name or "joint", *given)
+        joint = joint.on(side or (None if joint.side is None else chosen.side))
+        model = Model([joint.law], alone=joint)
+    content, lost = chosen.write(model, **settings)
+    return Export(chosen.name, content.encode() if isinstance(content, str) else content, tuple(lost), note)
 
 
-def state_space(estimate: Estimate, *, side: Side | None = None) -> StateSpace:
-    """Return the linear part of a joint: from torque to positions and velocities; `StateSpace.discretise` samples it.
+def state_space(
+    estimate: Estimate, *, side: Side | None = None, period: float | None = None, delay: float = 0.0
+) -> Any:
+    """Return the linear part of a joint as `control.StateSpace`: from torque to positions and velocities.
 
     Args:
         estimate: see `export`.
         side: of a transmission, whose torque and motion; without it the side that was identified.
+        period: s, to sample it with a zero-order hold on the torque; without it the system is continuous.
+        delay: s, from a sample of the torque to its effect. Each torque that is on its way is a state.
 
     Raises:
-        MethodError: a value is refused, no joint can have it, or there is no such side.
+        MethodError: a value is refused, no joint can have it, there is no such side, or a time is out of range.
+        ExtraError: python-control is not there.
     """
-    return linear_part(JointModel.of(_require_estimate(estimate), "joint").on(side))
+    control = extra("control", "models", "A state space")
+    A, B, C, D, states = linear_part(JointModel.of(_require_estimate(estimate), "joint").on(side), period, delay)
+    names = {"states": list(states), "inputs": ["torque"], "outputs": list(states[: len(C)])}
+    return control.ss(A, B, C, D, 0 if period is None else period, **names)
 
 
 def find_language(name: str) -> Language:

@@ -1,4 +1,4 @@
-"""Bodies on joints, as simulators have them: of a joint's masses, or of a robot's links; and what is lost with them.
+"""Bodies on joints, as simulators have them: of a robot's links, or of a joint's masses as a robot of one link.
 
 An identification knows inertias about, or masses along, an axis. A body has more, which does not move the joint: a mass
 for an inertia, where its centre is, inertias about the other axes. They are filled in so that what is known comes out
@@ -10,27 +10,28 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from jointid import __version__
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.text import join
-from jointid.common.text import number as shown
 from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import MISFIT, consistent_robot
+from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.inertial import MassProperties, is_physical, mass_properties
-from jointid.models.robots.robot import Link, Robot, RobotJoint
-from jointid.output.export.joint_model import JointModel, Mass, Weight, number, one_line
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.models.springs import LinearSpring
+from jointid.output.export.joint_model import NO_WEIGHT, JointModel, Weight, losses, number, one_line
+from jointid.output.export.pd_law import PDLaw
 
-GRAVITY = 9.81
-"""Along -z, m/s2; what a link weighs does not depend on it, see `joint_body`."""
-
+_GRAVITY = 9.81  # along -z, m/s2; what a link weighs does not depend on it, see `solid_of`
 _AXES = {"revolute": np.array([0.0, -1.0, 0.0]), "prismatic": np.array([1.0, 0.0, 0.0])}
 _GYRATION = 0.1  # m, of a body whose mass nothing tells
 _ROUND = 1e-4  # of a mass, in m2: inertias of a body that does not turn
@@ -57,22 +58,82 @@ class Body:
     armature: float = 0.0
 
 
-def joint_body(name: str, kind: Kind, mass: Mass, weight: Weight | None = None, joint: str = "") -> Body:
-    """Return a body with the inertia of a mass, and the weight of its link.
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """What is exported: a joint alone, or a robot.
+
+    Attributes:
+        laws: of each joint; None where none is known.
+        alone: the joint.
+        whole: the robot.
+    """
+
+    laws: Sequence[PDLaw | None]
+    alone: JointModel | None = None
+    whole: Robot | None = None
+
+    def robot(self, joint: str = "joint", *, rigid: bool = False) -> Robot:
+        """Return the robot, or the joint as one of one link, by that name; `rigid`: both its masses as one body.
+
+        Raises:
+            MethodError: no joint of bodies can have these numbers.
+        """
+        if self.whole is not None:
+            return self.whole
+        assert self.alone is not None
+        return _robot_of_joint(self.alone, joint, rigid=rigid)
+
+    def lost(self, *holds: str) -> list[str]:
+        """Return a sentence on each part that a language does not hold, see `JointModel.lost`."""
+        if self.alone is not None:
+            return self.alone.lost(*holds)
+        return [*losses_of_drives(self.robot(), springs="spring" in holds)]
+
+    def remarks(self, lost: Iterable[str], *, bodies: bool = True) -> list[str]:
+        """Return the lines of a comment, see `JointModel.remarks`; `bodies` says what of these is chosen."""
+        if self.alone is None:
+            head = f"{self.robot().name}: a robot, written by jointid {__version__}; all numbers are behind the gears"
+            return [one_line(head), *losses(lost)]
+        chosen = "Masses and centres are chosen; inertia about the axis and weight are what was identified."
+        return [*self.alone.remarks(lost), *([chosen] if bodies and self.alone.kind == "revolute" else [])]
+
+
+def _robot_of_joint(model: JointModel, name: str, *, rigid: bool) -> Robot:
+    if model.torque_unit not in TORQUE_UNIT.values():
+        raise MethodError(
+            f"Bodies move under N and N m, and the torque of this joint is in {model.torque_unit}; give the channel of "
+            "the torque its gain (N or N m per ampere or volt) in the joint file, and identify again."
+        )
+    masses, joint, values = model.masses, model.joint, model.values
+    *motor, (carried, viscous, coulomb, _, _) = masses.values()
+    if isinstance(joint, FlexibleJoint) and not rigid:
+        law = LinearSpring() if joint.spring.stepped else joint.spring
+        spring = JointSpring(values["stiffness"], values["damping"], viscous, coulomb, law)
+        beside = {p.name: values[p.name] for p in law.parameters if p.name not in ("stiffness", "damping")}
+        own, *_ = motor
+        moved = RobotJoint(name, own.inertia, own.viscous, own.coulomb, spring=spring, numbers=beside)
+    else:
+        carried, viscous, coulomb, *_ = np.sum([mass[:3] for mass in masses.values()], axis=0).tolist()
+        moved = RobotJoint(name, viscous=viscous, coulomb=coulomb)
+    solid = solid_of(model.kind, carried, model.weight)
+    link = Link("load" if model.flexible else "motor", -1, model.kind, _AXES[model.kind], inertial=solid.inertial)
+    return Robot((link,), (moved,), np.array([0.0, 0.0, -_GRAVITY]), name)
+
+
+def solid_of(kind: Kind, inertia: float, weight: Weight = NO_WEIGHT) -> MassProperties:
+    """Return a body with an inertia, and the weight of a link.
 
     A link that turns has ``gMX = m g X`` and ``gMY = -m g Z`` for its centre (X, 0, Z) at the zero of the position.
     Only these products are known; the mass m is chosen so that the centre's own share of the inertia is at most half.
     """
-    inertia, centre, total, about = mass.inertia, np.zeros(3), mass.inertia, _ROUND * mass.inertia
-    if kind == "revolute":
-        x, z = 0.0, 0.0
-        if weight is not None and weight.is_body:
-            x, z = weight.cos / GRAVITY, -math.copysign(1.0, weight.angle) * weight.sin / GRAVITY
-        moment = x * x + z * z
-        total = max(inertia / _GYRATION**2, 2.0 * moment / inertia)
-        centre, about = np.array([x / total, 0.0, z / total]), inertia - moment / total
-    solid = MassProperties(total, centre, about * np.eye(3))
-    return Body(Link(name, -1, kind, _AXES[kind]), joint or name, solid, mass.viscous, mass.coulomb)
+    if kind == "prismatic":
+        return MassProperties(inertia, np.zeros(3), _ROUND * inertia * np.eye(3))
+    x, z = 0.0, 0.0
+    if weight.is_body:
+        x, z = weight.cos / _GRAVITY, -math.copysign(1.0, weight.angle) * weight.sin / _GRAVITY
+    moment = x * x + z * z
+    mass = max(inertia / _GYRATION**2, 2.0 * moment / inertia)
+    return MassProperties(mass, np.array([x / mass, 0.0, z / mass]), (inertia - moment / mass) * np.eye(3))
 
 
 def robot_bodies(robot: Robot, *, springs: bool = False) -> list[Body]:
@@ -132,71 +193,34 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
     return model, note
 
 
-def rigid_sums(model: JointModel) -> tuple[Mass, float, list[str]]:
-    """Return a joint as one mass without a spring, the constant force on it, and a sentence on the spring it lost."""
-    motor, load, weight = model.motor, model.load, model.weight
-    constant = model.friction_shift + (0.0 if weight is None else weight.constant)
-    if load is None:
-        return motor, constant, []
-    forwards, backwards, coulomb, coulomb_back = (
-        one + other for one, other in zip(motor.directions, load.directions, strict=True)
-    )
-    assert model.spring is not None
-    spring = model.spring.describe({p.name: f"{shown(p.value)} {p.unit}" for p in model.parameters})
-    lost = (
-        f"the spring of {spring} and its damping; inertia and friction are the sums of both sides, "
-        f"which hold below about a fifth of {shown(model.mode)} Hz"
-    )
-    mass = Mass(motor.inertia + load.inertia, (forwards, backwards, coulomb, coulomb_back))
-    return mass, constant + load.shift, [lost]
-
-
-def require_mechanical(model: JointModel, language: str) -> None:
-    """Raise a `MethodError` if a language of bodies and joints cannot hold these numbers."""
-    if model.torque_unit not in TORQUE_UNIT.values():
-        raise MethodError(
-            f"{language} is in N and N m, and the torque of this joint is in {model.torque_unit}; give the channel of "
-            "the torque its gain (N or N m per ampere or volt) in the joint file, and identify again."
-        )
-    sizes = {"damping": model.damping}
-    sizes |= {f"the viscous friction of the {name}": mass.viscous for name, mass in model.masses.items()}
-    negative = [f"{name} is {value:g}" for name, value in sizes.items() if value < 0]
-    if negative:
-        raise MethodError(f"{language} has no negative friction, and {' and '.join(negative)}; identify again.")
-
-
 def require_timestep(timestep: float | None) -> None:
     """Raise a `MethodError` if a time step is not positive, or too long."""
     if timestep is not None and not 0 < timestep < 1:
         raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
 
 
-def losses_of_drives(robot: Robot, *, springs: bool = False) -> list[str]:
-    """Return the losses of the drives in a language that has springs in series, or not."""
-    lost = []
+def losses_of_drives(robot: Robot, *, springs: bool) -> Iterator[str]:
+    """Yield the losses of the drives in a language that has springs in series, or not."""
     if any(joint.offset for joint in robot.joints):
-        lost.append("the constant parts of the motors' torques")
-    uneven = [joint.name for joint in robot.joints if joint.asymmetric]
-    if uneven:
-        lost.append(f"that the friction of {', '.join(uneven)} is another backwards; what is written is the mean")
-    rising = [joint.name for joint in robot.joints if joint.motor.get("stribeck_force")]
-    if rising:
-        lost.append(f"what the friction of {', '.join(rising)} rises by towards standstill")
+        yield "the constant parts of the motors' torques"
+    if uneven := [joint.name for joint in robot.joints if joint.asymmetric]:
+        yield f"that the friction of {', '.join(uneven)} is another backwards; what is written is the mean"
+    if rising := [joint.name for joint in robot.joints if joint.motor.get("stribeck_force")]:
+        yield f"what the friction of {', '.join(rising)} rises by towards standstill"
     smooth = [(joint.name, joint.law) for joint in robot.joints if joint.law.stepped]
-    lost += [f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in smooth]
+    yield from (f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in smooth)
     if not np.array_equal(robot.coupling, np.eye(len(robot))):
-        lost.append("the coupling of the motors; rotors and friction are those of the motors, at the joints")
+        yield "the coupling of the motors; rotors and friction are those of the motors, at the joints"
     sprung = [(joint.name, joint.spring.law) for joint in robot.joints if joint.spring is not None]
     if springs:
-        lost += [f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in sprung if law.stepped]
+        yield from (f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in sprung if law.stepped)
     elif sprung:
-        lost.append("the springs of the joints; the friction behind them stands with that of the motors")
-    return lost
+        yield "the springs of the joints; the friction behind them stands with that of the motors"
 
 
-def triple(values: FloatArray) -> str:
+def triple(values: Iterable[float] | FloatArray) -> str:
     """Return numbers with blanks between them."""
-    return " ".join(map(number, np.ravel(values)))
+    return " ".join(map(number, np.ravel(np.asarray(values))))
 
 
 def format_xml(root: ET.Element, lines: Iterable[str]) -> str:

@@ -10,7 +10,8 @@ from jointid.common.errors import JointFileError, MethodError
 from jointid.common.parameters import Parameter
 from jointid.config import File, dumps, loads, with_paths, with_table
 from jointid.config.serialise import parameter_table
-from jointid.output.export.joint_model import JointModel, interval, number, remarks
+from jointid.output.export.bodies import Model
+from jointid.output.export.joint_model import JointModel, interval, number
 
 _STARTS = (
     'jointid simulate takes these starts; identify begins there with method.start = "given" (rigid), or by itself.'
@@ -18,12 +19,12 @@ _STARTS = (
 
 
 def joint_file(
-    model: JointModel,
+    model: Model,
     *,
     file: File | None = None,
     values: Literal["start", "fixed"] = "start",
     folder: Path | None = None,
-) -> tuple[str, tuple[str, ...]]:
+) -> tuple[str, list[str]]:
     """Return the joint file of an estimate with its values, and a sentence for each value that it does not have.
 
     Args:
@@ -38,13 +39,15 @@ def joint_file(
             side.
         JointFileError: the joint file cannot be read any more, or cannot say this.
     """
+    assert model.alone is not None
+    alone = model.alone
     if values not in ("start", "fixed"):
         raise MethodError(f'The values of a joint file are "start" or "fixed"; received "{values}".')
-    file = _require_same_joint(file, model)
+    file = _require_same_joint(file, alone)
     kept: dict[str, Parameter] = {}  # what the file says something of; what was fixed in it stays as it is
     refused: list[str] = []
     outside: list[str] = []
-    for declared, found in zip(file.joint.parameters, model.parameters, strict=True):
+    for declared, found in zip(file.joint.parameters, alone.parameters, strict=True):
         known, value = file.parameters.get(declared.name, declared), found.value
         if known.free and value is None:
             refused.append(declared.name)
@@ -56,16 +59,16 @@ def joint_file(
         if declared.name in file.parameters:
             kept[declared.name] = known
     lost = [f"what the record does not tell: {', '.join(refused)}"] if refused else []
-    lost += [*outside, *model.effects_lost]
+    lost += [*outside, *alone.effects_lost]
 
-    head = [*remarks(model, lost), *([_STARTS] if values == "start" else [])]
+    head = [*alone.remarks(lost), *([_STARTS] if values == "start" else [])]
     symbols = {p.name: p for p in file.joint.parameters}
     lines = [f"{name} = {_toml(p, symbols[name])}" for name, p in kept.items()]
     written = "\n".join(["[parameters]", *(f"# {line}" for line in head), *lines, ""])
     before = file.path.parent
     made = with_paths(_fill_in(file, written), before, before if folder is None else folder)
     loads(made)  # which refuses what could not be read again
-    return made, tuple(lost)
+    return made, lost
 
 
 def _require_same_joint(file: File | None, model: JointModel) -> File:
@@ -74,16 +77,11 @@ def _require_same_joint(file: File | None, model: JointModel) -> File:
             "A joint file is made from the one the joint was identified with, which has its record and controller; "
             'give it as export(..., "joint-file", file=load(...)).'
         )
-    if file.joint != model.joint:
-        raise MethodError(
-            "The joint file is of another joint than the estimate: their model, kind, friction, gravity or "
-            "transmission differ; give the one it was identified with."
-        )
     transmission = model.joint.transmission
-    if transmission is not None and model.side != transmission.side:
+    if file.joint != model.joint or (transmission is not None and model.side != transmission.side):
         raise MethodError(
-            f"The numbers are asked of the {model.side} side, and this joint file has them on the other; leave the "
-            "side out, or change transmission.side in it and identify again."
+            "The joint file is of another joint than the estimate, or of the other side of its transmission; give the "
+            "one it was identified with, and leave the side out."
         )
     return file
 

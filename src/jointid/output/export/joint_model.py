@@ -1,4 +1,4 @@
-"""The numbers of a joint's estimate that every export writes, on either side of a transmission; and its remarks.
+"""A joint's estimate as every export writes it: its numbers on either side of a transmission, and its remarks.
 
 The remarks, the header of every export, say the source of the numbers, their standard errors, and what is left out.
 Nothing in them depends on the day or on the machine: the same answer gives the same bytes. Whoever named a record must
@@ -7,11 +7,11 @@ not write another tool's program.
 
 from __future__ import annotations
 
-import math
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from jointid import __version__
 from jointid.common import text
@@ -20,51 +20,32 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.transmission import OtherSide, Side
 from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Data, EstimatedParameter, on_other_side
+from jointid.estimation.result.parts import EstimatedParameter, on_other_side
 from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
-from jointid.models.friction import Directions
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
-from jointid.models.springs import Piece, Spring
 from jointid.output.export.pd_law import PDLaw, pd_law
 from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA
 
 
-@dataclass(frozen=True, slots=True)
-class Mass:
-    """One inertia and its friction: ``Fv+ v + Fc+`` forwards, ``Fv- v - Fc-`` backwards.
+class Mass(NamedTuple):
+    """One inertia and its friction.
 
     Attributes:
         inertia: kg, kg m2, or per ampere or volt.
-        directions: viscous coefficient forwards and backwards, Coulomb force forwards and backwards.
+        viscous, coulomb: the mean of both directions.
+        even: True if viscous friction is the same in both directions.
+        force: constant, that pushes it back: its offset, and half of what Coulomb friction has more forwards.
     """
 
     inertia: float
-    directions: Directions
-
-    @property
-    def viscous(self) -> float:
-        """The mean of both directions."""
-        return 0.5 * (self.directions[0] + self.directions[1])
-
-    @property
-    def coulomb(self) -> float:
-        """The Coulomb friction of a symmetric law: half of the way from one direction's force to the other's."""
-        return 0.5 * (self.directions[2] + self.directions[3])
-
-    @property
-    def shift(self) -> float:
-        """The constant force beside `coulomb`: with it a symmetric law is the asymmetric one, at rest too."""
-        return 0.5 * (self.directions[2] - self.directions[3])
-
-    @property
-    def evenly_viscous(self) -> bool:
-        """True if the viscous friction is the same in both directions."""
-        return self.directions[0] == self.directions[1]
+    viscous: float
+    coulomb: float
+    even: bool
+    force: float
 
 
-@dataclass(frozen=True, slots=True)
-class Weight:
+class Weight(NamedTuple):
     """Gravity: ``constant + cos cos(angle q) + sin sin(angle q) + rate q``, what the torque has to carry."""
 
     constant: float
@@ -82,6 +63,9 @@ class Weight:
     def is_body(self) -> bool:
         """True if a body that turns with the joint has this weight."""
         return not self.turns or abs(self.angle) == 1.0
+
+
+NO_WEIGHT = Weight(0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,30 +113,10 @@ class JointModel:
         return self.estimate.settings.joint
 
     @property
-    def data(self) -> Data:
-        """The record, or records, that the numbers are from."""
-        return self.estimate.data
-
-    @property
-    def delay(self) -> float:
-        """Seconds from the logged torque to the torque that acts."""
-        return self.estimate.settings.delay
-
-    @property
     def torque_unit(self) -> str:
         """Of the torque on this side: N, N m, A or V."""
         declared = self.joint.torque_unit
         return TORQUE_UNIT[self.kind] if declared in (None, *TORQUE_UNIT.values()) else str(declared)
-
-    @property
-    def position_unit(self) -> str:
-        """Of the position on this side."""
-        return POSITION_UNIT[self.kind]
-
-    @property
-    def flexible(self) -> bool:
-        """True for a motor and a load with a spring between."""
-        return self.joint.model == "flexible"
 
     @property
     def gear(self) -> float:
@@ -165,81 +129,41 @@ class JointModel:
         """The value of every parameter, by name.
 
         Raises:
-            MethodError: one of them is refused, or no joint can have it.
+            MethodError: one of them is refused.
         """
         refused = [p.name for p in self.parameters if p.value is None]
         if refused:
             raise MethodError(
-                f"{', '.join(refused)} cannot be determined from {self.data.record}, and no other "
+                f"{', '.join(refused)} cannot be determined from {self.estimate.data.record}, and no other "
                 "program can simulate without; identify the joint as rigid, or export a joint file, which omits it."
             )
         return {p.name: p.value for p in self.parameters if p.value is not None}
 
     @property
-    def motor(self) -> Mass:
-        """The motor, or all of a rigid joint."""
-        return self._mass("motor_" if self.flexible else "")
-
-    @property
-    def load(self) -> Mass | None:
-        """The load; None where the joint is rigid."""
-        return self._mass("load_") if self.flexible else None
-
-    @property
     def masses(self) -> dict[str, Mass]:
-        """The motor and, where the joint is flexible, the load, by these names."""
-        load = self.load
-        return {"motor": self.motor} | ({} if load is None else {"load": load})
-
-    @property
-    def stiffness(self) -> float:
-        """Of the spring between motor and load; 0 where the joint is rigid.
+        """The motor and, where the joint is flexible, the load, by these names.
 
         Raises:
-            MethodError: it is negative.
+            MethodError: a value is refused, or no joint can have it.
         """
-        stiffness = self.values.get("stiffness", 0.0)
-        if stiffness < 0:
-            raise MethodError(
-                f"stiffness is {stiffness:g}; expected 0 or more: no spring pushes its ends apart, so identify again."
-            )
-        return stiffness
-
-    @property
-    def damping(self) -> float:
-        """Of the damper beside the spring; 0 where the joint is rigid."""
-        return self.values.get("damping", 0.0)
-
-    @property
-    def spring(self) -> Spring | None:
-        """The law of the spring; None where the joint is rigid."""
-        return self.joint.spring if isinstance(self.joint, FlexibleJoint) else None
-
-    @property
-    def pieces(self) -> tuple[Piece, ...]:
-        """One side of a spring in pieces; none where the spring is linear, or the joint rigid.
-
-        Raises:
-            MethodError: a stiffness or a torque is negative, or a piece has no stiffness and never ends.
-        """
-        spring = self.spring
-        if spring is None or spring.linear or spring.stepped:
-            return ()
-        values = self.values
-        wrong = [f"{p.name} is {values[p.name]:g}" for p in spring.parameters if values[p.name] < 0]
-        found = () if wrong else spring.pieces(values)
-        begins = [piece.deflection for piece in found]
-        if wrong or not all(map(math.isfinite, begins)) or begins != sorted(begins):
-            what = " and ".join(wrong) or "the torques do not rise, or a piece has no stiffness"
-            raise MethodError(
-                f"Of this {spring.name} spring {what}; expected pieces that follow each other: identify again."
-            )
+        values, found = self.values, dict[str, Mass]()
+        for name, prefix in zip(("motor", "load"), ("motor_", "load_") if self.flexible else ("",), strict=False):
+            one, other, forwards, backwards = self.joint.friction.directions(values, prefix)
+            inertia, held = values[f"{prefix}inertia"], forwards + backwards
+            if not inertia > 0 or held < 0 or values.get("stiffness", 0.0) < 0:
+                raise MethodError(
+                    f"{prefix}inertia is {inertia:g}, the Coulomb forces of both ways add up to {held:g}; expected a "
+                    "positive inertia, a friction that holds and no negative stiffness: identify again, from a motion "
+                    "that tells more."
+                )
+            force = 0.5 * (forwards - backwards) + (values["offset"] if name == "motor" else 0.0)
+            found[name] = Mass(inertia, 0.5 * (one + other), 0.5 * held, one == other, force)
         return found
 
     @property
-    def stiffest(self) -> float:
-        """The stiffness of the stiffest piece of the spring; 0 where the joint is rigid."""
-        return max((piece.stiffness for piece in self.pieces), default=self.stiffness)
+    def flexible(self) -> bool:
+        """True for a motor and a load with a spring between."""
+        return self.joint.model == "flexible"
 
     @property
     def mode(self) -> float:
@@ -247,14 +171,11 @@ class JointModel:
         return FlexibleJoint.frequencies(self.values)["free_free"]
 
     @property
-    def friction_shift(self) -> float:
-        """The constant force on the motor: its offset, and what makes an even Coulomb friction an uneven one."""
-        return self.values["offset"] + self.motor.shift
-
-    @property
-    def weight(self) -> Weight | None:
-        """Gravity, the counterbalance taken off; None without."""
-        return None if self.gravity is None else Weight(*self.gravity.coefficients(self.values), self.gravity.angle)
+    def weight(self) -> Weight:
+        """Gravity, the counterbalance taken off; nothing without."""
+        return (
+            NO_WEIGHT if self.gravity is None else Weight(*self.gravity.coefficients(self.values), self.gravity.angle)
+        )
 
     def on(self, side: Side | None) -> JointModel:
         """Return the same joint with its numbers on that side of its transmission; None leaves them where they are.
@@ -283,28 +204,42 @@ class JointModel:
             law=None if self.law is None else self.law.scale(there.ratio),
         )
 
-    def lost(self, *parts: str) -> list[str]:
-        """Return a sentence on each of these parts that the joint has and a language has not.
+    def lost(self, *holds: str) -> list[str]:
+        """Return a sentence on each part of the joint that a language does not hold, see `_parts`."""
+        return [sentence for part, sentence in self._parts() if part not in holds]
 
-        Args:
-            parts: "friction" but for one viscous and one Coulomb friction of each mass, "spring" but for linear pieces,
-                "weight" that turns otherwise than the joint. Ripple and effects beside the joint are no language's.
-        """
-        found, friction, spring, weight = list[str](), self.joint.friction, self.spring, self.weight
-        if "friction" in parts and not all(mass.evenly_viscous for mass in self.masses.values()):
-            found.append("the difference between viscous friction forwards and backwards; the mean of both is written")
-        if "friction" in parts and not friction.linear:
-            found.append(f"{friction.adds}; {friction.instead} is written")
-        if "spring" in parts and spring is not None and spring.stepped:
-            found.append(f"{spring.adds}; {spring.instead} is written")
-        if self.joint.ripple is not None:
-            found.append("the ripple over the position")
-        if "weight" in parts and weight is not None and not weight.is_body:
-            found.append(
+    def _parts(self) -> Iterator[tuple[str, str]]:
+        """Yield each part beside inertia and viscous friction, and the loss where a language does not have it."""
+        joint, weight, masses = self.joint, self.weight, self.masses
+        if isinstance(joint, FlexibleJoint):
+            shown = {p.name: f"{text.number(p.value)} {p.unit}" for p in self.parameters}
+            said = f"the spring of {joint.spring.describe(shown)} and its damping; inertia and friction are the sums of"
+            yield "spring", f"{said} both sides, which hold below about a fifth of {text.number(self.mode)} Hz"
+            if joint.spring.stepped:
+                yield "law of the spring", f"{joint.spring.adds}; {joint.spring.instead} is written"
+        for name, mass in masses.items():
+            if mass.coulomb:
+                size = f"{text.number(mass.coulomb)} {self.torque_unit}"
+                yield "coulomb", f"the Coulomb friction of the {name}, {size}, and with it all sticking"
+        if constant := sum((mass.force for mass in masses.values()), weight.constant):
+            yield "constant", f"a constant force of {text.number(constant)} {self.torque_unit}"
+        if weight.rate:
+            yield "rate", "the spring of the counterbalance"
+        if not all(mass.even for mass in masses.values()):
+            yield "", "the difference between viscous friction forwards and backwards; the mean of both is written"
+        if not joint.friction.linear:
+            yield "law of friction", f"{joint.friction.adds}; {joint.friction.instead} is written"
+        if joint.ripple is not None:
+            yield "", "the ripple over the position"
+        if weight.is_body and weight.turns:
+            yield "weight", "the weight of the link, which is that of a body in the simulator's model"
+        elif weight.turns:
+            yield (
+                "turned weight",
                 f"the link's weight: it turns by {weight.angle:g} rad per unit of this position, and a body by 1; "
-                "export the load side of a [transmission]"
+                "export the load side of a [transmission]",
             )
-        return [*found, *self.effects_lost]
+        yield from (("", one) for one in self.effects_lost)
 
     @property
     def effects_lost(self) -> list[str]:
@@ -313,20 +248,37 @@ class JointModel:
         kinds = sorted(name for name, kind in EFFECTS.items() if kind in effects and name != "encoder_offset")
         return [f"what was identified beside the joint: {', '.join(kinds)}"] if kinds else []
 
-    def _mass(self, prefix: str) -> Mass:
-        values = self.values
-        inertia, directions = values[f"{prefix}inertia"], self.joint.friction.directions(values, prefix)
-        held = directions[2] + directions[3]
-        if not inertia > 0 or held < 0:
-            raise MethodError(
-                f"{prefix}inertia is {inertia:g} and the Coulomb forces of both ways add up to {held:g}; expected a "
-                "positive inertia and a friction that holds: identify again, from a motion that tells more."
-            )
-        return Mass(inertia, directions)
+    def remarks(self, lost: Iterable[str]) -> list[str]:
+        """Return the lines of a comment: what it is, its source, every parameter with its interval, what is lost.
+
+        Each is one printable line, whatever the joint or the record is called.
+        """
+        data, transmission = self.estimate.data, self.joint.transmission
+        known = ", ".join(filter(None, data.fingerprints))
+        lines = [
+            f"{self.name}: a {self.kind} {self.joint.model} joint, written by jointid {__version__}",
+            f"from {ESTIMATE_SCHEMA}, method {self.estimate.settings.method}",
+            f"record {data.record}" + (f", torque SHA-256 {known}" if known else ""),
+        ]
+        if transmission is not None:
+            ratio = f"{transmission.motor_per_load!r} motor position per load position, efficiency taken as 1"
+            lines.append(f"transmission: {ratio}; all numbers here are of the {self.side} side")
+        lines += [f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {interval(p)}" for p in self.parameters]
+        return [*map(one_line, lines), *losses(lost)]
+
+    @property
+    def position_unit(self) -> str:
+        """Of the position on this side."""
+        return POSITION_UNIT[self.kind]
 
 
 _LONGEST = 48  # characters of a name
 _REMARK = 300  # characters of somebody's text that a remark keeps
+
+
+def losses(lost: Iterable[str]) -> list[str]:
+    """Return a line of a comment for each loss."""
+    return [one_line(f"Lost: {sentence}") for sentence in lost]
 
 
 def one_line(said: str) -> str:
@@ -350,25 +302,6 @@ def identifier(wanted: str) -> str:
 def number(value: float) -> str:
     """Return a number with all its digits, as every one of the languages reads it."""
     return repr(float(value) + 0.0)  # of 0 there is no negative
-
-
-def remarks(model: JointModel, lost: Sequence[str]) -> list[str]:
-    """Return the lines of a comment: what it is, where it comes from, every parameter with its interval, what is lost.
-
-    Each is one printable line, whatever the joint or the record is called.
-    """
-    transmission, known = model.joint.transmission, ", ".join(filter(None, model.data.fingerprints))
-    lines = [
-        f"{model.name}: a {model.kind} {model.joint.model} joint, written by jointid {__version__}",
-        f"from {ESTIMATE_SCHEMA}, method {model.estimate.settings.method}",
-        f"record {model.data.record}" + (f", torque SHA-256 {known}" if known else ""),
-    ]
-    if transmission is not None:
-        ratio = f"{transmission.motor_per_load!r} motor position per load position, efficiency taken as 1"
-        lines.append(f"transmission: {ratio}; all numbers here are of the {model.side} side")
-    lines += [f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {interval(p)}" for p in model.parameters]
-    lines += [f"Lost: {sentence}" for sentence in lost]
-    return [one_line(line) for line in lines]
 
 
 def interval(p: EstimatedParameter) -> str:

@@ -1,5 +1,9 @@
 """URDF, the robot description of ROS: of a joint, of a robot, or the user's own with other bodies and frictions.
 
+A joint has `dynamics`: `damping` and `friction` are its viscous and Coulomb friction, the same in both directions.
+There is no spring in URDF, and no constant force: a flexible joint is written as the rigid one that it is far below its
+resonance, the sums of its two sides.
+
 A URDF of the user's own keeps every byte but its `<inertial>` and `<dynamics>`. Links that are fixed to each other, as
 a tool to a wrist, have one body in a robot. It is shared among them as they had it: with P the pseudo-inertias of the
 URDF's bodies, in the frame of the first, every one becomes ``T P T'``, where T takes their sum to the body that was
@@ -19,104 +23,72 @@ from xml.parsers import expat
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.text import number as shown
 from jointid.config.robot_model import carried_bodies, read_model
 from jointid.models.robots.inertial import inertial_of, mass_properties, pseudo_inertia
-from jointid.models.robots.robot import Robot
-from jointid.output.export.bodies import (
-    Body,
-    format_xml,
-    joint_body,
-    losses_of_drives,
-    require_mechanical,
-    rigid_sums,
-    robot_bodies,
-    triple,
-)
-from jointid.output.export.joint_model import JointModel, identifier, number, remarks
-from jointid.output.export.pd_law import PDLaw
+from jointid.output.export.bodies import Body, Model, format_xml, robot_bodies, triple
+from jointid.output.export.joint_model import identifier, number
 
 _DOWN = np.array([0.0, 0.0, -9.81])  # gravity of URDF, which has no word for it
 _FAR, _STRONG = "1000.0", "1000000000.0"  # limits in m and N that URDF asks for and nothing here knows
+_LIMITS = "The limits are wider than any machine: URDF asks for them and nothing here knows them; write your own."
 _THIN = 1e-9  # of a sum's second moments, so that a rod or a plate has a factor
 _TAG = re.compile(rb"<(?:\"[^\"]*\"|'[^']*'|[^\"'>])*>")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _UPPER = np.triu_indices(3)
 
 
-def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
-    """Return a joint as URDF, and its losses.
+def urdf(
+    source: Model,
+    *,
+    model: str | os.PathLike[str] | None = None,
+    locked: Mapping[str, float] = MappingProxyType({}),
+) -> tuple[str, list[str]]:
+    """Return a joint or a robot as URDF, which has no laws, and its losses.
 
-    One joint with its `dynamics`: `damping` and `friction` are its viscous and Coulomb friction, the same in both
-    directions. There is no spring in it, and no constant force: a flexible joint is written as the rigid one that it is
-    far below its resonance, the sums of its two sides.
+    With the URDF that a robot was read from as `model`, it is that file with other `<inertial>` and `<dynamics>`;
+    `locked` are its joints that stand still, see `load_robot`.
 
     Raises:
         MethodError: URDF cannot have these numbers.
     """
-    require_mechanical(model, "URDF")
-    (mass, constant, lost), weight, name = rigid_sums(model), model.weight, identifier(model.name)
-    if constant:
-        lost.append(f"a constant force of {shown(constant)} {model.torque_unit}")
-    if weight is not None and weight.rate:
-        lost.append("the spring of the counterbalance")
-    lost += model.lost("friction", "weight")
-    how = "The mass and its centre are chosen; inertia about the axis and weight are what was identified."
-    if model.kind == "prismatic":
-        how = "The limits are wider than any machine: URDF asks for them and nothing here knows them; write your own."
-    body = joint_body("load", model.kind, mass, weight, name)
-    return _write(name, "base", [body], [*remarks(model, lost), how]), tuple(lost)
-
-
-def robot_urdf(
-    robot: Robot,
-    laws: Sequence[PDLaw | None] = (),
-    *,
-    model: str | os.PathLike[str] | None = None,
-    locked: Mapping[str, float] = MappingProxyType({}),
-) -> tuple[str, tuple[str, ...]]:
-    """Return a robot as URDF, which has no laws, and its losses.
-
-    With the URDF that it was read from as `model`, it is that file with other `<inertial>` and `<dynamics>`; `locked`
-    are its joints that stand still, see `load_robot`.
-    """
-    del laws
-    lost, bodies = losses_of_drives(robot), robot_bodies(robot)
+    name = "" if source.alone is None else identifier(source.alone.name)
+    robot = source.robot(name, rigid=True)
+    lost, bodies = source.lost("coulomb", "law of the spring", "weight"), robot_bodies(robot)
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
     if model is not None:
-        text, more = replace_in_urdf(read_model(model), robot.names, bodies, locked)
-        return text, (*lost, *more)
+        text, more = _replace(read_model(model), robot.names, bodies, locked)
+        return text, [*lost, *more]
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
         lost.append("how the base stands, and gravity other than 9.81 m/s2: turn it where the model is used")
     names = {link.name for link in robot.links}
     base = next(name for name in ("base", *(f"base_{k}" for k in range(len(names) + 1))) if name not in names)
-    lines = [f"{robot.name}: written by jointid", *(f"left out: {one}" for one in lost)]
-    return _write(robot.name, base, bodies, lines), tuple(lost)
-
-
-def _write(name: str, base: str, bodies: Sequence[Body], lines: Sequence[str]) -> str:
-    """Return URDF with a link and a joint for each body, and lines as comments."""
-    root = ET.Element("robot", name=name)
+    root = ET.Element("robot", name=robot.name)
     ET.SubElement(root, "link", name=base)
     for body in bodies:
-        link, element = body.link, ET.SubElement(root, "link", name=body.link.name)
-        if body.solid is not None:
-            inertial = ET.SubElement(element, "inertial")
-            ET.SubElement(inertial, "origin", xyz=triple(body.solid.centre), rpy="0 0 0")
-            ET.SubElement(inertial, "mass", value=number(body.solid.mass))
-            moments = map(number, body.solid.inertia[_UPPER])
-            ET.SubElement(inertial, "inertia", dict(zip(_MOMENTS, moments, strict=True)))
-        kind = "continuous" if link.kind == "revolute" else "prismatic"
-        joint = ET.SubElement(root, "joint", name=body.joint, type=kind)
-        ET.SubElement(joint, "parent", link=base if link.parent < 0 else bodies[link.parent].link.name)
-        ET.SubElement(joint, "child", link=link.name)
-        ET.SubElement(joint, "origin", xyz=triple(link.origin), rpy=triple(_angles(link.rotation)))
-        ET.SubElement(joint, "axis", xyz=triple(link.axis))
-        if link.kind == "prismatic":
-            ET.SubElement(joint, "limit", lower=f"-{_FAR}", upper=_FAR, effort=_STRONG, velocity=_STRONG)
-        ET.SubElement(joint, "dynamics", damping=number(body.damping), friction=number(body.friction))
-    return format_xml(root, lines)
+        _add(root, body, base if body.link.parent < 0 else bodies[body.link.parent].link.name)
+    sliding = any(link.kind == "prismatic" for link in robot.links)
+    return format_xml(root, [*source.remarks(lost), *([_LIMITS] if sliding else [])]), lost
+
+
+def _add(root: ET.Element, body: Body, parent: str) -> None:
+    """Add the link and the joint of a body."""
+    link, element = body.link, ET.SubElement(root, "link", name=body.link.name)
+    if body.solid is not None:
+        inertial = ET.SubElement(element, "inertial")
+        ET.SubElement(inertial, "origin", xyz=triple(body.solid.centre), rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=number(body.solid.mass))
+        moments = map(number, body.solid.inertia[_UPPER])
+        ET.SubElement(inertial, "inertia", dict(zip(_MOMENTS, moments, strict=True)))
+    kind = "continuous" if link.kind == "revolute" else "prismatic"
+    joint = ET.SubElement(root, "joint", name=body.joint, type=kind)
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=link.name)
+    ET.SubElement(joint, "origin", xyz=triple(link.origin), rpy=triple(_angles(link.rotation)))
+    ET.SubElement(joint, "axis", xyz=triple(link.axis))
+    if link.kind == "prismatic":
+        ET.SubElement(joint, "limit", lower=f"-{_FAR}", upper=_FAR, effort=_STRONG, velocity=_STRONG)
+    ET.SubElement(joint, "dynamics", damping=number(body.damping), friction=number(body.friction))
 
 
 def _angles(rotation: FloatArray) -> FloatArray:
@@ -129,7 +101,7 @@ def _angles(rotation: FloatArray) -> FloatArray:
     return np.array([roll, pitch, yaw])
 
 
-def replace_in_urdf(
+def _replace(
     raw: bytes, names: Sequence[str], found: Sequence[Body], locked: Mapping[str, float]
 ) -> tuple[str, list[str]]:
     """Return a URDF with a robot's bodies and friction, and what it lacks.
@@ -144,7 +116,7 @@ def replace_in_urdf(
     carried = carried_bodies(text.removeprefix("\ufeff"), "The robot's URDF", tuple(names), locked)
     bodies, lost = dict[str, FloatArray](), list[str]()
     for body in found:
-        shared = share_body(body.link.inertial, carried[body.joint])
+        shared = _share_body(body.link.inertial, carried[body.joint])
         bodies |= shared
         if not shared:
             lost.append(f"the body of {body.link.name}, of which the URDF has no <inertial>")
@@ -159,7 +131,7 @@ def replace_in_urdf(
     return b"".join([*parts, data[end:]]).decode(), lost
 
 
-def share_body(inertial: FloatArray, carried: Mapping[str, tuple[FloatArray, FloatArray]]) -> dict[str, FloatArray]:
+def _share_body(inertial: FloatArray, carried: Mapping[str, tuple[FloatArray, FloatArray]]) -> dict[str, FloatArray]:
     """Return the ten inertial parameters of each of the links, in its own frame, whose sum is a body.
 
     Args:

@@ -1,0 +1,116 @@
+"""The linear part of a joint as a state space, continuous and sampled: for python-control, and in .mat files.
+
+With the motor's position and velocity, and the load's, as states and the torque tau as input::
+
+    ZZ1 a1  = tau - Fv1 v1 - K12 (q1 - q12) - F12 (v1 - v12)
+    ZZ2 a12 =     - Fv2 v12 + K12 (q1 - q12) + F12 (v1 - v12) - rate q12
+
+`rate` is of a spring that carries the load (`models.position_forces`). A rigid joint has the first line alone, without
+the spring. What is not linear, Coulomb friction and a weight that turns, is not in it, nor what is constant: it
+describes motion that does not reverse, about a steady one, less the constant forces.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.joints import FlexibleJoint
+from jointid.models.linear import OUTPUTS, discretise, drive_matrices
+from jointid.output.export.bodies import Model
+from jointid.output.export.joint_model import JointModel
+
+_MOST = 1000  # periods of delay: each is a state
+_HEADER = 116  # bytes of text at the head of a .mat file, where SciPy writes the date
+
+
+class Matrices(NamedTuple):
+    """Linear system ``x' = A x + B u, y = C x + D u``; a difference equation where it is sampled.
+
+    Attributes:
+        A, B, C, D: (states, states), (states, 1), (outputs, states), (outputs, 1).
+        states: their names; the outputs are the positions and velocities of these.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    states: tuple[str, ...]
+
+
+def linear_part(model: JointModel, period: float | None = None, delay: float = 0.0) -> Matrices:
+    """Return the linear part of a joint, from the torque on its side to every position and velocity.
+
+    With a period, in s, it is sampled with a zero-order hold on the torque, exact at the samples (`models.linear`),
+    which acts after the delay, in s. Each torque that is still on its way is a state, ``torque_1`` the newest.
+
+    Raises:
+        MethodError: a value is refused, no joint can have it, the spring is not linear, or a time is out of range.
+    """
+    if isinstance(model.joint, FlexibleJoint):
+        model.joint.require_linear_spring("A state space takes")
+    masses, values = model.masses.values(), model.values
+    A, b = drive_matrices(
+        [mass.inertia for mass in masses], [mass.viscous for mass in masses], values.get("stiffness", 0.0),
+        values.get("damping", 0.0), model.weight.rate,
+    )  # fmt: skip
+    order, B, waiting = len(A), b[:, np.newaxis], 0
+    if period is not None:
+        if not 0 < period < math.inf or not 0 <= delay <= _MOST * period:
+            raise MethodError(
+                f"A state space is sampled with a positive period and a delay from 0 to {_MOST} of them; received "
+                f"{period} s and {delay} s."
+            )
+        made = discretise(A, b, period, delay)
+        waiting = made.waiting
+        A, B = np.zeros((order + waiting, order + waiting)), np.zeros((order + waiting, 1))
+        A[:order, :order] = made.transition
+        for lag, column in ((made.whole, made.new), (made.whole + 1, made.old)):
+            if lag == 0:
+                B[:order, 0] = column
+            elif lag <= waiting:
+                A[:order, order + lag - 1] = column
+        if waiting:
+            B[order, 0] = 1.0
+            A[order + 1 :, order:-1] = np.eye(waiting - 1)
+    names = tuple(f"torque_{i + 1}" for i in range(waiting))
+    return Matrices(A, B, np.eye(order, order + waiting), np.zeros((order, 1)), (*OUTPUTS[:order], *names))
+
+
+def state_space_file(
+    model: Model, *, period: float | None = None, delay: float | None = None
+) -> tuple[bytes, list[str]]:
+    """Return a .mat file with the state space, continuous and sampled; and its losses.
+
+    Args:
+        model: the joint.
+        period: s, to sample it with; without it the record's sample time.
+        delay: s, from a sample of the torque to its effect; without it as the joint was identified with.
+
+    Raises:
+        MethodError: see `linear_part`.
+    """
+    from scipy.io import savemat
+
+    assert model.alone is not None
+    alone, settings = model.alone, model.alone.estimate.settings
+    period = alone.estimate.data.sample_time if period is None else period
+    delay = settings.delay if delay is None else delay
+    lost = alone.lost("spring", "rate")
+    remarks = model.remarks(lost, bodies=False)
+    content: dict[str, Any] = {
+        "continuous": linear_part(alone)._asdict(),
+        "sampled": {"period": period, "delay": delay, **linear_part(alone, period, delay)._asdict()},
+        "motor_torque_to_input": alone.gear,
+        "remarks": "\n".join(remarks),
+    }
+    made = io.BytesIO()
+    savemat(made, content)
+    head = remarks[0].encode("ascii", "replace")[:_HEADER].ljust(_HEADER)
+    return head + made.getvalue()[_HEADER:], lost
