@@ -179,9 +179,9 @@ def state_space(
         ExtraError: python-control is not there.
     """
     control = extra("control", "models", "A state space")
-    A, B, C, D, states = linear_part(JointModel.of(_require_estimate(estimate), "joint").on(side), period, delay)
-    names = {"states": list(states), "inputs": ["torque"], "outputs": list(states[: len(C)])}
-    return control.ss(A, B, C, D, 0 if period is None else period, **names)
+    part = linear_part(JointModel.of(_require_estimate(estimate), "joint").on(side), period, delay)
+    names = {key: list(part[key]) for key in ("states", "outputs")}
+    return control.ss(*(part[name] for name in "ABCD"), 0 if period is None else period, inputs=["torque"], **names)
 
 
 def find_language(name: str) -> Language:

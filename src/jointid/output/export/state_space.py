@@ -14,11 +14,10 @@ from __future__ import annotations
 
 import io
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
@@ -29,24 +28,10 @@ _MOST = 1000  # periods of delay: each is a state
 _HEADER = 116  # bytes of text at the head of a .mat file, where SciPy writes the date
 
 
-class Matrices(NamedTuple):
-    """Linear system ``x' = A x + B u, y = C x + D u``; a difference equation where it is sampled.
-
-    Attributes:
-        A, B, C, D: (states, states), (states, 1), (outputs, states), (outputs, 1).
-        states: their names; the outputs are the positions and velocities of these.
-    """
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-    states: tuple[str, ...]
-
-
-def linear_part(model: JointModel, period: float | None = None, delay: float = 0.0) -> Matrices:
+def linear_part(model: JointModel, period: float | None = None, delay: float = 0.0) -> dict[str, Any]:
     """Return the linear part of a joint, from the torque on its side to every position and velocity.
 
+    It has the matrices of ``x' = A x + B u, y = C x + D u`` and the names of its `states` and `outputs`.
     With a period, in s, it is sampled with a zero-order hold on the torque, exact at the samples (`models.linear`),
     which acts after the delay, in s. Each torque that is still on its way is a state, ``torque_1`` the newest.
 
@@ -80,7 +65,9 @@ def linear_part(model: JointModel, period: float | None = None, delay: float = 0
             B[order, 0] = 1.0
             A[order + 1 :, order:-1] = np.eye(waiting - 1)
     names = tuple(f"torque_{i + 1}" for i in range(waiting))
-    return Matrices(A, B, np.eye(order, order + waiting), np.zeros((order, 1)), (*OUTPUTS[:order], *names))
+    C, D = np.eye(order, order + waiting), np.zeros((order, 1))
+    states: tuple[str, ...] = (*OUTPUTS[:order], *names)
+    return {"A": A, "B": B, "C": C, "D": D, "states": states, "outputs": states[:order]}
 
 
 def state_space_file(
@@ -105,8 +92,8 @@ def state_space_file(
     lost = alone.lost("spring", "rate")
     remarks = model.remarks(lost, bodies=False)
     content: dict[str, Any] = {
-        "continuous": linear_part(alone)._asdict(),
-        "sampled": {"period": period, "delay": delay, **linear_part(alone, period, delay)._asdict()},
+        "continuous": linear_part(alone),
+        "sampled": {"period": period, "delay": delay, **linear_part(alone, period, delay)},
         "motor_torque_to_input": alone.gear,
         "remarks": "\n".join(remarks),
     }
