@@ -97,7 +97,7 @@ def state_space_file(
         "motor_torque_to_input": alone.gear,
         "remarks": "\n".join(remarks),
     }
-    made = io.BytesIO()
+    made: Any = io.BytesIO()  # which SciPy takes as a file, whatever its types say
     savemat(made, content)
     head = remarks[0].encode("ascii", "replace")[:_HEADER].ljust(_HEADER)
     return head + made.getvalue()[_HEADER:], lost
