@@ -121,23 +121,20 @@ def test_too_few_runs_and_runs_that_are_all_alike_say_nothing() -> None:
     assert alike.p_value == 1.0
 
 
-def report(rows: list[Row], cases: int = 0) -> CampaignReport:
-    return CampaignReport("line 3", cases or len(rows), tuple(rows))
+def report(rows: list[Row]) -> CampaignReport:
+    return CampaignReport("line 3", tuple(rows))
 
 
 def test_a_report_names_who_drifted_what_stands_out_and_how_runs_scatter() -> None:
     rows = list(fleet(1, 30, falling=2))
     wild = replace(rows[100], found=rows[100].found | {"total_coulomb": Found(9.0, 0.1, "SI")})
     aside = replace(rows[200], outcome=Outcome.SET_ASIDE, sentence="2 workers died of it.", found={})
-    other = [replace(row, found={n: replace(f, value=2 * (f.value or 0)) for n, f in row.found.items()})
-             if row.joint == "axis 020" else row for row in rows]  # fmt: skip
+    other = list(rows)
     other[100], other[200] = wild, aside
     said = report(other).summary()
     assert "2 joints drifted: axis 000 and axis 001." in said
     assert "Runs that stand out from their joint" in said
     assert f"{wild.joint}  total_coulomb  {wild.day}" in said
-    assert "Joints that are unlike the others" in said
-    assert "axis 020  stiffness" in said
     assert f"{aside.joint} {aside.day}, set aside: 2 workers died of it." in " ".join(said.split())
     assert "Scatter from run to run over the stated standard deviation" in said
     for quantity in STATED:
@@ -205,8 +202,8 @@ def test_a_page_shows_what_changed_and_folds_quiet_rows() -> None:
             outcome=Outcome.DOUBTFUL,
         )
     )
-    (values,) = (block for block in found.to_page().blocks if isinstance(block, Picture))
-    text = page(found.to_page())
+    (values,) = (block for block in found.to_document(pictures=True).blocks if isinstance(block, Picture))
+    text = page(found.to_document(details=True, pictures=True))
     assert values.draw().startswith(b"<svg") and "<script>alert" not in text
     assert text.count("<details>") == 1, "the changes within scatter"
-    assert not any(isinstance(block, Picture) for block in report(list(fleet(1, 12))).to_page().blocks)
+    assert not any(isinstance(block, Picture) for block in report(list(fleet(1, 12))).to_document(pictures=True).blocks)

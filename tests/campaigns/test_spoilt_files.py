@@ -67,8 +67,8 @@ def test_in_a_fleet_of_forty_joints_over_ten_days_every_spoilt_file_is_named(tmp
         for k, day in enumerate(days)
     ]
     assert {(row.joint, row.day) for row in rows if row.outcome is not Outcome.IDENTIFIED} == kinds.keys()
-    found = CampaignReport("forty joints", 400, tuple(rows))
+    found = CampaignReport("forty joints", tuple(rows))
     assert [(one.joint, one.last) for one in found.losses] == [("axis 39", days[-4])]
     assert found.drifted == ()
-    text = " ".join(found.to_page().text().split())
+    text = " ".join(found.to_document(details=True).text().split())
     assert all(f"{joint} {day}, " in text for joint, day in kinds)

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from jointid.campaigns.campaign import Case
-from jointid.campaigns.run import Engine, Ran, local_processes, run_cases
+from jointid.campaigns.run import Engine, local_processes, run_cases
 from jointid.campaigns.store import Found, Outcome, Row, open_store
 
 PLAIN, POISON, SLOW = "", "poison", "slow"
@@ -37,10 +37,12 @@ def carry(case: Case) -> Row:
 TWO: Engine = partial(local_processes, count=2)
 
 
-def run_all(path: Path, log: Path, count: int, engine: Engine, kinds: dict[int, str] | None = None) -> Ran:
-    """Run a campaign of such cases with its results in a file."""
+def run_all(
+    path: Path, log: Path, count: int, engine: Engine, kinds: dict[int, str] | None = None
+) -> dict[Outcome, int]:
+    """Run a campaign of such cases with its results in a file, and return how many ended how."""
     with open_store(path) as store:
-        return run_cases(lambda: cases(count, log, kinds), engine, store, carry=carry)
+        return run_cases(cases(count, log, kinds), engine, store, carry=carry)
 
 
 def results(path: Path, log: Path, count: int, kinds: dict[int, str] | None = None) -> tuple[Row, ...]:

@@ -13,30 +13,27 @@ import io
 import itertools
 import json
 import os
-import posixpath
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import tomlkit
 
 from jointid import __version__
-from jointid.common.errors import Fault, JointFileError, RecordError, extra
-from jointid.common.files import files_of, open_file
-from jointid.common.messages import Says, describe_unexpected_value, describe_unknown_name, format_value, missing
+from jointid.common.errors import JointFileError
+from jointid.common.files import files_of
+from jointid.common.settings import setting
 from jointid.common.text import join, pluralise
 from jointid.config import loads
-from jointid.config.table import fault_at, flatten_keys
+from jointid.config.table import Reader, Table, part, required
 from jointid.config.toml import apply_changes, parse_toml, read_text
 
 _NAMED, _FAULTS = 5, 20  # names in a sentence, and faults that are listed at once
-_LARGEST, _MOST_CELLS = 2**26, 5_000_000  # bytes and cells of a table: of 100,000 joints and fifty columns
-_OWN = ("name", "joint", "records", "record", "day")
-_PLACEHOLDERS = {"joint": r"[^/]+", "day": r"\d{4}-?\d{2}-?\d{2}"}
-_PLACEHOLDER = re.compile(r"\{(\w*)\}|(\*)|(\?)")
+_PLACEHOLDERS = {"{joint}": "(?P<joint>[^/]+)", "{day}": r"(?P<day>\d{4}-?\d{2}-?\d{2})"}
+_ALL = "joint"  # the name of all records where their path has no {joint}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,247 +82,133 @@ def sha256_of(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-@dataclass(frozen=True)
+class FleetTable(Table):
+    """The table [fleet]."""
+
+    joint: str = required("path of the joint file")
+    records: str = required("path of the records")
+    table: str | None = setting(None, "path of a table of joints")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield unknown placeholders."""
+        for key, known in (("joint", ["{joint}"]), ("records", [*_PLACEHOLDERS])):
+            for name in re.findall(r"\{\w*\}", self.given[key]):
+                if name not in known:
+                    yield key, f" has {name} in it; expected {join(known)}: correct it."
+
+
+class CampaignTable(Table):
+    """The tables of a campaign file."""
+
+    name: str | None = setting(None, "what reports call the campaign")
+    fleet: FleetTable = required("joints, and the records that were logged of them")
+    sweep: Mapping[str, tuple[Any, ...]] = part(dict, "keys of the joint file, each with a list of values")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield swept keys without a value."""
+        for key, values in self.sweep.items():
+            if not values:
+                yield "sweep", f".{key} is an empty list; expected one or more values: correct it."
+
+
+@dataclass(frozen=True, slots=True)
 class Campaign:
-    """A campaign file; the files it names are listed on demand.
+    """The cases of a campaign file, in a reproducible order.
 
     Attributes:
-        fleet: paths ``joint``, ``records`` and ``table`` of the file's table [fleet], those that it gives.
-        sweep: keys of the joint file, each with its values.
-        folder: from which paths are taken.
+        left_out: files without a date and joints without a record, in sentences; empty if there are none.
     """
 
     name: str
-    fleet: Mapping[str, str]
-    sweep: Mapping[str, Sequence[Any]]
-    folder: Path
-
-    def cases(self) -> Iterator[Case]:
-        """Yield the cases in a reproducible order."""
-        for changes in self.combinations:
-            for one in self._listed[0]:
-                yield replace(one, changes=changes)
-
-    @property
-    def left_out(self) -> str:
-        """Describe files without a date and joints without a record; empty if none."""
-        return self._listed[1]
-
-    @cached_property
-    def combinations(self) -> tuple[tuple[str, ...], ...]:
-        """The swept settings, every combination of their values."""
-        keys = [dict.fromkeys(f"{key}={json.dumps(value)}" for value in values) for key, values in self.sweep.items()]
-        return tuple(itertools.product(*keys))
-
-    @cached_property
-    def _listed(self) -> tuple[list[Case], str]:
-        return _list_fleet(self.fleet, self.folder)
+    cases: tuple[Case, ...]
+    left_out: str
 
 
 def load_campaign(path: Path) -> Campaign:
     """Load and validate a campaign file, without the records."""
     path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
-    raw = parse_toml(read_text(path))
-    text, table = Says("text in quotes"), Says("a table")
-    faults = [*_key_faults((), raw, {"name": (str, text), "fleet": (dict, table), "sweep": (dict, table)})]
-    if "fleet" not in raw:
-        said = missing("a table", "joints, and the records that were logged of them")
-        faults.append(fault_at(("fleet",), said, "missing"))
-    if faults:
-        raise JointFileError(faults)
-    fleet, sweep = raw["fleet"], cast("dict[str, Any]", flatten_keys(raw.get("sweep", {})))
-    faults += _key_faults(("fleet",), fleet, dict.fromkeys(("joint", "records", "table"), (str, text)))
-    if not {"joint", "table"} & fleet.keys():
-        faults.append(fault_at(("fleet", "joint"), missing("text in quotes", "path of the joint file")))
-    for key, values in sweep.items():
-        if not isinstance(values, list) or not values or not all(isinstance(one, str | int | float) for one in values):
-            rest = " is no list of values; expected one or more texts, numbers, true or false: correct it."
-            faults.append(fault_at(("sweep", key), rest))
-    if faults:
-        raise JointFileError(faults)
-    campaign = Campaign(raw.get("name", path.stem), fleet, sweep, path.parent)
-    first = next(campaign.cases())
-    own = {one.partition("=")[0] for one in first.settings}
-    if both := [key for key in sweep if key in own]:
+    reader = Reader()
+    file = reader.read(CampaignTable, parse_toml(read_text(path)))
+    reader.require()
+    runs, left_out = _list_fleet(file.fleet, path.parent)
+    own = {one.partition("=")[0] for one in runs[0].settings}
+    if both := [key for key in file.sweep if key in own]:
         raise JointFileError(f"{join(both)} is set by [sweep] and by the fleet's table; leave one of them out.")
-    for changes in campaign.combinations:
-        loads(first.joint_file, changes=(*first.settings, *changes))
-    return campaign
+    swept = (
+        dict.fromkeys(f"{key}={tomlkit.item(value).as_string()}" for value in values)
+        for key, values in file.sweep.items()
+    )
+    combinations = list(itertools.product(*swept))
+    for changes in combinations:
+        loads(runs[0].joint_file, changes=(*runs[0].settings, *changes))
+    cases = tuple(replace(one, changes=changes) for changes in combinations for one in runs)
+    return Campaign(file.name or path.stem, cases, left_out)
 
 
-def _key_faults(
-    place: tuple[str, ...], table: Mapping[str, Any], known: Mapping[str, tuple[type, Says]]
-) -> Iterator[Fault]:
-    for key, value in table.items():
-        if key not in known:
-            yield fault_at((*place, key), describe_unknown_name(key, known), "unknown")
-        elif not isinstance(value, known[key][0]) or value == "":
-            yield fault_at((*place, key), describe_unexpected_value(value, known[key][1], optional=True), "value")
-
-
-def _list_fleet(fleet: Mapping[str, str], folder: Path) -> tuple[list[Case], str]:
-    """List the cases of a fleet without changes, and describe what is left out."""
-    listing, said = _Listing(fleet, folder), list[str]()
-    if "table" in fleet:
-        found, names = _list_table(listing, folder / fleet["table"])
-        with_one = {one.joint for one in found}
-        if without := [name for name in names if name not in with_one]:
-            said.append(f"{pluralise(len(without), 'joint')} of the table have no record yet: {_some(without)}.")
-    else:
-        found = list(listing.cases_of({}, folder))
-    if listing.undated:
-        said.append(
-            f"{len(listing.undated)} files have no date as 2026-11-23 or 20261123 where the path says {{day}}, and are "
-            f"left out: {_some(listing.undated)}."
-        )
+def _list_fleet(fleet: FleetTable, folder: Path) -> tuple[list[Case], str]:
+    """Return the cases of a fleet without changes, and a description of what is left out; all faults at once."""
+    records, undated = _match_records(folder, fleet.records)
+    rows = dict.fromkeys(records, ("", ())) if fleet.table is None else _read_table(folder / fleet.table)
+    found, without, faults = list[Case](), list[str](), list[str]()
+    text_of, checked = cache(_read_joint), set[tuple[str, ...]]()
+    for name, (row, settings) in rows.items():
+        logged = records.get(name if "{joint}" in fleet.records else _ALL, ())
+        try:
+            text = text_of(folder / fleet.joint.replace("{joint}", name))
+            keys = (text, *(one.partition("=")[0] for one in settings))
+            if settings and keys not in checked:  # of each set of keys the first values
+                loads(text, changes=settings)
+                checked.add(keys)
+        except JointFileError as error:
+            faults += [f"{row}{one}" for one in error.faults]
+            continue
+        found += [Case(name, text, record, stamp, day, settings=settings) for record, stamp, day in logged]
+        without += [] if logged else [name]
+    if faults:
+        raise JointFileError(faults[:_FAULTS])
+    if not found:
+        of_joints = "" if fleet.table is None else f" of a joint in {fleet.table}"
+        raise JointFileError(f'fleet.records is "{fleet.records}", and no file is of that form{of_joints}; correct it.')
+    said = []
+    if without:
+        said.append(f"{pluralise(len(without), 'joint')} of the table have no record yet: {_some(without)}.")
+    if undated:
+        said.append(f"{pluralise(len(undated), 'file')} without a date for {{day}} are left out: {_some(undated)}.")
     return found, " ".join(said)
 
 
-def _list_table(listing: _Listing, path: Path) -> tuple[list[Case], dict[str, None]]:
-    """List the cases of a table's rows, and the names of its joints; all faults at once."""
-    found, names, taken = list[Case](), dict[str, None](), dict[tuple[str, str], int]()
-    faults, number = list[str](), 0
-    for number, row in _read_table(path):
-        try:
-            _check_row(row)
-            names[row["name"]] = None
-            for one in listing.cases_of(row, path.parent):
-                first = taken.setdefault((one.joint, one.record), number)
-                if first != number:
-                    raise JointFileError(
-                        f"{one.record} is a record of {one.joint} in row {first}, too; leave one out, or have settings "
-                        "side by side by [sweep]."
-                    )
-                found.append(one)
-        except (JointFileError, RecordError) as error:
-            faults += [f"{path.name}, row {number}: {one}" for one in error.faults]
-        if len(faults) >= _FAULTS:
-            break
-    if faults:
-        raise JointFileError(faults)
-    if not found:
-        raise JointFileError(
-            f"{path} names no record that is there; correct the paths, which are taken from its folder, or add rows."
-        )
-    return found, names
+def _some(names: list[str]) -> str:
+    return join([*names[:_NAMED], *(["others"] if len(names) > _NAMED else [])])
 
 
-class _Listing:
-    """The joint files and records of a fleet, each read and listed once.
+def _match_records(folder: Path, pattern: str) -> tuple[Mapping[str, list[tuple[str, str, str]]], list[str]]:
+    """Return path, stamp and day of the records of a pattern, by joint, and paths without a date."""
+    whole = os.path.normpath(folder / pattern).replace(os.sep, "/")
+    shape, root = re.compile(_expression(whole)), Path(whole).anchor
+    stars = re.sub(r"(\{\w+\}|\*)+", "*", whole[len(root) :]).replace("[", "[[]")
+    by_joint, undated = dict[str, list[tuple[str, str, str]]](), list[str]()
+    for path in sorted(map(str, Path(root).glob(stars or "*"))):
+        if (said := shape.fullmatch(path.replace(os.sep, "/"))) is None:
+            undated.append(path)
+            continue
+        parts, stamp = said.groupdict(), _stamp_of(Path(path))
+        by_joint.setdefault(parts.get("joint", _ALL), []).append((path, stamp, _day(parts.get("day"), stamp)))
+    return by_joint, undated
 
-    Attributes:
-        undated: paths of files without a date where the pattern has one.
-    """
 
-    def __init__(self, fleet: Mapping[str, str], folder: Path) -> None:
-        self._fleet, self._folder = fleet, folder
-        self._text: Callable[[Path], str] = cache(_read_joint)
-        self._match: Callable[[Path, str], Mapping[str, list[tuple[str, str, str]]]] = cache(self._match_records)
-        self._checked = set[tuple[str, ...]]()
-        self.undated = list[str]()
-
-    def cases_of(self, row: Mapping[str, str], place: Path) -> Iterator[Case]:
-        """Yield the cases of a row of the table; an empty row is all joints of a pattern.
-
-        Args:
-            row: cells by column.
-            place: the folder from which the row's paths are taken.
-        """
-        name = row.get("name", "")
-        settings = tuple(f"{key}={_value(key, row[key])}" for key in sorted(row) if _is_setting(key) and row[key])
-        folder, joint = self._path("joint", row, place)
-        if not joint:
-            raise JointFileError("it names no joint file; fill in joint, or add joint to [fleet] for all.")
-        where, pattern = self._path("records", row, place)
-        if row.get("record"):
-            record = os.path.normpath(place / row["record"])
-            stamp = stamp_of(Path(record))
-            text = self._joint_file(folder, joint, name, settings)
-            yield Case(name, text, record, stamp, row.get("day") or _day(None, stamp), settings=settings)
-        elif pattern:
-            matched = self._match(where, pattern)
-            # One listing serves all rows: those of a flat folder would each go through all its files.
-            for found in [name] if name and "{joint}" in pattern else matched:
-                for record, stamp, day in matched.get(found, ()):
-                    text = self._joint_file(folder, joint, name or found, settings)
-                    yield Case(name or found, text, record, stamp, day, settings=settings)
-        elif "{joint}" in joint and not name:
-            raise JointFileError(
-                f'fleet.joint is "{joint}", and there is no fleet.records to say which joints there are; add it.'
-            )
+def _expression(pattern: str) -> str:
+    """Return the regular expression of a pattern; a repeated placeholder matches the same text."""
+    parts = list[str]()
+    for piece in re.split(r"(\{\w+\}|\*+)", pattern):
+        if piece in _PLACEHOLDERS:
+            group = _PLACEHOLDERS[piece]
+            parts.append(f"(?P={piece[1:-1]})" if group in parts else group)
         else:
-            path = (folder / joint.replace("{joint}", name)).absolute()
-            text = self._joint_file(folder, joint, name, settings)
-            record = _record_of(path, text, settings)
-            stamp = stamp_of(Path(record))
-            yield Case(name or path.stem, text, record, stamp, _day(None, stamp), settings=settings)
-
-    def _path(self, key: str, row: Mapping[str, str], place: Path) -> tuple[Path, str]:
-        """Return a pattern of paths, or an empty one, and its folder."""
-        folder, pattern = (place, row[key]) if row.get(key) else (self._folder, self._fleet.get(key, ""))
-        known = ["{joint}"] if key == "joint" else [f"{{{one}}}" for one in _PLACEHOLDERS]
-        for found in _PLACEHOLDER.finditer(pattern):
-            if found[1] is not None and found[0] not in known:
-                raise JointFileError(
-                    [fault_at(("fleet", key), f" has {found[0]} in it; expected {join(known)}: correct it.")]
-                )
-        return folder, pattern
-
-    def _joint_file(self, folder: Path, joint: str, name: str, settings: tuple[str, ...]) -> str:
-        """Return the text of a joint file; its first settings of some keys are checked."""
-        text = self._text(folder / joint.replace("{joint}", name))
-        keys = (text, *(one.partition("=")[0] for one in settings))
-        if settings and keys not in self._checked:
-            loads(text, changes=settings)
-            self._checked.add(keys)
-        return text
-
-    def _match_records(self, folder: Path, pattern: str) -> Mapping[str, list[tuple[str, str, str]]]:
-        """Return path, stamp and day of the records of a pattern, by joint."""
-        plain, by_joint = posixpath.normpath(pattern), dict[str, list[tuple[str, str, str]]]()
-        shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
-        root = Path(plain).anchor
-        stars = _PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
-        stars = re.sub(r"\*+", "*", os.path.relpath(stars, root) if root else stars).replace("[", "[[]")
-        for path in sorted(os.path.normpath(path) for path in (Path(root) if root else folder).glob(stars)):
-            said = shape.search(path.replace(os.sep, "/"))
-            if said is None:
-                self.undated.append(path)
-                continue
-            parts, stamp = said.groupdict(), stamp_of(Path(path))
-            logged = path, stamp, _day(parts.get("day"), stamp)
-            by_joint.setdefault(parts.get("joint", "joint"), []).append(logged)
-        if not by_joint and "table" not in self._fleet:
-            raise JointFileError(f'fleet.records is "{pattern}", and no file is of that form; correct the path.')
-        return by_joint
+            parts.append("[^/]*" if piece.startswith("*") else re.escape(piece))
+    return "".join(parts)
 
 
-def _read_joint(path: Path) -> str:
-    """Return the text of a joint file for a case, with absolute path and digest of a robot's model."""
-    text = read_text(path)
-    try:
-        tables = parse_toml(text)
-    except JointFileError:
-        return text  # whose fault loading it says
-    robot = tables.get("robot")
-    model = robot.get("model") if isinstance(robot, dict) else None
-    if robot is None or not isinstance(model, str) or not (path.parent / model).is_file():
-        return text  # likewise
-    place = (path.parent / model).absolute()
-    robot["model"] = str(place)
-    return f"# the model's SHA-256: {hashlib.sha256(place.read_bytes()).hexdigest()}\n{tomlkit.dumps(tables)}"
-
-
-def _record_of(path: Path, text: str, settings: tuple[str, ...]) -> str:
-    """Return the path of the record that a joint file names."""
-    source = loads(text, changes=settings).source
-    if source.files or source.file is None:
-        found = "a record in several files, and a campaign reads each from one" if source.files else "no record"
-        raise JointFileError(f"{path} names {found}; name one file in its [record], or name records in this file.")
-    return str((path.parent / source.file).absolute())
-
-
-def stamp_of(record: Path) -> str:
+def _stamp_of(record: Path) -> str:
     """Return the size and change time [ms] of a record; empty if it is unreadable, which its case reports."""
     try:
         about = [each.stat() for each in files_of(record)]
@@ -344,116 +227,46 @@ def _day(said: str | None, stamp: str) -> str:
     return datetime.datetime.fromtimestamp(int(stamp.rpartition(" ")[2]) / 1000, datetime.UTC).date().isoformat()
 
 
-def _expression(pattern: str) -> str:
-    """Return the regular expression of a pattern; a repeated placeholder matches the same text."""
-    seen, parts, at = set[str](), list[str](), 0
-    for found in _PLACEHOLDER.finditer(pattern):
-        parts.append(re.escape(pattern[at : found.start()]))
-        name, at = found[1], found.end()
-        if name is None:
-            parts.append("[^/]*" if found[2] else "[^/]")
-        else:
-            parts.append(f"(?P={name})" if name in seen else f"(?P<{name}>{_PLACEHOLDERS[name]})")
-            seen.add(name)
-    return "".join([*parts, re.escape(pattern[at:])])
+def _read_joint(path: Path) -> str:
+    """Return the text of a joint file for a case, with absolute path and digest of a robot's model."""
+    text = read_text(path)
+    try:
+        tables: Any = parse_toml(text)
+        model = (path.parent / tables["robot"]["model"]).absolute()
+        digest = hashlib.sha256(model.read_bytes()).hexdigest()
+    except (JointFileError, KeyError, TypeError, OSError):  # it is of a joint, or loading it names the fault
+        return text
+    tables["robot"]["model"] = str(model)
+    return f"# the model's SHA-256: {digest}\n{tomlkit.dumps(tables)}"
 
 
-def _read_table(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield number and cells of each row of a fleet's table, as text: no cell is executed.
+def _read_table(path: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Return the place and the settings of each joint of a fleet's table, as text: no cell is executed.
 
     Args:
-        path: of a CSV file in UTF-8, with commas, semicolons or tabs, or of a Parquet file.
+        path: of a CSV file in UTF-8, with commas, semicolons or tabs.
     """
-    raw = _read_parquet(path) if path.suffix.lower() == ".parquet" else _read_bytes(path)
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
+    text, joints = read_text(path), dict[str, tuple[str, tuple[str, ...]]]()
     separator = max(",;\t", key=text.partition("\n")[0].count)
     # Strict, as a quote that is not closed would take in all that follows.
-    reader, header, taken = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True), list[str](), 0
+    reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     try:
-        for number, cells in enumerate(reader, 1):
-            kept, taken = [cell.strip() for cell in cells], taken + len(header)
-            _require_size(path, taken, _MOST_CELLS, "cells")
-            if header and any(kept):
-                if len(kept) != len(header):
-                    raise JointFileError(
-                        f"{path}, row {number} has {len(kept)} cells, the header {len(header)}; correct it."
-                    )
-                yield number, dict(zip(header, kept, strict=True))
-            elif any(kept):
-                header = kept
-                _check_header(path, header)
+        rows = [(f"{path.name}, row {reader.line_num}: ", row) for row in reader]
     except csv.Error as error:
         raise JointFileError(f"{path.name}, row {reader.line_num} is not CSV ({error}); correct its quotes.") from error
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        with open_file(path) as file:
-            raw = file.read(_LARGEST + 1)
-    except OSError as error:
-        reason = (error.strerror or type(error).__name__).lower()
-        raise JointFileError(f"{path} cannot be opened ({reason}); check the path.") from error
-    _require_size(path, len(raw), _LARGEST, "bytes")
-    return raw
-
-
-def _read_parquet(path: Path) -> bytes:
-    """Return a table in Parquet as CSV."""
-    parquet = extra("pyarrow.parquet", "logs", "A fleet's table in Parquet")
-    raw, made = io.BytesIO(_read_bytes(path)), io.BytesIO()
-    try:
-        with parquet.ParquetFile(raw) as file:
-            about = file.metadata
-            _require_size(path, about.num_rows * about.num_columns, _MOST_CELLS, "cells")
-            _require_size(
-                path, sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups)), _LARGEST, "bytes"
-            )
-            extra("pyarrow.csv", "logs", "A fleet's table in Parquet").write_csv(file.read(), made)
-    except JointFileError:
-        raise
-    except Exception as error:
-        raise JointFileError(
-            f"{path} is no table of texts and numbers in Parquet ({type(error).__name__}); write it again, or as CSV."
-        ) from error
-    return made.getvalue()
-
-
-def _require_size(path: Path, size: int, most: int, unit: str) -> None:
-    if size > most:
-        raise JointFileError(f"{path} has {size} {unit} or more (a fleet's table has at most {most}); divide it.")
-
-
-def _check_header(path: Path, header: Sequence[str]) -> None:
+    header = [*(reader.fieldnames or ())]
     if "name" not in header or len(set(header)) != len(header):
-        found = join(header[:_NAMED])
+        found = join(header[:_NAMED] or ["nothing"])
         raise JointFileError(f"{path} has the columns {found}; expected name, and each column once: correct them.")
-    for key in filter(_is_setting, header):
-        try:
-            apply_changes({}, [f"{key}=0"])
-        except JointFileError:
-            raise JointFileError(
-                f"{path} has a column {format_value(key)}; expected {', '.join(_OWN)}, a key of the joint file as "
-                "method.frequency, or a remark that begins with #: correct it."
-            ) from None
-
-
-def _check_row(row: Mapping[str, str]) -> None:
-    day, record = row.get("day", ""), row.get("record", "")
-    if not row["name"]:
-        raise JointFileError("name is empty; expected the joint's name: fill it in.")
-    if row.get("records") and record:
-        raise JointFileError("it has records and a record; expected one of the two: leave the other out.")
-    if day and not record:
-        raise JointFileError("it has a day and no record of which it is; fill in record, or write {day} in records.")
-    if day and not re.fullmatch(r"\d{4}-\d{2}-\d{2}", day):
-        raise JointFileError(f"day is {format_value(day)}; expected a date as 2026-11-23: correct it.")
-
-
-def _is_setting(key: str) -> bool:
-    return key not in _OWN and not key.startswith("#")
+    keys = sorted(key for key in header if key != "name" and not key.startswith("#"))
+    apply_changes({}, [f"{key}=0" for key in keys])  # refuses a column that can be no key
+    for place, row in rows:
+        name = (row["name"] or "").strip()
+        if None in row or None in row.values() or not name or name in joints:
+            raise JointFileError(f"{place}expected {len(header)} cells, and a name that no other row has; correct it.")
+        settings = ((key, cell) for key in keys if (cell := row[key].strip()))
+        joints[name] = place, tuple(f"{key}={_value(key, cell)}" for key, cell in settings)
+    return joints
 
 
 def _value(key: str, cell: str) -> str:
@@ -463,7 +276,3 @@ def _value(key: str, cell: str) -> str:
     except JointFileError:
         return json.dumps(cell, ensure_ascii=False)
     return cell
-
-
-def _some(names: list[str]) -> str:
-    return join([*names[:_NAMED], *(["others"] if len(names) > _NAMED else [])])

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import datetime
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -28,8 +29,6 @@ import numpy as np
 from jointid.campaigns.store import Outcome, Row
 from jointid.common.arrays import FloatArray
 
-JointKey = tuple[str, tuple[str, ...]]
-"""Name of a joint, and the changes of its file."""
 FALSE_ALARM = 0.01
 """Chance that any joint of a fleet without drift is named."""
 
@@ -166,11 +165,6 @@ class Series:
         return _TO_SIGMA / math.sqrt(2.0) * float(np.median(np.abs(np.diff(self.values))))
 
     @property
-    def scatter_over_stated(self) -> float:
-        """Scatter from run to run over the stated standard deviation."""
-        return self.scatter / float(np.median(self.stds))
-
-    @property
     def outlying(self) -> FloatArray:
         """(runs,) deviations of outliers from neighbouring runs; else 0."""
         if not self.enough:
@@ -239,11 +233,11 @@ def _label(row: Row) -> str:
     return row.day or row.record
 
 
-def _by_joint(rows: Sequence[Row]) -> dict[JointKey, list[Row]]:
+def _by_joint(rows: Sequence[Row]) -> dict[tuple[str, tuple[str, ...]], list[Row]]:
     """Return runs by joint and settings, in order."""
-    joints: dict[JointKey, list[Row]] = {}
+    joints = defaultdict[tuple[str, tuple[str, ...]], list[Row]](list)
     for row in sorted(rows, key=lambda row: row.place):
-        joints.setdefault((row.joint, row.changes), []).append(row)
+        joints[row.joint, row.changes].append(row)
     return joints
 
 

@@ -1,20 +1,17 @@
-"""Report of a campaign: drift of a fleet, effects of swept settings; export of its results."""
+"""Report of a campaign: drift of a fleet, distributions by swept settings."""
 
 from __future__ import annotations
 
-import csv
-import io
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
 from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
-from jointid.campaigns.store import Found, Outcome, Row
-from jointid.common.arrays import FloatArray
+from jointid.campaigns.store import Outcome, Row
 from jointid.common.charts import ERROR, MEASURED, SIMULATED, Chart, label, line, mark, panels, svg
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Picture, Table
 from jointid.common.text import format_signed, join, number, pluralise, short
@@ -23,11 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHOWN = 10  # rows of a table without details
-_REASON, _LONGEST = 160, 300  # characters of a reason in a table, and in a list
+_LONGEST = 160  # characters of a reason
 _PANELS = 24  # of a picture
-_UNLIKE = 5.0  # robust deviations from the other joints
-_LEAST_JOINTS = 8  # among which one can be unlike the others
-_TO_SIGMA = 1.4826
 _TONES: dict[bool | None, Literal["good", "bad", "open"]] = {True: "good", False: "bad", None: "open"}
 _CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation outside which that is reported
 
@@ -38,13 +32,11 @@ class CampaignReport(Documented):
 
     Attributes:
         name: of the campaign.
-        cases: how many it has.
         rows: results, in an order that depends on no engine.
         false_alarm: chance that any joint of a fleet without drift is named.
     """
 
     name: str
-    cases: int
     rows: tuple[Row, ...]
     false_alarm: float = FALSE_ALARM
 
@@ -88,25 +80,18 @@ class CampaignReport(Documented):
         """The verdict in a line."""
         return self.verdict[0]
 
-    def to_document(self, *, details: bool = False) -> Document:
-        """The report; with details all rows of every table."""
-        return self._document(None if details else _SHOWN)
-
-    def to_page(self) -> Document:
-        """The whole report with its picture, quiet rows folded."""
-        return self._document(None, pictures=True)
-
-    def _document(self, most: int | None, *, pictures: bool = False) -> Document:
+    def to_document(self, *, details: bool = False, pictures: bool = False) -> Document:
+        """The report; with details all rows of every table, with pictures the values over the days."""
+        most = None if details else _SHOWN
         counts = Counter(row.outcome for row in self.rows)
         ends = ", ".join(f"{count} {outcome}" for outcome in Outcome if (count := counts[outcome]))
         blocks: list[Block] = [
             Paragraph(self.sentence, lead=True, tone=_TONES[self.verdict[1]]),
-            Facts((("done", f"{len(self.rows)} of {self.cases} cases{f': {ends}' if ends else ''}"),)),
+            Facts((("cases", f"{len(self.rows)}: {ends}"),)),
             *(_pictures(self.drifted, self.series, self.losses) if pictures else ()),
             *self._loss_blocks(most),
             *self._drift_blocks(most),
             *_distributions(self.rows),
-            *_sweep_blocks(self.rows, most),
             *self._scatter_blocks(),
             *self._outlier_blocks(most),
             *_reasons(self.rows, most),
@@ -116,16 +101,7 @@ class CampaignReport(Documented):
     def _loss_blocks(self, most: int | None) -> Iterator[Block]:
         if self.losses:
             yield Heading("Lost")
-            rows = tuple(
-                (
-                    name_series(one.joint, one.changes),
-                    one.quantity or "all",
-                    one.last or "-",
-                    str(one.runs),
-                    short(one.sentence, _REASON),
-                )
-                for one in self.losses[:most]
-            )
+            rows = tuple(map(_loss_row, self.losses[:most]))
             yield Table(("joint", "quantity", "last value", "runs without", "why"), rows, "", (0, 1, 2, 4))
 
     def _drift_blocks(self, most: int | None) -> Iterator[Block]:
@@ -150,7 +126,7 @@ class CampaignReport(Documented):
         found = defaultdict[str, list[float]](list)
         for one in self.series:
             if one.enough:
-                found[one.quantity].append(one.scatter_over_stated)
+                found[one.quantity].append(one.scatter / float(np.median(one.stds)))
         if not found:
             return
         rows = []
@@ -173,10 +149,6 @@ class CampaignReport(Documented):
             yield Heading("Runs that stand out from their joint")
             runs.sort(key=lambda row: -float(row[-1]))
             yield Table(("joint", "quantity", "run", "off %", "deviations"), tuple(runs[:most]), "", (0, 1, 2))
-        joints = list(_unlike(self.series))
-        if joints:
-            yield Heading("Joints that are unlike the others")
-            yield Table(("joint", "quantity", "value", "others", "unit"), tuple(joints[:most]), "", (0, 1, 4))
 
 
 def _count_joints(names: Sequence[str], what: str) -> str:
@@ -184,6 +156,11 @@ def _count_joints(names: Sequence[str], what: str) -> str:
     joints = list(dict.fromkeys(names))
     named = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
     return f"{pluralise(len(joints), 'joint')} {what}: {join(named)}."
+
+
+def _loss_row(one: Loss) -> tuple[str, ...]:
+    why = short(one.sentence, _LONGEST)
+    return name_series(one.joint, one.changes), one.quantity or "all", one.last or "-", str(one.runs), why
 
 
 def _drift_row(one: Change) -> tuple[str, ...]:
@@ -195,14 +172,12 @@ def _drift_row(one: Change) -> tuple[str, ...]:
 
 
 def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
-    """Yield the distribution of each parameter, by combination of changes."""
-    groups = defaultdict[tuple[str, ...], list[Row]](list)
-    for row in rows:
-        if row.outcome is Outcome.IDENTIFIED:
-            groups[row.changes].append(row)
-    for changes, runs in sorted(groups.items()):
-        yield Heading(f"Distribution: {'; '.join(changes)}" if changes else "Distribution")
-        shown = []
+    """Yield the distribution of each parameter, by combination of swept settings."""
+    for changes in sorted({row.changes for row in rows}):
+        tried = [row for row in rows if row.changes == changes]
+        runs = [row for row in tried if row.outcome is Outcome.IDENTIFIED]
+        errors = [row.error_percent for row in runs if row.error_percent is not None]
+        shown = list[tuple[str, ...]]()
         for name, unit in dict.fromkeys((name, one.unit) for row in runs for name, one in row.found.items()):
             found = [one for row in runs if (one := row.found.get(name)) is not None and one.unit == unit]
             values = np.array([one.value for one in found if one.value is not None], dtype=np.float64)
@@ -212,28 +187,15 @@ def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
                 cuts = [float(one) for one in np.quantile(values, (0.05, 0.5, 0.95))]
                 stated = float(np.median(stds)) if stds else None
                 shown.append((name, str(values.size), *map(number, cuts), number(spread, 3), number(stated, 3), unit))
+        yield Heading(f"Distribution: {'; '.join(changes)}" if changes else "Distribution")
+        error = number(float(np.median(errors))) if errors else "-"
+        words = f"{len(runs)} of {len(tried)} identified, median error {error} %"
         header = ("parameter", "runs", "5 %", "median", "95 %", "spread", "stated std", "unit")
-        yield Table(header, tuple(shown), "", (0, 7))
-
-
-def _unlike(series: Sequence[Series]) -> Iterator[tuple[str, ...]]:
-    """Yield joints whose level of a quantity is far from the others'."""
-    groups = defaultdict[tuple[str, str, tuple[str, ...]], list[Series]](list)
-    for one in series:
-        groups[one.quantity, one.unit, one.changes].append(one)
-    for (quantity, unit, _), members in groups.items():
-        levels: FloatArray = np.array([float(np.median(one.values)) for one in members])
-        middle = float(np.median(levels))
-        spread = _TO_SIGMA * float(np.median(np.abs(levels - middle)))
-        if len(members) < _LEAST_JOINTS or not spread:
-            continue
-        for one, level in zip(members, levels, strict=True):
-            if abs(level - middle) > _UNLIKE * spread:
-                yield name_series(one.joint, one.changes), quantity, number(float(level)), number(middle), unit
+        yield Table(header, tuple(shown), words, (0, 7))
 
 
 def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
-    """Yield reasons for missing answers by frequency, and cases set aside."""
+    """Yield the reasons for missing answers, cases set aside first."""
     without = [row for row in rows if row.outcome is not Outcome.IDENTIFIED]
     if not without:
         return
@@ -243,8 +205,6 @@ def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
     whose = [" ".join(filter(None, (row.joint, row.day, "; ".join(row.changes)))) for row in without]
     said = (f"{who}, {row.outcome}: {short(row.sentence, _LONGEST)}" for who, row in zip(whose, without, strict=True))
     yield Listing(tuple(said)[:most])
-    joints = Counter(row.joint for row in without).most_common(most)
-    yield Table(("joint", "runs without an answer"), tuple((joint, str(count)) for joint, count in joints))
 
 
 _Shown: TypeAlias = tuple[Series, str, str, Change | None]
@@ -282,99 +242,3 @@ def _draw(shown: Sequence[_Shown]) -> Figure:
         label(axes, f"days since {of.labels[0]}", of.unit or "value", title)
         axes.set_xlim(-0.5, float(days[-1]) + 0.5)
     return figure
-
-
-def _sweep_blocks(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
-    """Yield how many runs each value of a swept setting identifies, and how it moves the parameters."""
-    settings = defaultdict[str, dict[str, list[Row]]](lambda: defaultdict(list))
-    for row in rows:
-        for change in row.changes:
-            key, _, value = change.partition("=")
-            settings[key][value].append(row)
-    ends, effects = list[tuple[str, ...]](), list[tuple[str, ...]]()
-    for key, runs in settings.items():
-        least, *others = sorted(runs, key=_sort_key)
-        if not others:  # set for all, and not swept
-            continue
-        for value in (least, *others):
-            done = [row for row in runs[value] if row.outcome is Outcome.IDENTIFIED]
-            errors = [row.error_percent for row in done if row.error_percent is not None]
-            error = number(float(np.median(errors))) if errors else "-"
-            ends.append((f"{key}={value}", f"{len(done)} of {len(runs[value])}", error))
-        for value in others:
-            effects += _effects(f"{key}={value} for {least}", key, runs[least], runs[value])
-    if ends:
-        yield Heading("Swept settings")
-        yield Table(("setting", "identified", "error %"), tuple(ends), "", (0, 1))
-    if effects:
-        yield Heading("Effect of each swept setting")
-        header = ("setting", "parameter", "effect %", "deviations", "pairs")
-        yield Table(header, tuple(effects[:most]), "", (0, 1))
-
-
-def _sort_key(value: str) -> tuple[float, str]:
-    try:
-        return float(value), value
-    except ValueError:
-        return float("inf"), value
-
-
-def _effects(what: str, key: str, before: Sequence[Row], after: Sequence[Row]) -> Iterator[tuple[str, ...]]:
-    """Yield the change of each parameter between two values of a setting, as the median over pairs of runs."""
-
-    def by_run(rows: Sequence[Row]) -> dict[tuple[Any, ...], Row]:
-        others = [tuple(one for one in row.changes if one.partition("=")[0] != key) for row in rows]
-        return {(row.joint, row.record, row.day, other): row for row, other in zip(rows, others, strict=True)}
-
-    later, moved = by_run(after), defaultdict[str, list[tuple[float, Found]]](list)
-    for run, row in by_run(before).items():
-        again = later[run].found if run in later else {}
-        for name, one in row.found.items():
-            if one.value is not None and name in again and (other := again[name].value) is not None:
-                moved[name].append((other - one.value, one))
-    for name, pairs in moved.items():
-        percent = [100 * change / abs(one.value) for change, one in pairs if one.value]
-        deviations = [change / one.std for change, one in pairs if one.std]
-        yield (
-            what, name, format_signed(float(np.median(percent)), 3) if percent else "-",
-            format_signed(float(np.median(deviations)), 2) if deviations else "-", str(len(pairs)),
-        )  # fmt: skip
-
-
-def csv_of(rows: Sequence[Row]) -> str:
-    """Return results as CSV: case, answer, settings, hashes and versions, a row for each case.
-
-    A parameter has columns for value and standard deviation, with the unit in the name.
-    """
-    cells = [_cells(row) for row in rows]
-    header = [
-        name for part in zip(*cells, strict=True) for name in dict.fromkeys(name for each in part for name in each)
-    ]
-    made = io.StringIO(newline="")
-    writer = csv.writer(made, lineterminator="\n")
-    writer.writerow(map(_quote_formula, header))
-    for case, found, origin in cells:
-        own = {**case, **found, **origin}
-        writer.writerow(_quote_formula(own.get(name)) for name in header)
-    return made.getvalue()
-
-
-def _cells(row: Row) -> tuple[dict[str, Any], ...]:
-    """Return the cells of a row by column: of its case and answer, its parameters, and where it comes from."""
-    case = {
-        "joint": row.joint, "day": row.day, "record": row.record, "changes": "; ".join(row.changes),
-        "settings": "; ".join(row.settings), "outcome": str(row.outcome), "sentence": row.sentence, "trust": row.trust,
-        "converged": row.converged, "error [%]": row.error_percent, "simulations": row.simulations,
-    }  # fmt: skip
-    found = dict[str, Any]()
-    for name, one in sorted(row.found.items()):
-        found |= {f"{name} [{one.unit}]": one.value, f"{name} std [{one.unit}]": one.std}
-    hashes = {
-        "case sha256": row.content_hash, "record sha256": row.record_sha256, "joint file sha256": row.joint_file_sha256
-    }  # fmt: skip
-    return case, found, {**hashes, **row.versions}
-
-
-def _quote_formula(cell: Any) -> Any:
-    """Quote a cell that a spreadsheet would take for a formula."""
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell

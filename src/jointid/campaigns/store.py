@@ -1,7 +1,7 @@
 """Results of a campaign: one file of lines, each on the disk before its result counts as finished.
 
-A line is the result of a case, or the death of a worker at one; the last result of a case counts. A kill or a full disk
-may tear the last line, whose case is then made again.
+A line is the result of a case; the last one of a case counts. A kill or a full disk may tear the last line, whose case
+is then made again.
 """
 
 from __future__ import annotations
@@ -10,16 +10,18 @@ import contextlib
 import json
 import math
 import os
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
+from jointid import __version__
 from jointid.campaigns.campaign import Case, canonical, sha256_of
 from jointid.common.errors import RecordError
-from jointid.common.files import lock, open_file
+from jointid.common.files import explain, lock, open_file
+
+_BEGIN = b'{"changes":'  # of each line, whose keys are in order
 
 
 class Outcome(StrEnum):
@@ -60,11 +62,10 @@ class Row:
         sentence: the answer in a line, or why there is none.
         found: parameters, and sums that are known where their parts are not, by name.
         trust: whether to rely on the answer, a code.
-        converged: whether the search did; None where there was none.
         error_percent: norm of the torque error, filtered, over that of the torque.
         record_sha256: of the record's bytes; empty where they could not be read.
         joint_file_sha256: of the joint file's text.
-        versions: of jointid, Python and the libraries that compute, by name.
+        program: the version of jointid that identified it.
     """
 
     content_hash: str
@@ -77,12 +78,10 @@ class Row:
     joint_file_sha256: str
     found: Mapping[str, Found] = field(default_factory=dict)
     trust: str = ""
-    converged: bool | None = None
     error_percent: float | None = None
-    simulations: int | None = None
     record_sha256: str = ""
-    versions: Mapping[str, str] = field(default_factory=dict)
     settings: tuple[str, ...] = ()
+    program: str = __version__
 
     @classmethod
     def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
@@ -101,21 +100,20 @@ class Row:
         """
         try:
             found = {name: Found(**one) for name, one in raw["found"].items()}
-            lists = {key: tuple(raw.get(key, ())) for key in ("changes", "settings")}
+            lists = {key: tuple(raw[key]) for key in ("changes", "settings")}
             row = cls(**{**raw, **lists, "found": found, "outcome": Outcome(raw["outcome"])})
             texts = (
-                row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256,
-                row.joint_file_sha256, *row.changes, *row.settings, *row.versions, *row.versions.values(),
+                row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.program,
+                row.joint_file_sha256, row.record_sha256, *row.changes, *row.settings,
                 *(one.unit for one in found.values()),
             )  # fmt: skip
+            "".join(texts)  # refuses what is no text
             numbers = (row.error_percent, *(number for one in found.values() for number in (one.value, one.std)))
-            finite = all(number is None or math.isfinite(number) for number in numbers)
+            if all(number is None or math.isfinite(number) for number in numbers):
+                return row
         except (TypeError, KeyError, AttributeError, OverflowError) as error:
             raise ValueError(f"no row ({error})") from error
-        counted = row.simulations is None or type(row.simulations) is int
-        if not (finite and counted and row.converged in (None, True, False) and all(type(one) is str for one in texts)):
-            raise ValueError("no row (a text or a number is none)")
-        return row
+        raise ValueError("no row (a number is not finite)")
 
     @property
     def place(self) -> tuple[str, str, str, tuple[str, ...], str]:
@@ -127,13 +125,11 @@ class Store:
     """The results of a campaign; see `open_store`."""
 
     def __init__(self, path: Path, descriptor: int, *, again: bool = False) -> None:
-        self._path, self._descriptor, self._retried = path, descriptor, set[str]()
-        self._rows, self._deaths = dict[str, Row](), Counter[str]()
+        self._path, self._descriptor = path, descriptor
+        self._rows = dict[str, Row]()
         whole = self._read()
-        if again:
-            self._retried = {row.content_hash for row in self._rows.values() if row.outcome in RETRIED}
-            self._deaths.clear()
-        with _explain(path):
+        self._retried = {row.content_hash for row in self._rows.values() if again and row.outcome in RETRIED}
+        with explain(path):
             os.ftruncate(descriptor, whole)  # without the line that a kill has torn
 
     def has_result(self, content_hash: str) -> bool:
@@ -142,58 +138,35 @@ class Store:
 
     def add(self, row: Row) -> None:
         """Keep a result; it is on the disk when this returns."""
-        self._append({"row": asdict(row)})
+        content = (canonical(asdict(row)) + "\n").encode("utf-8", "surrogatepass")
+        with explain(self._path):
+            while content:  # a disk that takes a part of it says why at the next attempt
+                content = content[os.write(self._descriptor, content) :]
+            os.fsync(self._descriptor)
         self._rows[row.content_hash] = row
         self._retried.discard(row.content_hash)
-
-    def count_death(self, content_hash: str) -> int:
-        """Count a death by a case running alone, and return the total."""
-        self._append({"death": content_hash})
-        self._deaths[content_hash] += 1
-        return self._deaths[content_hash]
 
     def rows_of(self, hashes: Iterable[str]) -> tuple[Row, ...]:
         """Return the results of cases, in an order that depends on no engine."""
         found = [self._rows[one] for one in dict.fromkeys(hashes) if one in self._rows]
         return tuple(sorted(found, key=lambda row: row.place))
 
-    def _append(self, line: dict[str, Any]) -> None:
-        content = (canonical(line) + "\n").encode("utf-8", "surrogatepass")
-        with _explain(self._path):
-            while content:  # a disk that takes a part of it says why at the next attempt
-                content = content[os.write(self._descriptor, content) :]
-            os.fsync(self._descriptor)
-
     def _read(self) -> int:
         """Take in the lines, and return the size of those that are whole."""
         whole = 0
-        with _explain(self._path), open_file(self._path) as file:
+        with explain(self._path), open_file(self._path) as file:
             for number, line in enumerate(file, 1):
-                said = None
+                if not line.endswith(b"\n") and (line.startswith(_BEGIN) or _BEGIN.startswith(line)):
+                    break  # torn by a kill
                 try:
-                    said = json.loads(line)
-                    self._take(said)
+                    row = Row.read(json.loads(line))
                 except (ValueError, RecursionError) as error:
-                    if said is None and line.startswith(b"{") and not line.endswith(b"\n"):
-                        break  # torn by a kill
                     raise RecordError(
                         f"{self._path}, line {number} is no result of a campaign ({error}); name another file by --out."
                     ) from error
+                self._rows[row.content_hash] = row
                 whole += len(line)
-                if not line.endswith(b"\n"):
-                    whole += os.write(self._descriptor, b"\n")
-                    break
         return whole
-
-    def _take(self, said: Any) -> None:
-        match said:
-            case {"row": dict(row)}:
-                made = Row.read(row)
-                self._rows[made.content_hash] = made
-            case {"death": str(content_hash)}:
-                self._deaths[content_hash] += 1
-            case _:
-                raise ValueError("neither a row nor a death")
 
 
 @contextlib.contextmanager
@@ -204,7 +177,7 @@ def open_store(path: Path, *, again: bool = False) -> Iterator[Store]:
         path: of the file; it is made if it is not there.
         again: whether what was refused, failed or set aside counts as not done.
     """
-    with _explain(path):
+    with explain(path):
         if path.exists():
             open_file(path).close()  # which refuses a pipe or a device
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
@@ -217,15 +190,3 @@ def open_store(path: Path, *, again: bool = False) -> Iterator[Store]:
         yield Store(path, descriptor, again=again)
     finally:
         os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _explain(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        reason = (error.strerror or type(error).__name__).lower()
-        raise RecordError(
-            f"{path} cannot be used ({reason}); what is finished is kept: free space there, or mend its rights, and "
-            "give the same command again."
-        ) from error

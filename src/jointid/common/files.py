@@ -46,7 +46,7 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
         (False, '42')
     """
     path = Path(path)
-    with _explain(path):
+    with explain(path):
         if _is_written_as_it_is(path):
             yield path
             return
@@ -63,7 +63,7 @@ def require_room(path: str | os.PathLike[str]) -> None:
     the end.
     """
     path = Path(path)
-    with _explain(path):
+    with explain(path):
         if not _is_written_as_it_is(path):
             place = _place_of(path)
             with _room_in(next(each for each in (place, *place.parents) if each.is_dir())) as room:
@@ -89,7 +89,7 @@ def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> 
     A new folder appears complete. In an existing folder, no file is replaced until all are written.
     """
     folder = Path(folder)
-    with _explain(folder):
+    with explain(folder):
         place = Path(os.path.realpath(folder))
         is_new = not place.exists()
         if is_new:
@@ -178,7 +178,7 @@ def is_full(error: BaseException) -> bool:
 
 
 @contextlib.contextmanager
-def _explain(path: Path) -> Iterator[None]:
+def explain(path: Path) -> Iterator[None]:
     """Convert an `OSError` to a sentence."""
     try:
         yield

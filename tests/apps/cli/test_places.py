@@ -147,7 +147,7 @@ def test_what_takes_nothing_is_refused_before_anything_runs(tmp_path: Path, monk
 
 
 OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
-    "campaign": ("campaign.toml", {"--out": "x", "--html": "x.html", "--csv": "x.csv"}),
+    "campaign": ("campaign.toml", {"--out": "x", "--html": "x.html"}),
     "compare": ("estimate.json other.json", {"--json": "x.json"}),
     "learn-controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
     "inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png", "--write": "x.toml"}),

@@ -55,7 +55,7 @@ _GONE = {
     "campaign work": "jointid campaign FILE --dask ADDRESS has the workers of a cluster",
     "campaign status": "the file of the results has a line for each case that is done",
     "campaign report": "jointid campaign FILE runs what is missing, and reports",
-    "campaign export": "jointid campaign FILE --csv writes the table of the results",
+    "campaign export": "pandas.read_json(PATH, lines=True) reads the file of the results",
 }
 """What to use instead of a command that is no longer there."""
 

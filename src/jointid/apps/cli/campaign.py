@@ -24,7 +24,6 @@ def campaign(
     false_alarm: float = 0.01,
     details: Flag = False,
     html: Path | None = None,
-    csv: Path | None = None,
     quiet: Quiet = False,
 ) -> None:
     """Identify all that a campaign file names, and report drift, outliers and scatter.
@@ -42,35 +41,33 @@ def campaign(
         false_alarm: chance that any joint is named where none drifted, for all joints together.
         details: all rows of every table, rather than a screen of them.
         html: also write the report as one HTML page, with a picture of changes over the days.
-        csv: also write the results as a table, a row for each case.
         quiet: say nothing of the progress.
     """
     from jointid.campaigns.campaign import load_campaign
-    from jointid.campaigns.report import CampaignReport, csv_of
+    from jointid.campaigns.report import CampaignReport
     from jointid.campaigns.run import run_cases
     from jointid.campaigns.store import open_store
     from jointid.common.files import write_whole
+    from jointid.common.text import pluralise
     from jointid.output.report.page import page
 
     engine, kept = _engine(workers, dask), out or file.with_suffix(".jsonl")
     if not 0 < false_alarm < 1:
         raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
     listener = listen(quiet)
-    spare((kept, html, csv), file)
+    spare((kept, html), file)
     asked = load_campaign(file)
     if asked.left_out:
         listener(asked.left_out)
     with open_store(kept, again=again) as store:
         ready(listener)
-        ran = run_cases(asked.cases, engine, store, progress=listener)
-        rows = store.rows_of(case.content_hash for case in asked.cases())
-    show(ran)
-    found = CampaignReport(asked.name, ran.cases, rows, false_alarm)
+        made = run_cases(asked.cases, engine, store, progress=listener)
+        rows = store.rows_of(case.content_hash for case in asked.cases)
+    found = CampaignReport(asked.name, rows, false_alarm)
+    show(f"{sum(made.values())} of {pluralise(len(rows), 'case')} were run now.")
     show(found, details=details)
     if html is not None:
-        write_whole(html, page(found.to_page()))
-    if csv is not None:
-        write_whole(csv, csv_of(rows))
+        write_whole(html, page(found.to_document(details=True, pictures=True)))
 
 
 def _engine(workers: int, dask: str | None) -> Engine:
