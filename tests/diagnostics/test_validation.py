@@ -54,19 +54,6 @@ def test_what_differs_is_named() -> None:
     assert both.causes == ()
 
 
-@pytest.mark.parametrize("amplitude", [20.0, 200.0])
-def test_an_axis_that_moves_beside_it_is_named(amplitude: float) -> None:
-    """Another axis shakes the joint by its acceleration; the joint's own fit cannot have that force either."""
-    record = made(0.13, 3)
-    assert record.torque is not None
-    beside = np.sin(9.0 * record.torque.time) + np.sin(23.0 * record.torque.time)
-    force = amplitude * (9.0**2 * np.sin(9.0 * record.torque.time) + 23.0**2 * np.sin(23.0 * record.torque.time)) / 600
-    moved = record.with_channels({"torque": replace(record.torque, values=record.torque.values + force)})
-    found = ji.validate(identified()[0], replace(moved, other_axes={"q2": ji.Channel(beside, "rad", RATE)}))
-    assert found.causes == (Cause.COUPLED_AXES,)
-    assert ji.validate(identified()[0], moved).causes != found.causes
-
-
 def test_a_load_encoder_counts_from_elsewhere_in_any_record() -> None:
     joint = ji.FlexibleJoint("revolute")
     loop = ji.ClosedLoop(joint, ji.controller.Cascade(position_gain=40.0, velocity_gain=40.0))

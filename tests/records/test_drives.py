@@ -192,7 +192,6 @@ def test_the_channels_of_the_kr300(data_dir: Path, name: str) -> None:
         record = record_of_axis(data_dir, name, axis)
         assert record.channels == ("torque", "reference", "motor_position", *(("load_position",) if axis <= 3 else ()))
         assert (record.tap, record.torque.sample_time, len(record.torque)) == (Tap.MEASURED, 0.004, 2501)  # type: ignore[union-attr, arg-type]
-        assert list(record.other_axes) == [f"rec.act_pos_mot_deg[{k}]" for k in range(6) if k != axis - 1]
 
 
 def test_a_joint_is_identified_from_a_trace_and_a_few_numbers(tmp_path: Path) -> None:

@@ -185,4 +185,3 @@ def test_a_recording_of_a_robot_needs_the_number_of_the_joint(tmp_path: Path, de
     assert (record.torque.unit, record.torque.sample_time, record.tap) == ("N m", 2e-3, Tap.MEASURED)
     np.testing.assert_allclose(record.torque.values, 0.11 * CURRENTS[:, 2])
     np.testing.assert_allclose(record.reference.values, ANGLES[:, 2])
-    assert len(record.other_axes) == 5

@@ -27,7 +27,6 @@ from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.model_free import compare_law, compare_robot_laws
 from jointid.diagnostics.record_prediction import Predicted, Refit, predict_joint, predict_robot
-from jointid.estimation.record_warnings import find_coupling
 from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, fingerprint, relative_error
 from jointid.estimation.unknown_timing import read_as, read_as_identified
 from jointid.models.joints import ClosedLoop
@@ -60,7 +59,6 @@ class Cause(StrEnum):
     """Differences that let an estimate not predict a record, as codes."""
 
     CONTROLLER = "controller"
-    COUPLED_AXES = "coupled_axes"
     LOAD = "load"
     FRICTION = "friction"
     SPRING = "spring"
@@ -71,7 +69,6 @@ _NAMES: Mapping[Cause, tuple[str, ...]] = {
     Cause.FRICTION: ("viscous", "coulomb", "offset", "stribeck", "presliding", "friction", "drift"),
 }
 """Parts of parameters' names; all others but those of a motor are of the load."""
-_FOLLOWS = 0.5  # of a residual: what follows other axes so far is theirs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +148,6 @@ class Validation(Documented):
         warnings: limits of the result, one sentence each.
         resampled: resampling of the record to a uniform clock; None where it was logged so.
         causes: what alone explains that the record is not predicted, the likeliest; none where nothing does.
-        other_axes: that moved beside a joint alone, by their columns.
     """
 
     test: Literal["direct", "cross"]
@@ -167,7 +163,6 @@ class Validation(Documented):
     warnings: tuple[str, ...] = ()
     resampled: Resampled | None = None
     causes: tuple[Cause, ...] = ()
-    other_axes: tuple[str, ...] = ()
 
     @property
     def relative_error(self) -> float:
@@ -229,8 +224,6 @@ class Validation(Documented):
     @property
     def _reason(self) -> str:
         """Why the record is not predicted, in words."""
-        if Cause.COUPLED_AXES in self.causes:
-            return f"{join(self.other_axes)} moved too, and the error follows them, which its model lacks"
         if Cause.CONTROLLER in self.causes:
             return "its controller is another there: as declared, it does not make this torque of the motor position"
         if self.causes:
@@ -419,7 +412,7 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
         "direct" if own else "cross", method, first.name, source,
         (*found.channels, *(("injected",) if first.injected is not None else ())), found.sample_time,
         found.borders, tuple(made), found.initial,
-        found.simulations, warnings, first.resampled, causes, tuple(first.other_axes),
+        found.simulations, warnings, first.resampled, causes,
     )  # fmt: skip
 
 
@@ -452,10 +445,6 @@ def _find_causes(
         laws = compare_robot_laws(robot.model, records, getattr(getattr(robot, "setup", None), "controllers", ()))
     else:
         identified = estimate.identified if isinstance(estimate, Estimate) else estimate
-        left, filtering = found.measured[:, 0] - found.predicted[:, 0], identified.filtering
-        beside = find_coupling(records[0], left, found.borders, filtering, found.sample_time)
-        if beside is not None and beside.seen and beside.explained > _FOLLOWS:
-            return (Cause.COUPLED_AXES,)
         laws = [None if identified.loop is None else compare_law(records[0], identified.loop)]
     if any(bad and law is not None and not law.holds for bad, law in zip(missed, laws, strict=True)):
         return (Cause.CONTROLLER,)

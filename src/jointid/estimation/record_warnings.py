@@ -1,4 +1,4 @@
-"""Warnings on the record of an estimate: faults of the log, other axes that moved, gains that look swapped."""
+"""Warnings on the record of an estimate: faults of the log, gains that look swapped."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import number
 from jointid.estimation.result.parts import EstimateParts
@@ -15,15 +14,11 @@ from jointid.models.controllers import Cascade, Controller
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, range_faults, scale_faults
 from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import Filtering, differentiate_twice, lowpass
-from jointid.uncertainty.residual_tests import Coupling, coupling
-
-_FEWEST = 4  # rows to a column of the regression
 
 
 def record_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...]:
     """Return warnings on the record of an estimate, one sentence each."""
-    return (*find_record_warnings(record, estimate.data.channels), *coupling_warnings(record, estimate))
+    return find_record_warnings(record, estimate.data.channels)
 
 
 def robot_record_warnings(records: Records, robot: Robot) -> tuple[str, ...]:
@@ -54,54 +49,6 @@ def check_robot_records(records: Records, robot: Robot) -> None:
                 faults += [f"{name}: {said}" for said in range_faults(position, limits)]
     if faults:
         raise RecordError(dict.fromkeys(faults))
-
-
-def coupling_warnings(record: Record, estimate: EstimateParts) -> tuple[str, ...]:
-    """Warn of other moving axes, with the share of the residual correlated with their motion.
-
-    Inertia shared with another axis shows as its acceleration, gravity as its position. What an axis of few harmonics
-    explains by chance is much, so it stands beside. A joint's own columns have taken their part already: a share that
-    is small, or no more than by chance, does not say that there is no coupling.
-    """
-    if not record.other_axes:
-        return ()
-    said = (
-        f"other axes moved too ({', '.join(record.other_axes)}), and their coupling (inertia, Coriolis, gravity) is "
-        "not in the model of a single joint: the parameters are those of this motion and these poses"
-    )
-    fit, filtering = estimate.fit, estimate.settings.filtering
-    residual = fit.measured - fit.predicted
-    found = find_coupling(record, residual, fit.borders, filtering, estimate.data.sample_time)
-    if found is None:
-        return (said,)
-    share = f"{100 * found.explained:.0f} % of what it leaves follows their accelerations and positions"
-    chance = f"up to {100 * found.by_chance:.0f} % would by chance"
-    return (f"{said}; {share}, {chance}{'' if found.seen else ', so this record cannot tell how much is theirs'}",)
-
-
-def find_coupling(
-    record: Record, residual: FloatArray, borders: tuple[int, int], filtering: Filtering, sample_time: float
-) -> Coupling | None:
-    """Return the share of a residual that follows other axes; None without these, or of too few rows.
-
-    Args:
-        record: with the positions of the other axes.
-        residual: (samples,) of the torque, raw.
-        borders: samples at each end that are left out.
-        filtering: resolved.
-        sample_time: of the residual, seconds.
-    """
-    at, cutoff = np.arange(residual.size) * sample_time, filtering.position_cutoff
-    if not record.other_axes or cutoff is None:
-        return None
-    columns = []
-    for channel in record.other_axes.values():
-        position = lowpass(np.interp(at, channel.time, channel.values), cutoff, sample_time)
-        columns += [differentiate_twice(position, sample_time)[1], position]
-    first, last = borders
-    both = np.column_stack([residual, *columns])[first : residual.size - last]
-    rows = filtering.decimate(both, sample_time)
-    return coupling(rows[:, 0], rows[:, 1:]) if len(rows) > _FEWEST * len(columns) else None
 
 
 _EVERY = 0.01  # s: a rounded reference is accelerated in every one of its own samples

@@ -216,6 +216,5 @@ def cut(record: Record, first: int, end: int) -> Record:
 
 
 def _map_channels(record: Record, change: Callable[[Channel], Channel], begin: float) -> Record:
-    others = {name: change(channel) for name, channel in record.other_axes.items()}
     changed = record.with_channels({name: change(channel) for name, channel in record.items()})
-    return replace(changed, other_axes=others, begin=begin)
+    return replace(changed, begin=begin)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -52,11 +51,9 @@ from jointid.records.resampling import (
     resample_together,
 )
 
-_MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 _POSITIONS = ("motor_position", "load_position", "reference")
 _SAME_GAIN = 0.01  # relative
 _TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
-_NUMBER = re.compile(r"\d+")
 
 
 def read(
@@ -168,23 +165,20 @@ class RecordReader:
         if signals.faults:
             raise RecordError(signals.faults)
         logged = signals.align_turns(logged)
-        others = signals.find_other_positions(logged, clocks)
         done, resample, remarks = None, self.resample, signals.remarks
         if resample is None and (jittered := {n: clock for n, clock in used.items() if clock.jitter}):
             resample, uniform, said = judge_jitter({n: c for n, c in logged.items() if n not in signals.rows}, jittered)
             clocks = clocks.straighten(uniform)
             remarks.append(said)
         if resample is None:
-            channels, begin = align_updates({**logged, **others}, signals.rows)
+            channels, begin = align_updates(logged, signals.rows)
         else:
-            channels, begin, done = resample_together(signals.add_stamps({**logged, **others}, clocks), resample)
-        apart = {n: channels.pop(n) for n in others}
+            channels, begin, done = resample_together(signals.add_stamps(logged, clocks), resample)
         first = [stamps[0] for clock in used.values() if (stamps := clock.stamps) is not None]
         every = [table.columns[n][0] * seconds_of(table, n, self.time_unit) for n in set(clocks.columns.values())]
         late = max(float(min(first) - min(every)), 0.0) if first and every else 0.0
         record = replace(
             _build_record(channels, signals.columns, self.name or name),
-            other_axes=apart,
             begin=begin + late,
             resampled=done,
             remarks=(*repeated, *remarks),
@@ -414,27 +408,11 @@ class _Signals:
                 made["motor_position"] = replace(motor, values=motor.values + apart)
         return made
 
-    def find_other_positions(self, logged: Mapping[str, Channel], clocks: Clocks) -> dict[str, Channel]:
-        """Positions of other moving axes, by column, if readable."""
-        made: dict[str, Channel] = {}
-        if not (position := _own_position(self.columns)):
-            return made
-        # A profile knows the side of this axis's column, and nothing of the others'.
-        side = None if self.transmission is None else self.drive.side(position, self.columns[position])
-        used = {channel: column.column for channel, column in self.columns.items()}
-        for name in find_other_axes(used, self.table.columns):
-            wrong, columns = list[str](), dict(self.columns)
-            columns[position] = replace(self.columns[position], side=side, column=name)
-            other = self._build_channel(position, columns, self.table.columns[name], clocks, wrong)
-            if other and not wrong and np.ptp(other.values) > _MOVES * np.ptp(logged[position].values):
-                made[name] = other
-        return made
-
     def add_stamps(self, channels: Mapping[str, Channel], clocks: Clocks) -> dict[str, Stamped]:
         """Attach instants to channels, of the rows in which they have a number; refuse missing stamps."""
         faults, made = list[str](), dict[str, Stamped]()
         for name, channel in channels.items():
-            column = self.columns.get(name) or replace(self.columns[_own_position(self.columns)], column=name)
+            column = self.columns[name]
             clock = clocks.clock_of(column)
             if clock.stamps is None:
                 faults.append(
@@ -475,34 +453,3 @@ def _build_record(channels: Mapping[str, Channel], found: Mapping[str, Column], 
         injected=None if injected is None else Injection(injected, found["injected"].at, found["injected"].in_torque),
         name=name,
     )
-
-
-def _own_position(channels: Collection[str]) -> str:
-    """Column that distinguishes this axis, or an empty name."""
-    return next((channel for channel in ("motor_position", "reference") if channel in channels), "")
-
-
-def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str, ...]:
-    """Position columns of other axes, in the log's order.
-
-    The axis number appears in several names: `pos[2]` and `torque[2]` beside `pos[0]` and `torque[0]`. A single
-    numbered name is no evidence. `channels` has the columns of this joint, `names` all column names.
-    """
-    numbered = {channel: dict(_axis_numbers(column, names)) for channel, column in channels.items()}
-    position = _own_position(channels)
-    if not position:
-        return ()
-    for number, others in numbered[position].items():
-        alike = [channel for channel, found in numbered.items() if number in found]
-        if len({numbered[channel][number] for channel in alike}) > 1:
-            return tuple(name for name in names if name in others and name not in channels.values())
-    return ()
-
-
-def _axis_numbers(column: str, names: Collection[str]) -> Iterator[tuple[int, frozenset[str]]]:
-    """Yield each varying number in a column name, with the related columns."""
-    for match in _NUMBER.finditer(column):
-        alike = re.compile(re.escape(column[: match.start()]) + r"\d+" + re.escape(column[match.end() :]))
-        others = frozenset(name for name in names if name != column and alike.fullmatch(name))
-        if others:
-            yield int(match[0]), others

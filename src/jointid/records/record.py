@@ -7,7 +7,7 @@ period that ends at the sample. Confusing them shifts the signal by half a perio
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -210,8 +210,6 @@ class Record(Charted, Documented):
         load_position: load encoder.
         injected: a known signal added to the controller's output.
         name: what reports call this record.
-        other_axes: positions of other axes that were logged too and moved, by their columns; no joint's model reads
-            them, and the coupling that they bring is not in it.
         begin: seconds from the first sample of the file to that of this record, which begins at its first refresh.
         resampled: how its samples were brought to a uniform clock, None where they were logged so.
         remarks: on what was put right in the file when it was read, or may be wrong there, a clause each.
@@ -232,7 +230,6 @@ class Record(Charted, Documented):
     load_position: Channel | None = None
     injected: Injection | None = None
     name: str = "record"
-    other_axes: Mapping[str, Channel] = field(default_factory=dict)
     begin: float = 0.0
     resampled: Resampled | None = None
     remarks: tuple[str, ...] = ()

@@ -36,7 +36,7 @@ def write(
     """Write a record to a file that `jointid.read` restores with the same arguments.
 
     Unnamed channels are written in SI under their own names. Reading needs what a table does not hold: the joint's
-    kind, a torque in A or V, and non-default settings of `Column`. Positions of other axes are not written.
+    kind, a torque in A or V, and non-default settings of `Column`.
 
     Args:
         record: at least two samples, one rate; on its joint's side of the transmission.

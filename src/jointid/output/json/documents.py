@@ -107,7 +107,7 @@ SHAPES: Mapping[str, Shape] = {
         "jointid.validation/2",
         f"test method record resampled identified_from channels answer {_ERRORS} "
         "better_than_nominal=better samples_left_out=borders initial "
-        "simulations warnings causes other_axes axes",
+        "simulations warnings causes axes",
     ),
     "ValidatedAxis": keys(
         f"name unit position_unit transmission answer=prediction {_ERRORS} autocorrelation white_band "
