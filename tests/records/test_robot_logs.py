@@ -303,9 +303,7 @@ def test_gains_of_the_log_are_held_against_the_declared_ones(tmp_path: Path) -> 
     record = loads(text, tmp_path).record()
     assert record.injected is not None
     assert (record.injected.at, record.tap) == ("before_limit", "measured")
-    assert 'kp (column "kp") is 40 in the record, and controller.position_gain is 60; correct' in refusal(
-        tmp_path, text.replace("40 N m", "60 N m")
-    )
+    assert "controller.position_gain is 60" in refusal(tmp_path, text.replace("40 N m", "60 N m"))
     # A bare key of the drive is the law's, too.
     named = text.replace('position_gain = "40 N m/rad"', "kp = 40").replace(
         'derivative_gain = "1.5 N m s/rad"', "kd = 1.5"
@@ -318,7 +316,7 @@ def test_gains_that_vary_are_refused_in_a_sentence_and_a_part_is_read(tmp_path: 
     one_motor(tmp_path, kp=np.where(TIME < 0.6, KP, 2 * KP))
     assert loads(text, tmp_path).record().torque is not None
     said = refusal(tmp_path, text.replace("stop = 0.5\n", ""))
-    assert 'kp (column "kp") varies from 40 to 80, and the controller has one position_gain, 40; read a part' in said
+    assert 'kp (column "kp") goes from 40 to 80' in said
     found = ji.inspect(tmp_path / "run.csv")
     assert "\n[controller]" not in describe_log(found, "run.csv")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -14,7 +13,7 @@ from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
-from jointid.records.columns import Column, finite_faults, format_instant, unit_fault, unit_in_name
+from jointid.records.columns import finite_faults, format_instant, unit_fault, unit_in_name
 from jointid.records.formats import Table
 from jointid.records.formats.table import TIME_NAME
 from jointid.records.record import Irregularity
@@ -35,14 +34,34 @@ _BRIDGED = 3  # samples missing in a row that resampling bridges by default
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Clock:
-    """Sample time [s], time stamps [s] and their column, if known; jitter above the tolerance, in sample times."""
+    """The stamps of a channel.
 
-    sample_time: float | None = None
-    stamps: FloatArray | None = None
+    Attributes:
+        sample_time: mean time between them [s].
+        stamps: (samples,) [s].
+        column: name of the time column; empty if there is none.
+        jitter: largest deviation of a step from the sample time, as a share of it; 0 within the tolerance.
+        first: instant of the first row of the file [s].
+    """
+
+    sample_time: float
+    stamps: FloatArray = field(default_factory=lambda: np.zeros(0))
     column: str = ""
     jitter: float = 0.0
+    first: float = 0.0
+
+    def over(self, samples: int) -> Clock:
+        """Return the clock with stamps for so many samples."""
+        if self.column:
+            return self
+        return replace(self, stamps=np.asarray(self.first + np.arange(samples) * self.sample_time, dtype=np.float64))
+
+    def pick(self, rows: NDArray[np.bool_]) -> Clock:
+        """Return the clock of some rows, (samples,), at the distance of the first two."""
+        first, second = np.flatnonzero(rows)[:2]
+        return replace(self, stamps=self.stamps[rows], sample_time=float(second - first) * self.sample_time)
 
     @property
     def beginning(self) -> float:
@@ -51,35 +70,14 @@ class Clock:
 
     def straightened(self) -> FloatArray:
         """Return the straight line through the stamps [s], (samples,)."""
-        assert self.stamps is not None
-        first, centred = float(self.stamps[0]), np.arange(self.stamps.size) - 0.5 * (self.stamps.size - 1)
-        times = self.stamps - first
-        period = float(centred @ times / (centred @ centred))
-        return np.asarray(first + float(np.mean(times)) + period * centred)
+        times, centred = self.stamps - self.stamps[0], np.arange(self.stamps.size) - 0.5 * (self.stamps.size - 1)
+        return np.asarray(float(self.stamps[0]) + float(np.mean(times)) + _mean_step(self.stamps) * centred)
 
 
-@dataclass(frozen=True, slots=True)
-class Clocks:
-    """The record's clock, other clocks by time column, and time columns by column."""
-
-    common: Clock
-    own: Mapping[str, Clock] = field(default_factory=dict)
-    columns: Mapping[str, str] = field(default_factory=dict)
-
-    def straighten(self, columns: Collection[str]) -> Clocks:
-        """Return the clocks with stamps on a straight line for the named time columns."""
-        common, *own = (
-            replace(one, stamps=one.straightened()) if one.column in columns else one
-            for one in (self.common, *self.own.values())
-        )
-        return replace(self, common=common, own=dict(zip(self.own, own, strict=True)))
-
-    def clock_of(self, column: Column) -> Clock:
-        """Return a column's clock; a declared sample time needs no stamps."""
-        if column.sample_time is not None:
-            return Clock(column.sample_time)
-        time = column.time or self.columns.get(column.column)
-        return self.common if time is None else self.own.get(time, Clock())
+def _mean_step(stamps: FloatArray) -> float:
+    """Slope of the straight line through stamps [s]."""
+    centred = np.arange(stamps.size) - 0.5 * (stamps.size - 1)
+    return float(centred @ (stamps - stamps[0]) / (float(centred @ centred) or 1.0))
 
 
 def find_clock(
@@ -127,7 +125,8 @@ def find_clock(
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
             "mend one, or leave sample_time or time out."
         )
-    return Clock(sample_time or period, stamps, column, jitter if jitter > (tolerance or 0.0) else 0.0)
+    jitter = jitter if jitter > (tolerance or 0.0) else 0.0
+    return Clock(sample_time or period, stamps, column, jitter, float(stamps[0]))
 
 
 def _find_time_column(table: Table, time: str | None) -> str:
@@ -263,24 +262,6 @@ def is_same_rate(sample_time: float, other: float) -> bool:
     return abs(sample_time / other - 1) <= _RATE_TOLERANCE
 
 
-def beginning_faults(clocks: Mapping[str, Clock], tolerance: float, *, cuts: bool) -> list[str]:
-    """Faults of channels whose stamps begin too far apart; `cuts` if `start` cuts each by its own clock."""
-    stamped = {name: clock for name, clock in clocks.items() if clock.stamps is not None and clock.sample_time}
-    firsts = {name: clock.beginning for name, clock in stamped.items()}
-    if not firsts:
-        return []
-    late, early = max(firsts, key=firsts.__getitem__), min(firsts, key=firsts.__getitem__)
-    apart, shortest = firsts[late] - firsts[early], min(clock.sample_time or 0.0 for clock in stamped.values())
-    if apart <= tolerance * shortest:
-        return []
-    remedies = ["resample, which takes what all channels cover", "cut them to one beginning"]
-    if cuts and abs(apart / shortest - round(apart / shortest)) <= tolerance:  # nothing is to be interpolated
-        start = firsts[late] - 0.5 * shortest
-        stop = min(float(one.straightened()[-1]) for one in stamped.values()) + 0.5 * shortest
-        remedies = [f"start = {start:.9g} and stop = {stop:.9g}, which cut them to one time", remedies[0]]
-    return [f"{late} begins {apart:g} s after {early}, by their own time columns; give {', or '.join(remedies)}."]
-
-
 def measure_irregularity(stamps: FloatArray) -> Irregularity:
     """Measure the deviation of stamps [s], (samples,), from a uniform clock.
 
@@ -330,17 +311,13 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
             "column, or give its unit."
         ]
     if sample_time <= 0:
-        index = np.arange(stamps.size) - (stamps.size - 1) / 2
-        mean = float(index @ (stamps - stamps[0]) / (index @ index))
-        coarse = (
-            f"{name} repeats {np.count_nonzero(steps == 0)} of its {stamps.size} stamps, as one that is too coarse; "
-            f"give sample_time = {mean:.6g} without time if the samples are uniform."
-        )
-        back = (
-            f"{name} does not run forward (its median step is {sample_time:g} s); name another time "
-            "column, or give sample_time without time."
-        )
-        return [coarse if mean > 0 and np.all(steps >= 0) else back]
+        mean = _mean_step(stamps)
+        given = f" = {mean:.6g}" if mean > 0 else ""
+        return [
+            f"{name} does not run forward: {np.count_nonzero(steps == 0)} of its {stamps.size} stamps repeat, and "
+            f"{np.count_nonzero(steps < 0)} step back; name another time column, or give sample_time{given} without "
+            "time if the samples are uniform."
+        ]
     if tolerance is None:
         return []
     error = np.abs(steps / sample_time - 1)

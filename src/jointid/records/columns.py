@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
@@ -18,7 +17,6 @@ from jointid.common.transmission import Side
 from jointid.records.record import InjectionPoint, Tap, Timing
 
 _FEWEST_MOVES = 3  # steps beside the jumps of a wrap
-_FEWEST_ROWS = 3  # with a number, of a column that is empty between
 _SAFE_STEP = 0.4  # of a wrap in one sample: from a half on, forwards and backwards cannot be distinguished
 _BEYOND_WRAP = 1e-2  # of a wrap, by which values may span more
 _WHOLE_RANGE = 0.6  # of the range of a column: a larger step may be a wrap
@@ -160,25 +158,21 @@ def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> st
     return columns[channel].stated_unit(known) or default
 
 
-def finite_faults(
-    name: str, values: FloatArray, time: FloatArray | None = None, remedy: str = "mend them, or cut the record there"
-) -> list[str]:
+def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None) -> list[str]:
     """Faults of non-finite raw values (samples,): an early end, and gaps.
 
     Args:
         name: of the values, in sentences.
         values: (samples,).
         time: instants [s], (samples,), if known.
-        remedy: for gaps.
     """
     bad = np.flatnonzero(~np.isfinite(values))
+    rows = np.flatnonzero(~np.isnan(values))
     if bad.size == 0:
         return []
     if bad.size == values.size:
         return [f"{name} has no finite number in its {values.size} samples; name another column."]
-    faults = []
-    rows = np.flatnonzero(~np.isnan(values))
-    end = int(rows[-1]) + 1
+    faults, end = [], int(rows[-1]) + 1
     if values.size - end >= np.diff(rows, prepend=rows[0] - 1).max():  # longer than any gap
         faults.append(
             f"{name} ends early: after {end} of {values.size} samples it is empty (NaN); cut all columns to "
@@ -189,30 +183,10 @@ def finite_faults(
         first = int(bad[0])
         faults.append(
             f"{name} has {pluralise(bad.size, 'sample')} without a finite number, the first {values[first]} at "
-            f"sample {first}{format_instant(time, first)}; {remedy}."
+            f"sample {first}{format_instant(time, first)}; mend them, cut the record there, or give resample, which "
+            "takes every channel at the rows in which it has a number."
         )
     return faults
-
-
-def find_rows_with_number(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
-    """Return the rows, (samples,), with a number in a column but not in others; None if those are a fault.
-
-    Args:
-        values: the column, (samples,), with NaN where it is empty.
-        resampled: whether the channel comes to a new clock; else the rows have to be equally far apart.
-    """
-    filled = ~np.isnan(values)
-    rows = np.flatnonzero(filled)
-    if rows.size < _FEWEST_ROWS or (longest := int(np.diff(rows).max())) == 1:
-        return None
-    ends = max(rows[0] + 1, values.size - rows[-1]) <= longest
-    return filled if ends and (resampled or np.all(np.diff(rows) == longest)) else None
-
-
-def fill_forward(values: FloatArray, filled: NDArray[np.bool_]) -> FloatArray:
-    """Return a column, (samples,), with the last number in its empty rows, the first in those before it."""
-    rows = np.arange(values.size)
-    return np.asarray(values[np.maximum.accumulate(np.where(filled, rows, np.argmax(filled)))])
 
 
 def format_instant(time: FloatArray | None, index: int) -> str:

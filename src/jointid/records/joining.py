@@ -1,40 +1,23 @@
-"""A record in several files: their columns by one clock."""
+"""A record in several files: their columns, each with the clock of its file."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.records.clock import find_clock
+from jointid.records.clock import Clock, find_clock
 from jointid.records.formats import Table, read_table
 from jointid.records.formats.table import Found
 from jointid.records.resampling import Resampling
 
 _TOGETHER = 0.5  # of the shorter file, that two files cover together at least
 _SAME = 1e-6  # of a sample time
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """One file: its table, the instants of its columns [s], and its sample time [s]."""
-
-    name: str
-    table: Table
-    stamps: FloatArray
-    period: float
-    time: str
-
-    @property
-    def channels(self) -> Mapping[str, FloatArray]:
-        """Columns that move, of the length of the clock."""
-        every = ((n, v) for n, v in self.table.columns.items() if n != self.time and v.size == self.stamps.size)
-        return {name: values for name, values in every if np.isfinite(values).all() and np.ptp(values) > 0}
 
 
 def join_files(
@@ -48,8 +31,8 @@ def join_files(
 ) -> Table:
     """Read several files as one table, each column with the clock of its file.
 
-    A column whose name an earlier file has is called "file: name". Files that cover the same instants are joined on
-    their stamps; the clocks of others are moved by their offsets.
+    A column whose name an earlier file has is called "file: name". Files that cover the same instants have one clock;
+    the clocks of others are moved by their offsets.
 
     Args:
         paths: of the files.
@@ -67,67 +50,53 @@ def join_files(
         raise RecordError("The files of a record have one name each; two are called alike: rename one of them.")
     if offsets and len(offsets) != len(paths):
         raise RecordError(f"There are {len(offsets)} offsets for {len(paths)} files; give one for each file, or none.")
-    parts = [
-        _read_part(name, read_table(path, **options), time, time_unit, sample_time)
-        for name, path in zip(names, paths, strict=True)
-    ]
-    for part in () if offsets else parts[1:]:
-        _require_common_clock(parts[0], part)
-    moved = zip(parts, offsets or [0.0] * len(parts), strict=True)
-    return _join([replace(part, stamps=part.stamps + offset) for part, offset in moved])
+    tables = [read_table(path, **options) for path in paths]
+    clocks = [_find_clock(table, time, time_unit, sample_time) for table in tables]
+    for table, clock in () if offsets else zip(tables[1:], clocks[1:], strict=True):
+        if not _share_clock(tables[0], clocks[0], table, clock):
+            raise RecordError(
+                f"{tables[0].source} and {table.source} have no clock in common; give record.offsets: the seconds to "
+                "add to the clock of each file."
+            )
+    found, kept = Found(Path()), dict[str, FloatArray]()
+    for name, table, own, offset in zip(names, tables, clocks, offsets or [0.0] * len(tables), strict=True):
+        stamps = own.stamps + offset
+        time = next((n for n, one in kept.items() if _is_same(one, stamps, own.sample_time)), f"time of {name}")
+        if time not in kept:
+            kept[time] = stamps
+            found.add(time, stamps.copy(), "s")
+        for column, values in table.columns.items():
+            renamed = f"{name}: {column}" if column in found.columns else column
+            found.add(renamed, values, table.units.get(column, ""), time)
+        found.passed |= {f"{name}: {column}": why for column, why in table.passed.items()}
+    return replace(found.table(), source=" and ".join(table.source for table in tables))
 
 
 def choose_resampling(table: Table) -> Resampling | None:
     """Return how the columns of several clocks come to the fastest of them; None for a single clock."""
     clocks = sorted(set(table.clocks.values()))
-    if len(clocks) < 2:
-        return None
-    return Resampling(min(float(np.median(np.diff(table.columns[name]))) for name in clocks), "linear")
+    periods = [float(np.median(np.diff(table.columns[name]))) for name in clocks]
+    return Resampling(min(periods), "linear") if len(clocks) > 1 else None
 
 
-def _read_part(name: str, table: Table, time: str | None, time_unit: str | None, sample_time: float | None) -> _Part:
+def _find_clock(table: Table, time: str | None, time_unit: str | None, sample_time: float | None) -> Clock:
     own = set(table.clocks.values())
     if len(own) > 1:
         raise RecordError(f"{table.source} has {len(own)} clocks; join files of one clock each.")
     named = next(iter(own), None) if time not in table.columns else time
-    clock = find_clock(table, named, time_unit, None if named else sample_time, None)
-    assert clock.sample_time is not None
-    stamps = np.arange(table.rows) * clock.sample_time if clock.stamps is None else clock.stamps
-    return _Part(name, table, np.asarray(stamps, dtype=np.float64), clock.sample_time, clock.column)
+    return find_clock(table, named, time_unit, None if named else sample_time, None).over(table.rows)
 
 
-def _require_common_clock(first: _Part, part: _Part) -> None:
-    """Refuse two files whose clocks have different beginnings, as far as stamps and a channel of both tell."""
-    both = min(first.stamps[-1], part.stamps[-1]) - max(first.stamps[0], part.stamps[0])
-    shorter = min(one.stamps[-1] - one.stamps[0] for one in (first, part))
-    shared = bool(first.time and part.time) and both >= _TOGETHER * shorter
-    common = [name for name in part.channels if name in first.channels]
-    own_zero = all(abs(one.stamps[0]) <= one.period for one in (first, part))
-    equal = any(np.array_equal(first.channels[name], part.channels[name]) for name in common)
-    if shared and (not (own_zero and common) or (equal and _is_same(first.stamps, part))):
-        return
-    fact = "count from 0 each, and differ in a channel that both hold" if shared else "have no clock in common"
-    raise RecordError(
-        f"{first.table.source} and {part.table.source} {fact}; give record.offsets: the seconds to add to the clock of "
-        "each file."
-    )
+def _share_clock(first: Table, one: Clock, second: Table, other: Clock) -> bool:
+    """Test whether two files cover the same time, and agree in what both hold if each may count from its own 0."""
+    both = min(one.stamps[-1], other.stamps[-1]) - max(one.stamps[0], other.stamps[0])
+    shorter = min(np.ptp(one.stamps), np.ptp(other.stamps))
+    if not (one.column and other.column and both >= _TOGETHER * shorter):
+        return False
+    common = [name for name in first.columns if name in second.columns and name not in (one.column, other.column)]
+    from_zero = all(abs(clock.stamps[0]) <= clock.sample_time for clock in (one, other))
+    return not from_zero or all(np.array_equal(first.columns[n], second.columns[n], equal_nan=True) for n in common)
 
 
-def _join(parts: Sequence[_Part]) -> Table:
-    """Return all columns in one table; files of equal instants have one clock."""
-    found, kept = Found(Path()), dict[str, FloatArray]()
-    for part in parts:
-        clock = next((name for name, stamps in kept.items() if _is_same(stamps, part)), f"time of {part.name}")
-        if clock not in kept:
-            kept[clock] = part.stamps
-            found.add(clock, part.stamps.copy(), "s")
-        for name, values in part.table.columns.items():
-            own = f"{part.name}: {name}" if name in found.columns else name
-            found.add(own, values, part.table.units.get(name, ""), clock)
-        for name, why in part.table.passed.items():
-            found.passed[f"{part.name}: {name}" if name in found.passed else name] = why
-    return replace(found.table(), source=" and ".join(part.table.source for part in parts))
-
-
-def _is_same(stamps: FloatArray, part: _Part) -> bool:
-    return stamps.size == part.stamps.size and bool(np.all(np.abs(stamps - part.stamps) <= _SAME * part.period))
+def _is_same(stamps: FloatArray, other: FloatArray, period: float) -> bool:
+    return stamps.size == other.size and bool(np.all(np.abs(stamps - other) <= _SAME * period))

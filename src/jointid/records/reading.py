@@ -1,14 +1,17 @@
-"""Read a record from a file: clock and channels in SI, with all faults at once."""
+"""Read a record from a file: columns are selected, taken to SI and brought to one clock; all faults at once."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
@@ -19,37 +22,18 @@ from jointid.records.checks import scale_faults
 from jointid.records.clock import (
     CLOCK_TOLERANCE,
     Clock,
-    Clocks,
     Cut,
-    beginning_faults,
     cut_table,
     find_clock,
     is_same_rate,
     own_clocks,
     seconds_of,
 )
-from jointid.records.columns import (
-    Column,
-    Wrap,
-    fill_forward,
-    find_rows_with_number,
-    find_wrap,
-    finite_faults,
-    known_units,
-    unwrap,
-    wrap_faults,
-)
+from jointid.records.columns import Column, find_wrap, finite_faults, known_units, unwrap, wrap_faults
 from jointid.records.drives import Drive, Frame, index_columns
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
-from jointid.records.resampling import (
-    Resampling,
-    Stamped,
-    align_updates,
-    find_refreshes,
-    judge_jitter,
-    resample_together,
-)
+from jointid.records.resampling import Resampling, Signal, bring_together, find_filled_rows, find_refreshes
 
 _POSITIONS = ("motor_position", "load_position", "reference")
 _SAME_GAIN = 0.01  # relative
@@ -79,7 +63,8 @@ def read(
     The clock is `sample_time`, or the time column: named by `time`, or the only one called t or time (as "Time [ms]").
     Channels of different rates end at their last number; otherwise an early end is a fault. A jump of the
     clock is a fault unless `resample` or `part` is given. Where stamps jitter, a position tells whether samples follow
-    them. The file's own unit applies where neither `columns` nor the column's name states one.
+    them. Channels without a common instant are resampled to the fastest of their clocks, with a remark. The file's own
+    unit applies where neither `columns` nor the column's name states one.
 
     Args:
         path: the file; its suffix selects the format.
@@ -95,25 +80,17 @@ def read(
         start: first instant to read, in seconds of the log's own clock.
         stop: last one.
         part: which part between jumps of the clock to read, counted from 1; 0 takes the longest.
-        resample: rules for a uniform clock; every channel then needs stamps.
+        resample: rules for a uniform clock.
         options: of the format's reader; see `jointid.records.formats.TextOptions`.
 
     Raises:
         RecordError: the file cannot be read, or contradicts its declaration; `faults` has a sentence for each fault.
     """
+    cut = Cut(start, stop, part)
     reader = RecordReader(
-        columns or {},
-        drive or Drive(),
-        time,
-        time_unit,
-        sample_time,
-        kind,
-        transmission,
-        name,
-        clock_tolerance,
-        resample,
-        Cut(start, stop, part),
-    )
+        columns or {}, drive or Drive(), time, time_unit, sample_time, kind, transmission, name, clock_tolerance,
+        resample, cut,
+    )  # fmt: skip
     return reader.build_record(read_table(path, **options), Path(path).stem)
 
 
@@ -147,130 +124,103 @@ class RecordReader:
 
     def build_record(self, table: Table, name: str) -> Record:
         """Build the record that a table holds."""
-        columns = self.columns
-        wanted = {n: Column(c) if isinstance(c := columns[n], str) else c for n in CHANNELS if n in columns}
+        given = self.columns
+        wanted = {n: Column(c) if isinstance(c := given[n], str) else c for n in CHANNELS if n in given}
         if any(column.sample_time or column.time for column in wanted.values()):
             table = _cut_tails(table)
-        time = self._find_time(table)
+        time = self.time
+        if time is None and self.sample_time is None and self.drive.traces is not None:
+            time = self.drive.traces.time_column(table.columns)
         stamped = self.resample is None and (self.time is not None or self.sample_time is None)
         table, repeated = cut_table(table, time, self.time_unit, self.sample_time, self.cut, repaired=stamped)
-        signals = _Signals(self, table, wanted)
-        clocks = self._find_clocks(table, time, signals.columns, signals.faults)
-        signals.name_rates(clocks)
-        signals.faults.extend(self._gain_faults(table))
-        logged = signals.build_channels(clocks)
-        used = {n: clocks.clock_of(c) for n, c in signals.columns.items()}
-        if self.resample is None:
-            signals.faults.extend(beginning_faults(used, self.clock_tolerance, cuts=bool(clocks.columns)))
-        if signals.faults:
-            raise RecordError(signals.faults)
-        logged = signals.align_turns(logged)
-        done, resample, remarks = None, self.resample, signals.remarks
-        if resample is None and (jittered := {n: clock for n, clock in used.items() if clock.jitter}):
-            resample, uniform, said = judge_jitter({n: c for n, c in logged.items() if n not in signals.rows}, jittered)
-            clocks = clocks.straighten(uniform)
-            remarks.append(said)
-        if resample is None:
-            channels, begin = align_updates(logged, signals.rows)
-        else:
-            channels, begin, done = resample_together(signals.add_stamps(logged, clocks), resample)
-        first = [stamps[0] for clock in used.values() if (stamps := clock.stamps) is not None]
-        every = [table.columns[n][0] * seconds_of(table, n, self.time_unit) for n in set(clocks.columns.values())]
-        late = max(float(min(first) - min(every)), 0.0) if first and every else 0.0
+        # A sample time that is given alone is all that counts, unless a channel names its own column.
+        stated = {} if time is None and self.sample_time is not None else own_clocks(table, self.time)
+        steps = _Steps(self, table)
+        columns = steps.select(wanted)
+        logged = steps.unwrap(steps.log(columns, time, stated))
+        signals = steps.convert(logged)
+        if faults := [*steps.faults, *self._gain_faults(table)]:
+            raise RecordError(faults)
+        channels, begin, done, said = bring_together(signals, self.resample, self.clock_tolerance)
+        # The file begins with the first row of its clocks, which no channel may use.
+        first = min((float(one.clock.stamps[0]) for one in signals.values()), default=0.0)
+        every = [float(table.columns[one][0]) * seconds_of(table, one, self.time_unit) for one in set(stated.values())]
+        origin = min([*every, *(one.clock.first for one in signals.values())], default=first)
         record = replace(
-            _build_record(channels, signals.columns, self.name or name),
-            begin=begin + late,
+            _build_record(channels, columns, self.name or name),
+            begin=begin + (first - origin),
             resampled=done,
-            remarks=(*repeated, *remarks),
+            remarks=(*repeated, *steps.remarks, *said),
         )
         if faults := scale_faults(record):
             raise RecordError(faults)
         return record
 
-    def _find_time(self, table: Table) -> str | None:
-        """Name of the time column, if it is stated or the drive's profile knows it."""
-        if self.time is None and self.sample_time is None and self.drive.traces is not None:
-            return self.drive.traces.time_column(table.columns)
-        return self.time
-
-    def _find_clocks(self, table: Table, time: str | None, columns: Mapping[str, Column], faults: list[str]) -> Clocks:
-        # A sample time that is given alone is all that counts, unless a channel names its own column.
-        stated = {} if time is None and self.sample_time is not None else own_clocks(table, self.time)
-        clocks = {c.time or stated.get(c.column) for c in columns.values() if c.sample_time is None}
-        tolerance = None if self.resample else self.clock_tolerance
-        common, own = Clock(), dict[str, Clock]()
-        with _collect(faults):
-            if time is None and None not in clocks:
-                common = Clock(self.sample_time)
-            else:
-                common = find_clock(table, time, self.time_unit, self.sample_time, tolerance)
-            for name in sorted(filter(None, clocks)):
-                own[name] = find_clock(table, name, self.time_unit, None, tolerance)
-        return Clocks(common, own, stated)
-
     def _gain_faults(self, table: Table) -> Iterator[str]:
-        """Yield gains of the log that vary, or differ from the declared ones."""
-        profile, declared = self.drive.traces, self.gains
-        if profile is None or not declared:
+        """Yield gains of the log that are not the declared ones."""
+        profile = self.drive.traces
+        if profile is None or not self.gains:
             return
         for name, gain in profile.gain_columns(index_columns(table.columns), self.drive.place).items():
             values = table.columns[name][np.isfinite(table.columns[name])]
-            if gain.key not in declared or not values.size:
+            if gain.key not in self.gains or not values.size:
                 continue
-            low, high, said = float(values.min()), float(values.max()), f'{gain.name} (column "{name}")'
-            if high - low > _SAME_GAIN * abs(high):
+            low, high, declared = float(values.min()), float(values.max()), self.gains[gain.key]
+            if max(abs(low - declared), abs(high - declared)) > _SAME_GAIN * max(abs(high), abs(declared)):
                 yield (
-                    f"{said} varies from {low:g} to {high:g}, and the controller has one {gain.key}, "
-                    f"{declared[gain.key]:g}; read a part in which it is constant, by record.start and record.stop."
-                )
-            elif abs(high - declared[gain.key]) > _SAME_GAIN * max(abs(high), abs(declared[gain.key])):
-                yield (
-                    f"{said} is {high:g} in the record, and controller.{gain.key} is {declared[gain.key]:g}; "
-                    "correct the wrong one."
+                    f'{gain.name} (column "{name}") goes from {low:g} to {high:g} in the record, and '
+                    f"controller.{gain.key} is {declared:g}; correct it, or cut the record by start and stop."
                 )
 
 
-@contextmanager
-def _collect(faults: list[str]) -> Iterator[None]:
-    """Add the faults of an error to those that are found already."""
-    try:
-        yield
-    except RecordError as error:
-        faults.extend(error.faults)
-
-
-class _Signals:
-    """Columns of the channels, with their faults and corrections.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Logged:
+    """Numbers of a channel as the file has them.
 
     Attributes:
-        columns: of the channels, with their units and wraps.
-        values: of the channels, (samples,), as the file has them; empty rows of slower ones are filled.
-        rows: of the channels that are logged more seldom, the rows with a number, (samples,).
-        rates: that were stated of these.
+        values: (samples,), at the rows in which there is a new one.
+        clock: of these rows; None if it is at fault.
+        unit: of the values; None if it is at fault.
+        picked: whether these are some of the clock's rows.
+        wrap: at which the values were unwrapped; 0 if not.
     """
 
-    def __init__(self, reader: RecordReader, table: Table, wanted: Mapping[str, Column]) -> None:
-        self.table, self.drive, self.transmission = table, reader.drive, reader.transmission
+    column: Column
+    values: FloatArray
+    clock: Clock | None
+    unit: units.Unit | None
+    picked: bool = False
+    wrap: float = 0.0
+
+    @property
+    def factor(self) -> float:
+        """What takes the values to SI; 0 if the unit is at fault."""
+        return 0.0 if self.unit is None else self.column.sign * self.column.gain * self.unit.factor
+
+
+class _Steps:
+    """Steps from a table to signals, with the faults and remarks on the way."""
+
+    def __init__(self, reader: RecordReader, table: Table) -> None:
+        self.reader, self.table, self.drive = reader, table, reader.drive
         self.frame = Frame(reader.drive, reader.kind, reader.transmission)
         self.faults, self.remarks = list[str](), list[str]()
-        found = self._select(wanted)
-        self.values = {n: table.columns[column.column] for n, column in found.items()}
-        resampled = reader.resample is not None
-        filled = {n: find_rows_with_number(values, resampled=resampled) for n, values in self.values.items()}
-        self.rows = {n: rows for n, rows in filled.items() if rows is not None}
-        self.values |= {n: fill_forward(self.values[n], rows) for n, rows in self.rows.items()}
-        self.rates = {} if resampled else {n: found[n].sample_time or found[n].update_time for n in self.rows}
-        self.columns = found | {n: replace(found[n], sample_time=None, update_time=None) for n in self.rows}
-        self._find_wraps()
 
-    def _select(self, wanted: Mapping[str, Column]) -> dict[str, Column]:
+    @contextmanager
+    def _collecting(self) -> Iterator[None]:
+        try:
+            yield
+        except RecordError as error:
+            self.faults += error.faults
+
+    def select(self, wanted: Mapping[str, Column]) -> dict[str, Column]:
         """Return the columns as declared, else by the drive's profile, else in the units of the file."""
         profile, table, said = self.drive.traces, self.table, ""
         found = {channel: column for channel, column in wanted.items() if column.column}
         if profile is not None:
             kinds = {channel: self.frame.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
             found, faults = profile.find_columns(wanted, table.columns, self.drive.place, kinds, table.source)
-            self.faults.extend(faults)
+            self.faults += faults
             said = f'profile "{profile.name}"'
         elif unnamed := [channel for channel in wanted if channel not in found]:
             self.faults.append(f"{' and '.join(unnamed)} has no column; name it, or give the drive a profile.")
@@ -295,136 +245,138 @@ class _Signals:
             self.faults.append(f"{table.source} has no column {listed}{why}; it has {table.list_columns()}.")
         return {n: column for n, column in found.items() if n not in missing}
 
-    def name_rates(self, clocks: Clocks) -> None:
-        """Remark on channels with a number in some rows alone; another rate that is stated is a fault."""
-        for name, stated in self.rates.items():
-            first, second = np.flatnonzero(self.rows[name])[:2]
-            period = (second - first) * (clocks.clock_of(self.columns[name]).sample_time or np.nan)
-            said = f'{name} (column "{self.columns[name].column}") has a number in one row of {second - first}'
-            if stated is not None and not is_same_rate(period, stated):
-                self.faults.append(
-                    f"{said}, every {period:g} s, and is stated to have one every {stated:g} s; correct its "
-                    "sample_time or update_time, or leave it out."
-                )
-            self.remarks.append(f"{said}: it is read as a channel with a sample every {period:g} s")
+    def log(self, columns: Mapping[str, Column], time: str | None, stated: Mapping[str, str]) -> dict[str, _Logged]:
+        """Return the numbers of the channels with their stamps.
 
-    def build_channels(self, clocks: Clocks) -> dict[str, Channel]:
-        """Return the channels in SI; without those whose unit or rate is at fault."""
-        made = dict[str, Channel]()
-        for name, column in self.columns.items():
-            channel = self._build_channel(name, self.columns, self.values[name], clocks, self.faults)
-            made |= {} if channel is None else {name: channel}
-            if channel is not None and column.update_time is not None:
-                with _collect(self.faults):
-                    self.rows[name] = find_refreshes(f"{name} ({channel.source})", channel, column.update_time)
+        Args:
+            columns: of the channels.
+            time: name of the record's time column, if known.
+            stated: time columns of columns that have their own.
+        """
+        reader = self.reader
+        resampled = reader.resample is not None
+        rows = {n: find_filled_rows(self.table.columns[c.column], resampled=resampled) for n, c in columns.items()}
+        times = {n: c.time or stated.get(c.column) for n, c in columns.items()}
+        used = {times[n] for n, c in columns.items() if c.sample_time is None or rows[n] is not None}
+        clocks = dict[str | None, Clock | None]()
+        for one in sorted(used if time is None else used | {None}, key=str):
+            clocks[one] = None
+            named, period = (time, reader.sample_time) if one is None else (one, None)
+            with self._collecting():
+                tolerance = None if resampled else reader.clock_tolerance
+                clocks[one] = find_clock(self.table, named, reader.time_unit, period, tolerance)
+        made, common = dict[str, _Logged](), clocks.get(None)
+        for name, column in columns.items():
+            clock = clocks.get(times[name])
+            if column.sample_time is not None and rows[name] is None:  # it begins with the record
+                clock = Clock(column.sample_time, first=0.0 if common is None else common.first)
+            made[name] = self._log_channel(name, columns, clock, rows[name])
         return made
 
-    def _build_channel(
-        self, name: str, columns: Mapping[str, Column], values: FloatArray, clocks: Clocks, faults: list[str]
-    ) -> Channel | None:
-        column = columns[name]
-        what, clock = f'{name} (column "{column.column}")', clocks.clock_of(column)
-        period, stamps = clock.sample_time, clock.stamps
-        if stamps is None:
-            stamps = None if period is None else Channel(values, "", period).time
-        elif stamps.size != values.size:
-            faults.append(f"{what} has {values.size} samples, the time {stamps.size}; name columns of one length.")
-            stamps = None
-        remedy = "mend them, or cut the record there"
-        if stamps is not None and np.isnan(values).any():
-            remedy += ", or give resample, which takes every channel at the rows in which it has a number"
-        wrong = [*finite_faults(what, values, stamps, remedy), *column.misplaced_faults(name)]
-        if column.wrap is not None and not wrong:
-            wrong = wrap_faults(what, values, column.wrap)
-            values = unwrap(values, column.wrap)
-        if self.transmission is None and column.side is not None:
-            wrong.append(
+    def _log_channel(
+        self, name: str, columns: Mapping[str, Column], clock: Clock | None, rows: NDArray[np.bool_] | None
+    ) -> _Logged:
+        column, unit = columns[name], None
+        values, what = self.table.columns[column.column], f'{name} (column "{column.column}")'
+        size = None if clock is None or not clock.column else clock.stamps.size
+        if size not in (None, values.size):
+            self.faults.append(f"{what} has {values.size} samples, the time {size}; name columns of one length.")
+            clock = None
+        clock = None if clock is None else clock.over(values.size)
+        if rows is not None:
+            self._judge_rate(what, column, clock, rows)
+        else:
+            self.faults += finite_faults(what, values, None if clock is None else clock.stamps)
+            if column.update_time is not None and clock is not None and np.isfinite(values).all():
+                with self._collecting():
+                    rows = find_refreshes(what, values, clock.sample_time, column.update_time)
+        if rows is not None:
+            values, clock = values[rows], None if clock is None else clock.pick(rows)
+        self.faults += column.misplaced_faults(name)
+        if self.reader.transmission is None and column.side is not None:
+            self.faults.append(
                 f'{what} has side = "{column.side}", but no transmission is given; give it, or leave side out.'
             )
-        faults.extend(wrong)
         try:
             unit = self.frame.unit_of(name, columns)
         except units.UnitError as error:
-            faults.append(f"{what} {error}.")
-            return None
-        if period is None:
-            return None
-        held = name in ("torque", "injected")
-        channel = Channel(
-            values * (column.sign * column.gain * unit.factor),
-            unit.si,
-            period,
-            column.timing or (Timing.HELD if held else Timing.SAMPLED),
-            f"{self.table.source}: {column.column}",
-            stated=column.timing is not None or not held,
-        )
-        gear = self.transmission
-        return channel if gear is None else refer_channel(gear, name, channel, self.drive.side(name, column))
+            self.faults.append(f"{what} {error}.")
+        return _Logged(column, values, clock, unit, rows is not None)
 
-    def _find_wraps(self) -> None:
-        """Set the wrap of positions that jump as at one, and say so.
+    def _judge_rate(self, what: str, column: Column, clock: Clock | None, rows: NDArray[np.bool_]) -> None:
+        """Remark on a channel with a number in some rows alone; another rate that is stated is a fault."""
+        if clock is None or self.reader.resample is not None:
+            return
+        first, second = np.flatnonzero(rows)[:2]
+        period, stated = (second - first) * clock.sample_time, column.sample_time or column.update_time
+        said = f"{what} has a number in one row of {second - first}"
+        if stated is not None and not is_same_rate(period, stated):
+            self.faults.append(f"{said}, every {period:g} s, and is stated to have one every {stated:g} s; correct it.")
+        self.remarks.append(f"{said}: it is read as a channel with a sample every {period:g} s")
+
+    def unwrap(self, logged: Mapping[str, _Logged]) -> dict[str, _Logged]:
+        """Unwrap positions whose wrap is declared or found; the motor's then begins in the turn of its reference."""
+        made, wraps = dict(logged), {n: one.column.wrap for n, one in logged.items() if one.column.wrap is not None}
+        for name, wrap in (wraps | self._find_wraps(logged)).items():
+            one = logged[name]
+            if np.isfinite(one.values).all():
+                self.faults += wrap_faults(f'{name} (column "{one.column.column}")', one.values, wrap)
+                made[name] = replace(one, values=unwrap(one.values, wrap), wrap=wrap)
+        motor, reference = made.get("motor_position"), made.get("reference")
+        if motor is None or not motor.wrap or reference is None or motor.clock is None or reference.clock is None:
+            return made
+        scale = self._on_joint("reference", reference) / (self._on_joint("motor_position", motor) or math.inf)
+        there = np.interp(motor.clock.stamps, reference.clock.stamps, reference.values * scale)
+        turns = np.median(there - motor.values) / motor.wrap
+        made["motor_position"] = replace(motor, values=motor.values + motor.wrap * np.round(turns))
+        return made
+
+    def _find_wraps(self, logged: Mapping[str, _Logged]) -> dict[str, float]:
+        """Return the wraps of positions that jump as at one, and say so.
 
         A measured position cannot go by its range in one sample. A reference can, as a saw tooth: it wraps where a
         measured one does, or turns on, or where none is logged and the jump is a known wrap.
         """
-        jumps, motor = dict[str, Wrap](), self.values.get("motor_position")
-        for name in _POSITIONS:
-            if name in self.columns and self.columns[name].wrap is None and (factor := self._factor_of(name, own=True)):
-                wrap = find_wrap(self.values[name], abs(2 * np.pi / factor)) if self.values[name].size else None
-                jumps |= {} if wrap is None else {name: wrap}
+        open_ones = {n: logged[n] for n in _POSITIONS if n in logged and logged[n].column.wrap is None}
+        found = {n: find_wrap(one.values, abs(2 * np.pi / one.factor)) for n, one in open_ones.items() if one.factor}
+        jumps, made = {n: wrap for n, wrap in found.items() if wrap is not None}, dict[str, float]()
+        motor = logged.get("motor_position")
         for name, wrap in jumps.items():
-            certain = wrap.clear
-            if name == "reference" and motor is not None:
-                scale = abs(self._factor_of("motor_position") / self._factor_of(name))
-                if "motor_position" not in jumps and np.ptp(motor) * scale < _TURNS_ON * wrap.size:
+            certain = wrap.clear and (name != "reference" or motor is not None or wrap.known)
+            if name == "reference" and motor is not None and "motor_position" not in jumps:
+                scale = self._on_joint("motor_position", motor) / self._on_joint(name, logged[name])
+                if np.ptp(motor.values) * abs(scale) < _TURNS_ON * wrap.size:
                     continue  # a saw tooth, which the motor follows
-            elif name == "reference":
-                certain = certain and wrap.known
-            jump = f'{name} (column "{self.columns[name].column}") jumps {pluralise(wrap.count, "time")} by '
-            jump += f"{wrap.size:.10g} against its motion, first after sample {wrap.first}"
-            if certain:
-                self.columns[name] = replace(self.columns[name], wrap=wrap.size)
-                self.remarks.append(f"{jump}: it wraps, and is unwrapped as with wrap = {wrap.size:.10g}")
-            else:
-                self.remarks.append(f"{jump}: if it wraps, give its channel wrap = {wrap.size:.10g}")
-
-    def _factor_of(self, name: str, *, own: bool = False) -> float:
-        """SI units, on the joint's side or the column's own, to one of a position's; 0 if its unit is at fault."""
-        column, gear = self.columns[name], self.transmission
-        try:
-            factor = column.sign * column.gain * self.frame.unit_of(name, self.columns).factor
-        except units.UnitError:
-            return 0.0
-        return factor if gear is None or own else factor * gear.position(self.drive.side(name, column))
-
-    def align_turns(self, logged: Mapping[str, Channel]) -> dict[str, Channel]:
-        """Bring a motor position that was unwrapped to the turn of its reference."""
-        made = dict(logged)
-        motor, reference = made.get("motor_position"), made.get("reference")
-        if motor is not None and reference is not None and (wrap := self.columns["motor_position"].wrap) is not None:
-            turn = abs(wrap * self._factor_of("motor_position"))
-            apart = float(np.median(np.interp(motor.time, reference.time, reference.values) - motor.values))
-            if apart := turn * round(apart / turn):
-                made["motor_position"] = replace(motor, values=motor.values + apart)
+            said = f'{name} (column "{logged[name].column.column}") jumps {pluralise(wrap.count, "time")} by '
+            said += f"{wrap.size:.10g} against its motion, first after sample {wrap.first}"
+            made |= {name: wrap.size} if certain else {}
+            does = "it wraps, and is unwrapped as with" if certain else "if it wraps, give its channel"
+            self.remarks.append(f"{said}: {does} wrap = {wrap.size:.10g}")
         return made
 
-    def add_stamps(self, channels: Mapping[str, Channel], clocks: Clocks) -> dict[str, Stamped]:
-        """Attach instants to channels, of the rows in which they have a number; refuse missing stamps."""
-        faults, made = list[str](), dict[str, Stamped]()
-        for name, channel in channels.items():
-            column = self.columns[name]
-            clock = clocks.clock_of(column)
-            if clock.stamps is None:
-                faults.append(
-                    f"{name} has no time stamps to be resampled by; name its time column, or leave resample out."
-                )
-            elif (filled := self.rows.get(name)) is None:
-                made[name] = Stamped(channel, clock.stamps, clock.column)
-            else:
-                own = replace(channel, values=channel.values[filled])
-                made[name] = Stamped(own, clock.stamps[filled], f"{clock.column}, {column.column}")
-        if faults:
-            raise RecordError(faults)
+    def _on_joint(self, name: str, one: _Logged) -> float:
+        """SI units of a position on the joint's side to one of the column's."""
+        gear = self.reader.transmission
+        return one.factor if gear is None else one.factor * gear.position(self.drive.side(name, one.column))
+
+    def convert(self, logged: Mapping[str, _Logged]) -> dict[str, Signal]:
+        """Return the signals in SI on the joint's side; without those whose unit or clock is at fault."""
+        made, gear = dict[str, Signal](), self.reader.transmission
+        for name, one in logged.items():
+            column, held = one.column, name in ("torque", "injected")
+            if one.unit is None or one.clock is None:
+                continue
+            channel = Channel(
+                one.values * one.factor,
+                one.unit.si,
+                one.clock.sample_time,
+                column.timing or (Timing.HELD if held else Timing.SAMPLED),
+                f"{self.table.source}: {column.column}",
+                stated=column.timing is not None or not held,
+            )
+            if gear is not None:
+                channel = refer_channel(gear, name, channel, self.drive.side(name, column))
+            made[name] = Signal(channel, one.clock, one.picked)
         return made
 
 
@@ -443,13 +395,9 @@ def _build_record(channels: Mapping[str, Channel], found: Mapping[str, Column], 
         raise RecordError(
             f"The torque is in {torque.unit}, the injected signal in {injected.unit}; give both in one unit."
         )
-    return Record(
-        torque=torque,
-        tap=Tap.COMMAND if torque is None else found["torque"].tap or Tap.COMMAND,
-        reference=channels.get("reference"),
-        reference_velocity=channels.get("reference_velocity"),
-        motor_position=channels.get("motor_position"),
-        load_position=channels.get("load_position"),
-        injected=None if injected is None else Injection(injected, found["injected"].at, found["injected"].in_torque),
-        name=name,
-    )
+    given: dict[str, Any] = dict(channels)
+    if torque is not None:
+        given["tap"] = found["torque"].tap or Tap.COMMAND
+    if injected is not None:
+        given["injected"] = Injection(injected, found["injected"].at, found["injected"].in_torque)
+    return Record(**given, name=name)

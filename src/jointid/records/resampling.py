@@ -7,7 +7,7 @@ time column instead; resampling would add the jitter to the samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
@@ -27,11 +27,11 @@ Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
 _LOWER_RATE = 1.1
 _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
-_SAME = 1e-6  # of a sample
+_FEWEST_ROWS = 3  # with a number, of a column that is empty between
 _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST_MEAN = 10_000  # values
-_LONGEST = 10_000  # refreshes within which all channels must begin at one instant
+_LONGEST = 10_000  # samples within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _SHOWN = 25.0  # F of the jitter in a position, or of its absence, that decides: five standard deviations
 _FEWEST_OF_SPLINE = 4  # samples
@@ -79,44 +79,106 @@ class Resampling:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stamped:
-    """A channel as logged, at instants [s], (samples,), and its time column."""
+class Signal:
+    """A channel as logged, and its clock; `picked` if it has a number in some rows of its time column alone."""
 
     channel: Channel
-    stamps: FloatArray
-    clock: str
+    clock: Clock
+    picked: bool = False
+
+    @property
+    def name_of_clock(self) -> str:
+        """Name of the time column, with the channel's own if it has some of its rows."""
+        own = self.channel.source.partition(": ")[2]
+        return f"{self.clock.column}, {own}" if self.picked else self.clock.column
+
+    def straighten(self) -> Signal:
+        """Return the signal at instants on the straight line through its stamps."""
+        return replace(self, clock=replace(self.clock, stamps=self.clock.straightened(), jitter=0.0))
 
 
-def resample_together(logged: Mapping[str, Stamped], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
+def bring_together(
+    signals: Mapping[str, Signal], how: Resampling | None, tolerance: float
+) -> tuple[dict[str, Channel], float, Resampled | None, tuple[str, ...]]:
+    """Bring signals to a common beginning at their own rates, or resample them to one rate.
+
+    Args:
+        signals: by channel.
+        how: rules of resampling; None keeps each rate if the samples are uniform and have an instant in common.
+        tolerance: within which two instants are one, as a share of the shortest sample time.
+
+    Returns:
+        The channels, the first instant from the first stamp of all [s], what was resampled, and remarks.
+    """
+    remarks = list[str]()
+    if how is None and any(one.clock.jitter for one in signals.values()):
+        how, signals, said = _judge_jitter(signals)
+        remarks.append(said)
+    if how is None:
+        if (aligned := _align(signals, tolerance)) is not None:
+            return *aligned, None, tuple(remarks)
+        how = Resampling(min(one.clock.sample_time for one in signals.values()), "linear")
+        remarks.append(f"the channels have no instant in common: they are resampled to {how.sample_time:g} s (linear)")
+    channels, begin, done = resample_together(signals, how)
+    return channels, begin, done, tuple(remarks)
+
+
+def _align(signals: Mapping[str, Signal], tolerance: float) -> tuple[dict[str, Channel], float] | None:
+    """Cut channels to their first common instant; None without one, or of clocks that begin apart."""
+    if not signals:
+        return {}, 0.0
+    begins = {name: one.clock.beginning for name, one in signals.items()}
+    first, near = min(begins.values()), tolerance * min(one.clock.sample_time for one in signals.values())
+    whole = [begins[name] for name, one in signals.items() if not one.picked]
+    slowest = max(signals, key=lambda name: signals[name].clock.sample_time)
+    if max(whole, default=first) - min(whole, default=first) > near:
+        return None
+    for count in range(min(_LONGEST, len(signals[slowest].channel))):
+        time = begins[slowest] + count * signals[slowest].clock.sample_time
+        late = {name: (time - begins[name]) / one.clock.sample_time for name, one in signals.items()}
+        if all(n > -0.5 and abs(n - round(n)) * signals[name].clock.sample_time <= near for name, n in late.items()):
+            cut = {
+                name: replace(one.channel, values=one.channel.values[round(late[name]) :])
+                for name, one in signals.items()
+            }
+            return cut, time - first
+    return None
+
+
+def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
     """Resample channels to their common interval; return them, its start and a summary.
 
     The first instant is at the latest phase of the held channels, so that jitter does not skip or repeat a held value.
     It is relative to the first stamp of all.
     """
-    zero = min((one.stamps[0] for one in logged.values()), default=0.0)  # of seconds since 1970 a float keeps too few
-    logged = {name: replace(one, stamps=one.stamps - zero) for name, one in logged.items()}
-    clocks = {one.clock: measure_irregularity(one.stamps) for one in logged.values() if one.stamps.size > 1}
+    zero = min((one.clock.stamps[0] for one in signals.values()), default=0.0)  # seconds since 1970 leave few digits
+    signals = {
+        name: replace(one, clock=replace(one.clock, stamps=one.clock.stamps - zero)) for name, one in signals.items()
+    }
+    clocks = {
+        one.name_of_clock: measure_irregularity(one.clock.stamps)
+        for one in signals.values()
+        if one.clock.stamps.size > 1
+    }
     faults = [f for name, clock in clocks.items() for f in _clock_faults(name, clock, how)]
-    faults += [f for name, one in logged.items() for f in _rate_faults(name, one, clocks, how)]
+    faults += [f for name, one in signals.items() for f in _rate_faults(name, one, clocks, how)]
     if faults:
         raise RecordError(faults)
-    ready = {}
-    for name, one in logged.items():
-        stamps, values = one.stamps, one.channel.values
+    ready, repeats = dict[str, tuple[Channel, FloatArray]](), list[str]()
+    for name, one in signals.items():
+        stamps, values = one.clock.stamps, one.channel.values
         kept = np.concatenate([[True], (np.diff(stamps) != 0) | (np.diff(values) != 0)])
-        ready[name] = replace(one, channel=replace(one.channel, values=values[kept]), stamps=stamps[kept])
-    repeats = [name for name, one in ready.items() if np.any(np.diff(one.stamps) <= 0)]
+        ready[name] = (replace(one.channel, values=values[kept]), stamps[kept])
+        repeats += [name] if np.any(np.diff(stamps[kept]) <= 0) else []
     if repeats:
-        said = " and ".join(repeats)
         raise RecordError(
-            f"{said} has several values at one stamp, of which none can be left out; give sample_time without time if "
-            "only the stamps are wrong."
+            f"{' and '.join(repeats)} has several values at one stamp, of which none can be left out; give sample_time "
+            "without time if only the stamps are wrong."
         )
     T = how.sample_time
-    first = max(one.stamps[0] + (T if one.channel.timing is Timing.AVERAGED else 0.0) for one in ready.values())
-    last = min(one.stamps[-1] for one in ready.values())
-    held = [one for one in ready.values() if how.method_for(one.channel.timing) == "hold"]
-    begin = _find_beginning(first, held, T)
+    first = max(stamps[0] + (T if one.timing is Timing.AVERAGED else 0.0) for one, stamps in ready.values())
+    last = min(stamps[-1] for _, stamps in ready.values())
+    begin = _find_beginning(first, [at for one, at in ready.values() if how.method_for(one.timing) == "hold"], T)
     samples = math.floor((last - begin) / T * (1 + 1e-12) + _ONE_INSTANT) + 1
     if not 2 <= samples <= _LARGEST:
         raise RecordError(
@@ -125,20 +187,18 @@ def resample_together(logged: Mapping[str, Stamped], how: Resampling) -> tuple[d
         )
     grid = begin + np.arange(samples) * T
     channels, methods = {}, {}
-    for name, one in ready.items():
-        methods[name] = how.method_for(one.channel.timing)
-        values = _interpolate(one, np.minimum(grid, one.stamps[-1]), methods[name], T)
-        held_on = one.channel.timing is not Timing.HELD or methods[name] == "hold"
-        timing = one.channel.timing if held_on else Timing.SAMPLED  # of what is interpolated nothing is held
-        channels[name] = replace(one.channel, values=values, sample_time=T, timing=timing)
-    done = Resampled(T, methods, how.longest_gap, clocks, {name: one.clock for name, one in logged.items()})
+    for name, (channel, stamps) in ready.items():
+        methods[name] = how.method_for(channel.timing)
+        values = _interpolate(channel.values, stamps, np.minimum(grid, stamps[-1]), methods[name], T)
+        held_on = channel.timing is not Timing.HELD or methods[name] == "hold"
+        timing = channel.timing if held_on else Timing.SAMPLED  # of what is interpolated nothing is held
+        channels[name] = replace(channel, values=values, sample_time=T, timing=timing)
+    done = Resampled(T, methods, how.longest_gap, clocks, {name: one.name_of_clock for name, one in signals.items()})
     return channels, begin, done
 
 
-def judge_jitter(
-    logged: Mapping[str, Channel], clocks: Mapping[str, Clock]
-) -> tuple[Resampling | None, tuple[str, ...], str]:
-    """Return how channels whose stamps jitter are resampled, time columns of uniform samples, and a remark.
+def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dict[str, Signal], str]:
+    """Return how channels whose stamps jitter are resampled, the signals at straight stamps where these are, a remark.
 
     No channel is resampled where no position follows the stamps of its own clock.
 
@@ -148,31 +208,31 @@ def judge_jitter(
     told = {
         name: follows
         for name in ("motor_position", "load_position", "reference")
-        if name in logged and name in clocks
-        if (follows := _follows_stamps(logged[name].values, clocks[name])) is not None
+        if name in signals and signals[name].clock.jitter and not signals[name].picked
+        if (follows := _follows_stamps(signals[name])) is not None
     }
-    name = max(told, key=lambda one: told[one], default=None)
-    clock = max(clocks.values(), key=lambda one: one.jitter) if name is None else clocks[name]
-    assert clock.sample_time is not None and clock.stamps is not None
+    name = max(told, key=lambda one: told[one], default=max(signals, key=lambda one: signals[one].clock.jitter))
+    clock = signals[name].clock
     steps = np.abs(np.diff(clock.stamps) / clock.sample_time - 1)
     said = (
         f'the time column "{clock.column}" jitters by up to {clock.jitter:.1%} of the sample time of '
         f"{clock.sample_time:g} s ({np.sqrt(np.mean(steps**2)):.1%} rms), most after sample {int(np.argmax(steps))}: "
     )
-    if not any(told.values()):
-        return None, (), f"{said}the samples are taken as uniform, since no position follows that jitter"
-    how = Resampling(min(c.sample_time or math.inf for c in clocks.values()), "cubic")
-    words = f"{said}{name} follows its stamps, so that all channels are resampled by them (cubic)"
-    of_stamps = {clocks[one].column for one, follows in told.items() if follows}
-    uniform = tuple({clocks[one].column: None for one in told if clocks[one].column not in of_stamps})
+    of_stamps = {signals[one].clock.column for one, follows in told.items() if follows}
+    if not of_stamps:
+        straight = {name: one.straighten() if one.clock.jitter else one for name, one in signals.items()}
+        return None, straight, f"{said}the samples are taken as uniform, since no position follows that jitter"
+    how = Resampling(min(one.clock.sample_time for one in signals.values() if one.clock.jitter), "cubic")
+    uniform = dict.fromkeys(column for one in told if (column := signals[one].clock.column) not in of_stamps)
+    made = {name: one.straighten() if one.clock.column in uniform else one for name, one in signals.items()}
     others = "".join(f', those of "{column}" as uniform samples' for column in uniform)
-    return how, uniform, words + others
+    return how, made, f"{said}{name} follows its stamps, so that all channels are resampled by them (cubic){others}"
 
 
-def _follows_stamps(values: FloatArray, clock: Clock) -> bool | None:
-    """Test whether a position (samples,) was sampled at its stamps; None if it does not tell."""
-    period, stamps = clock.sample_time, clock.stamps
-    if period is None or stamps is None or values.size != stamps.size or stamps.size < _CHANGES:
+def _follows_stamps(one: Signal) -> bool | None:
+    """Test whether a position was sampled at its stamps; None if it does not tell."""
+    values, period, stamps = one.channel.values, one.clock.sample_time, one.clock.stamps
+    if stamps.size < _CHANGES:
         return None
     off = stamps - stamps[0] - period * np.arange(stamps.size)
     x, moved = np.diff(np.column_stack([values, off * np.gradient(values, period)]), 3, axis=0).T
@@ -199,10 +259,10 @@ def _clock_faults(name: str, clock: Irregularity, how: Resampling) -> list[str]:
     return faults
 
 
-def _rate_faults(name: str, one: Stamped, clocks: Mapping[str, Irregularity], how: Resampling) -> list[str]:
-    if one.clock not in clocks:
+def _rate_faults(name: str, one: Signal, clocks: Mapping[str, Irregularity], how: Resampling) -> list[str]:
+    if one.name_of_clock not in clocks:
         return [f"{name} has a single sample, between which and others nothing can be taken; log more of it."]
-    own = clocks[one.clock].sample_time
+    own = clocks[one.name_of_clock].sample_time
     if one.channel.timing is Timing.AVERAGED or how.sample_time <= _LOWER_RATE * own or own <= 0:
         return []
     return [
@@ -211,7 +271,7 @@ def _rate_faults(name: str, one: Stamped, clocks: Mapping[str, Irregularity], ho
     ]
 
 
-def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
+def _find_beginning(first: float, held: Sequence[FloatArray], T: float) -> float:
     """First instant from `first` on at the latest phase of held stamps.
 
     Jittering stamps of period T fill an arc of the circle t mod T; an instant at its end is after each sample and
@@ -219,14 +279,13 @@ def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
     """
     if not held:
         return first
-    phases = np.unique(np.concatenate([(one.stamps - first) % T for one in held]))
+    phases = np.unique(np.concatenate([(stamps - first) % T for stamps in held]))
     wide = np.diff(phases, append=phases[0] + T)
     phase = float(phases[np.argmax(wide)])
     return first + (phase if T - phase > _ONE_INSTANT * T else 0.0)
 
 
-def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> FloatArray:
-    stamps, values = one.stamps, one.channel.values
+def _interpolate(values: FloatArray, stamps: FloatArray, grid: FloatArray, method: str, T: float) -> FloatArray:
     if method == "hold":
         behind = np.searchsorted(stamps, grid + _ONE_INSTANT * T, side="right") - 1
         return np.asarray(values[behind])
@@ -240,79 +299,42 @@ def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> Float
     return np.asarray((np.interp(grid, stamps, sums) - np.interp(grid - T, stamps, sums)) / T)
 
 
-@dataclass(frozen=True, slots=True)
-class _Rhythm:
-    """Samples at which a channel is refreshed: phase, phase + every, ..."""
+def find_filled_rows(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
+    """Return the rows, (samples,), with a number in a column but not in others; None if those are a fault.
 
-    channel: Channel
-    every: int = 1
-    phase: int = 0
-
-    def begins(self, time: float) -> int | None:
-        """Sample index at a time [s], if refreshed there."""
-        samples = time / self.channel.sample_time
-        sample = round(samples)
-        new = abs(samples - sample) < _SAME * max(sample, 1) and (sample - self.phase) % self.every == 0
-        return sample if new else None
-
-    def decimate(self, first: int) -> Channel:
-        """Decimate a channel to its own rate, from a refreshed sample on."""
-        one = self.channel
-        return replace(one, values=one.values[first :: self.every], sample_time=one.sample_time * self.every)
-
-
-def align_updates(
-    logged: Mapping[str, Channel], rows: Mapping[str, NDArray[np.bool_]]
-) -> tuple[dict[str, Channel], float]:
-    """Decimate channels to the rows at which they are refreshed; return them and the first common instant.
-
-    A channel without rows, (samples,), is refreshed at every sample; those of others are equally far apart.
+    Args:
+        values: the column, (samples,), with NaN where it is empty.
+        resampled: whether the channel comes to a new clock; else the rows have to be equally far apart.
     """
-    rhythms = {}
-    for name, channel in logged.items():
-        phase, following = np.flatnonzero(rows[name])[:2].tolist() if name in rows else (0, 1)
-        rhythms[name] = _Rhythm(channel, following - phase, phase)
-    if all(rhythm.every == 1 for rhythm in rhythms.values()):
-        return dict(logged), 0.0
-    slowest = max(rhythms.values(), key=lambda rhythm: rhythm.every * rhythm.channel.sample_time)
-    for count in range(_LONGEST):
-        time = (slowest.phase + count * slowest.every) * slowest.channel.sample_time
-        first = {name: rhythm.begins(time) for name, rhythm in rhythms.items()}
-        if all(sample is not None for sample in first.values()):
-            return {name: rhythm.decimate(first[name] or 0) for name, rhythm in rhythms.items()}, time
-        if time > min(channel.duration for channel in logged.values()):
-            break
-    slow = ", ".join(f"{n} every {r.every} samples from sample {r.phase} on" for n, r in rhythms.items() if r.every > 1)
-    raise RecordError(f"The channels are never refreshed at one instant ({slow}); leave one of them out.")
+    filled = ~np.isnan(values)
+    rows = np.flatnonzero(filled)
+    if rows.size < _FEWEST_ROWS or (longest := int(np.diff(rows).max())) == 1:
+        return None
+    ends = max(rows[0] + 1, values.size - rows[-1]) <= longest
+    return filled if ends and (resampled or np.all(np.diff(rows) == longest)) else None
 
 
-def find_refreshes(what: str, channel: Channel, update_time: float) -> NDArray[np.bool_]:
-    """Return the rows, (samples,), at which a channel is refreshed, less often than it is logged.
+def find_refreshes(what: str, values: FloatArray, period: float, update_time: float) -> NDArray[np.bool_]:
+    """Return the rows, (samples,), at which a column is refreshed, less often than it is logged.
 
     Raises:
         RecordError: its values change at other instants.
     """
-    period, ratio = channel.sample_time, update_time / channel.sample_time
-    every = round(min(ratio, len(channel)))
-    if every < 1 or abs(ratio / every - 1) > _WHOLE or 2 * every > len(channel):
+    every = round(min(update_time / period, values.size))
+    if every < 1 or abs(update_time / period / every - 1) > _WHOLE or 2 * every > values.size:
         raise RecordError(
-            f"{what} has an update time of {update_time:g} s, which is {ratio:.4g} of its {len(channel)} samples of "
-            f"{period:g} s; expected a whole number of them, and two refreshes: correct one of the two."
+            f"{what} has an update time of {update_time:g} s, and {values.size} samples of {period:g} s; expected a "
+            "whole number of them, and two refreshes: correct one of the two."
         )
-    changes = np.flatnonzero(np.diff(channel.values)) + 1
+    changes = np.flatnonzero(np.diff(values)) + 1
     phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
-    wrong, longer = changes[changes % every != phase], update_interval(channel.values)
-    if wrong.size:
+    wrong, longer = changes[changes % every != phase], update_interval(values)
+    if wrong.size or longer > every:
         raise RecordError(
             f"{what} is said to be refreshed every {every} samples, but {wrong.size} of its {changes.size} changes "
-            f"come between, the first at sample {wrong[0]}; correct update_time, or leave it out."
+            f"come between, and all are {longer} samples apart; correct update_time, or leave it out."
         )
-    if longer > every:
-        raise RecordError(
-            f"{what} is said to be refreshed every {every} samples, but changes only every {longer}; set update_time = "
-            f"{longer * period:g}."
-        )
-    return np.asarray(np.arange(len(channel)) % every == phase)
+    return np.asarray(np.arange(values.size) % every == phase)
 
 
 def update_interval(values: FloatArray) -> int:

@@ -1,4 +1,4 @@
-"""Tests of the residual: size, spectrum, whiteness.
+"""Tests of the residual: size, spectrum, whiteness, coupling to other axes.
 
 **Whiteness.** The low-pass correlates even white noise. Therefore the spectrum between 0 and 95 % of the cut-off is
 taken as that of a signal sampled at twice that frequency, white where the noise is. Its autocorrelations at lags 1 to
@@ -26,6 +26,9 @@ _LAGS = 20
 _ROWS_PER_LAG = 4  # at least
 _OCTAVES = 6  # below the cut-off; what lies further down is one band
 _LEVEL = 0.05
+_SHIFTS = 200  # of other axes against the residual: enough for a 95 % quantile
+_BY_CHANCE = 0.95  # quantile of what is explained where there is no coupling
+_APART = 0.05  # of the record: shifts by less still see the same motion
 _ROUNDING = 1e-12  # of the torque's: a band with less in it holds nothing to compare with
 
 
@@ -186,3 +189,48 @@ def _divide_into_bands(
 def _ratio(error: FloatArray, signal: FloatArray) -> float:
     size = float(np.linalg.norm(signal))
     return float(np.linalg.norm(error)) / size if size > 0 else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """Share of a residual's variance that is correlated with other axes.
+
+    Attributes:
+        explained: share, 0 to 1.
+        by_chance: share that is explained, in 95 of 100 cases, where there is no coupling.
+    """
+
+    explained: float
+    by_chance: float
+
+    @property
+    def seen(self) -> bool:
+        """True if more is explained than by chance."""
+        return self.explained > self.by_chance
+
+
+def coupling(residual: FloatArray, motion: FloatArray) -> Coupling:
+    """Share of a residual that other axes' motion explains, by least squares.
+
+    Circular shifts of the motion keep both spectra and give the 95 % quantile by chance; the F test would need a white
+    residual.
+
+    Args:
+        residual: (rows,) of the filtered torque.
+        motion: (rows, columns) of the other axes, filtered alike.
+    """
+    from scipy.fft import irfft, rfft  # of a length with large prime factors, in half of NumPy's time
+
+    left = residual - residual.mean()
+    columns = motion - motion.mean(axis=0)
+    size = np.linalg.norm(columns, axis=0)
+    Q, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    Q = Q[:, s > s[:1].sum() * 1e-10]
+    total = float(left @ left)
+    if total == 0.0 or Q.shape[1] == 0:
+        return Coupling(0.0, 1.0)
+    apart = max(int(_APART * left.size), 1)
+    shifts = np.unique(np.linspace(apart, left.size - apart, _SHIFTS).astype(np.int64))
+    products = rfft(Q, axis=0) * rfft(left).conj()[:, np.newaxis]
+    shares = np.sum(irfft(products, left.size, axis=0)[shifts] ** 2, axis=1) / total
+    return Coupling(float(np.sum((Q.T @ left) ** 2)) / total, float(np.quantile(shares, _BY_CHANCE)))
