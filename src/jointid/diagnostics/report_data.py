@@ -17,20 +17,17 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.messages import Detail, Message, Progress, Work, ignore_progress
+from jointid.common.messages import Detail, Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import intervals
 from jointid.diagnostics.validation import Validation, validate
-from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
 from jointid.models.position_forces import Motion
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import ProfileInterval
-from jointid.uncertainty.verdict import CAUSES
 
 MotionSource: TypeAlias = Literal["simulated", "measured", "commanded"]
 _Part = TypeVar("_Part")
@@ -105,9 +102,8 @@ class ReportData:
         channels: of the record, by name.
         motion: of the motor, at the samples of the estimate's `measured`; None where the record has no position.
         motion_source: of that motion.
-        validation: the direct test, of a robot that on another record; None where there is none, as the next ones.
+        validation: the direct test of a joint; None where there is none, as the next ones.
         diagnosis: of loop, log and residual.
-        spectra: of measured, predicted and error.
         response: of the joint.
         profiles: of single quantities.
         parabolic: quantities that are not profiled, since the criterion is a parabola out to their intervals' ends.
@@ -117,28 +113,15 @@ class ReportData:
 
     estimate: Estimate
     diagnosis: Diagnosis | None
-    validation: Validation | None
+    validation: Validation | None = None
     channels: Mapping[str, Channel] = field(default_factory=dict)
     motion: Motion | None = None
     motion_source: MotionSource = "measured"
-    spectra: Spectra | None = None
     response: FrequencyResponse | None = None
     profiles: tuple[ProfileInterval, ...] = ()
     parabolic: tuple[str, ...] = ()
     checks: tuple[Validation, ...] = ()
     absent: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def faults(self) -> AxisFaults | None:
-        """Faults of loop, log and mechanics that were tested; None where they were not."""
-        return None if self.diagnosis is None else self.diagnosis.axes[0].faults
-
-    @property
-    def cause(self) -> Message | None:
-        """Cause of a misfit, which replaces the findings of the tests of small deviations."""
-        loop = loop_verdict(self.estimate)
-        reasons = () if loop is None else loop.reasons
-        return next((one for one in reasons if one.code in CAUSES), None)
 
 
 def collect_report_data(
@@ -178,12 +161,6 @@ def collect_report_data(
         fit = replace(estimate.fit, measured=axis.measured, predicted=axis.predicted)
         estimate = replace(estimate, fit=fit)
     motion, motion_source = _find_motion(estimate, record, validation)
-    inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
-    measured, predicted = estimate.fit.measured[inside], estimate.fit.predicted[inside]
-    try:
-        spectra = estimate_spectra(measured, predicted, estimate.data.sample_time)
-    except RecordError:
-        spectra = None
     response = attempt("response", "computing the frequency response", lambda: compute_response(estimate))
     curved_only = profiles is None
     if profiles is None:
@@ -201,7 +178,6 @@ def collect_report_data(
         motion_source=motion_source,
         validation=validation,
         diagnosis=check if isinstance(check, Diagnosis) else None,
-        spectra=spectra,
         response=response,
         profiles=() if followed is None else followed.profiles,
         parabolic=() if followed is None else followed.parabolic,

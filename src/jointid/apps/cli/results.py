@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,9 +25,8 @@ from jointid.common.parallel import Aside
 _EXPORT = "export."  # the beginning of a change that is a setting of the written language
 
 if TYPE_CHECKING:
-    from jointid import Estimate, Report
+    from jointid import Estimate
     from jointid.config import File
-    from jointid.diagnostics.validation import Validation
 
 
 def report(
@@ -90,20 +88,14 @@ def report(
         show(f"Without margins and gains: {tuned}")
     else:
         stated = replace(stated, tuned=tuned)
+    show(found)
+    for check in checks:
+        show(check)
     written = [stated.save(html)]
-    written += _deliver_report(stated, checks, options.json)
+    if options.json is not None:
+        write_whole(options.json, stated.answer())
+        written.append(options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
-
-
-def _deliver_report(stated: Report, checks: Sequence[Validation], json: Path | None) -> list[Path]:
-    """Print the result of a report, and write its JSON: of a joint the estimate, of a robot the whole report."""
-    if stated.estimate.robot is None:
-        deliver(stated.estimate, json)
-    else:
-        deliver(checks[0] if checks else stated.estimate)
-        if json is not None:
-            write_whole(json, stated.answer())
-    return [] if json is None else [json]
 
 
 def validate(

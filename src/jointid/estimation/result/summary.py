@@ -26,7 +26,6 @@ from jointid.estimation.result.answer import (
     told_bounds,
 )
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, show_value
-from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import Robot
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
@@ -419,27 +418,6 @@ def bands_table(estimate: EstimateParts, caption: str = "") -> Table | None:
         for band in estimate.fit.residuals.bands
     )
     return Table(("band [Hz]", "error [% of the torque there]", "share of the residual [%]"), rows, caption)
-
-
-def settings_facts(estimate: EstimateParts) -> Facts:
-    """Return how it was identified."""
-    f, joint, fit = estimate.settings.filtering, estimate.settings.joint, estimate.fit
-    position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"
-    nonlinear = isinstance(joint, FlexibleJoint) and not joint.spring.linear
-    spring = f", {joint.spring_name} spring" if nonlinear else ""
-    return Facts(
-        (
-            ("Method", estimate.settings.variant),
-            ("Model", f"{joint.model}, {joint.friction.name} friction" + spring),
-            ("Left out of the raw error", f"{fit.borders[0]} samples at the start, {fit.borders[1]} at the end"),
-            ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
-            ("Rows fitted", str(fit.rows)),
-            ("Delay of the torque", f"{1e3 * estimate.settings.delay:.4g} ms"),
-            ("Effort", f"{fit.iterations} iterations, {fit.simulations} simulations"),
-            ("Stopped", fit.stop),
-            ("Intervals", estimate.params.basis),
-        )
-    )
 
 
 SHOWN_SHIFT = 0.5

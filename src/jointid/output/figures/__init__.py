@@ -35,18 +35,18 @@ def torque(answer: Estimate | Validation) -> Figure:
 
 def torque_chart(answer: Estimate | Validation) -> Chart:
     """Return the chart of `torque`; of a robot that was checked, a panel for each joint."""
-    if isinstance(answer, Estimate) and answer.robot is not None and isinstance(answer.checks.diagnosis, Diagnosis):
-        return charts.torques_chart(AxisSignals.of_robot(answer.checks.diagnosis))
-    if isinstance(answer, Estimate):
-        title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
-        axis = AxisSignals.of(answer)
+    how, axes = "as they were logged", list[AxisSignals]()
+    if isinstance(answer, Validation):
+        title, axes = f"{answer.record}: {answer.test} test", AxisSignals.of_validation(answer)
+    elif answer.robot is not None and isinstance(answer.checks.diagnosis, Diagnosis):
+        title, axes = "", AxisSignals.of_robot(answer.checks.diagnosis)
+        how = "filtered as they were compared"
     else:
-        title = f"{answer.record}: {answer.test} test"
-        axis, *others = AxisSignals.of_validation(answer)
-        if axis.name:
-            return charts.torques_chart([axis, *others], "as they were logged", title)
-    title = f"{title}, error {100 * axis.relative_error:.2f} % of the raw {axis.quantity}"
-    return charts.torque_chart(axis, title=title)
+        title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
+        axes = [AxisSignals.of(answer)]
+    if len(axes) == 1:
+        title, how = f"{title}, error {100 * axes[0].relative_error:.2f} % of the raw {axes[0].quantity}", ""
+    return charts.torque_chart(axes, how, title)
 
 
 def residual(validation: Validation) -> Figure:
@@ -83,14 +83,9 @@ class Plots:
         Raises:
             RecordError: the record is too short.
         """
-        from jointid.diagnostics.report_data import estimate_spectra
-
         self.estimate.require_joint()
-        fit = self.estimate.fit
-        inside = slice(fit.borders[0], fit.measured.size - fit.borders[1])
-        found = estimate_spectra(fit.measured[inside], fit.predicted[inside], self.estimate.data.sample_time)
         cutoff, axis = self.estimate.settings.filtering.cutoff, AxisSignals.of(self.estimate)
-        return _draw(charts.spectra_chart([axis], [found], cutoff, self.estimate.frequencies))
+        return _draw(charts.spectra_chart([axis], cutoff, self.estimate.frequencies), "its record is too short")
 
     def response(self) -> Figure:
         """Return the frequency response of the joint, with the band of the estimate's covariance.
@@ -113,8 +108,9 @@ class Plots:
         return _draw(charts.profiles_chart(self.estimate, intervals(self.estimate, record, quantities)))
 
 
-def _draw(chart: Chart | None) -> Figure:
-    assert chart is not None  # it has its data
+def _draw(chart: Chart | None, why: str = "nothing is known of it") -> Figure:
+    if chart is None:
+        raise RecordError(f"This figure cannot be drawn: {why}; identify from a longer record.")
     return chart.plot()
 
 

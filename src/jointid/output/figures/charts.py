@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,10 +26,11 @@ from jointid.common.charts import (
     mark,
     panels,
 )
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
+from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 
     from jointid.diagnostics.diagnosis import Diagnosis
     from jointid.diagnostics.intervals import Intervals
-    from jointid.diagnostics.report_data import FrequencyResponse, ReportData, Spectra
+    from jointid.diagnostics.report_data import FrequencyResponse, ReportData
 
 _MODES = {
     "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
@@ -53,6 +55,7 @@ _POINTS = 4_000  # of a cloud
 _CELLS = 40  # of the mean over velocity or position
 _LEAST_CELLS, _PER_CELL = 6, 20  # likewise, where there are few samples; and samples of each
 _SPARSE = 1_500  # points: a cloud of fewer has larger ones
+_BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 _ZOOM = 0.08  # of the record, in the first panel
 _MOVES = 0.02  # of the largest speed: slower than that has no direction
 _FEW = 5  # samples: a cell with fewer has no mean worth a line
@@ -159,69 +162,66 @@ def torque_word(unit: str) -> str:
     return {"N": "force", "N m": "torque"}.get(unit, "motor signal")
 
 
-def torque_chart(axis: AxisSignals, motion_source: str = "", title: str = "") -> Chart:
-    """Return the measured and the predicted signal of an axis, their difference, and the motion over time."""
+def torque_chart(axes: Sequence[AxisSignals], how: str = "", title: str = "") -> Chart:
+    """Return the measured and the predicted signal of each axis, and their difference, over time.
 
-    def draw() -> Figure:
-        moves = axis.velocity is not None
-        figure, (near, whole, error, *motion) = panels(
-            (260, 280, 190 if moves else 215, *((175,) * moves)), title=title
-        )
-        size = max(int(_ZOOM * axis.measured.size), min(axis.measured.size, 10))
-        starts = range(0, max(axis.measured.size - size, 1), max(size // 4, 1))
-        low = max(starts, key=lambda start: float(np.std(axis.measured[start : start + size])))
-        part = slice(low, min(low + size, axis.measured.size))
-        _compare(near, axis, axis.time[part], axis.measured[part], axis.predicted[part], 1.6)
-        first, last = axis.time[part][[0, -1]]
-        label(near, "", axis.label, f"its liveliest part, {first:.1f} to {last:.1f} s")
-        _compare(whole, axis, axis.time, axis.measured, axis.predicted)
-        label(whole, "", axis.label, "the whole record")
-        line(error, axis.time, axis.error, ERROR, "error", 0.8)
-        label(error, "" if moves else "time [s]", f"error [{axis.unit}]")
-        for axes in motion:
-            assert axis.velocity is not None
-            line(axes, axis.time, axis.velocity, "#777777")
-            label(axes, "time [s]", f"velocity{axis.side} [{axis.length}/s]")
-        for axes in (error, *motion):
-            axes.sharex(whole)
-        return figure
+    Of one axis its liveliest part and the motion are panels, too.
 
-    caption = (
-        f"Measured and {axis.prediction} {axis.quantity} lie on each other where the model is right; below them their "
-        f"difference, {100 * axis.relative_error:.2f} % of the measured, on a scale of its own"
-        + ("" if axis.velocity is None else f", and the {motion_source} velocity of the motor")
-        + "."
-    )
-    return Chart("torque", caption, draw)
-
-
-def torques_chart(
-    axes: Sequence[AxisSignals], how: str = "filtered as they were compared", title: str = ""
-) -> Chart:  # fmt: skip
-    """Return the measured and the predicted signal of each of several axes, and their difference, over time."""
-
-    def draw() -> Figure:
-        heights = (*(230,) * (len(axes) - 1), 255)
-        figure, drawn = panels(heights, title=title, share_x=True)
-        for place, axis in zip(drawn, axes, strict=True):
-            measured, predicted, error = (  # what is not compared is 0, or scaled
-                np.where(axis.compared, signal, np.nan) for signal in (axis.measured, axis.predicted, axis.error)
-            )
-            _compare(place, axis, axis.time, measured, predicted)
-            line(place, axis.time, error, ERROR, "error", 0.8)
-            label(
-                place, "time [s]" if place is drawn[-1] else "", axis.label,
-                f"{axis.name}, {100 * axis.relative_error:.3g} % left",
-            )  # fmt: skip
-        return figure
-
+    Args:
+        axes: that are shown.
+        how: the signals of several axes are treated, or the source of the motion of one.
+        title: above all panels.
+    """
+    alone = axes[0] if len(axes) == 1 else None
     whole = all(axis.compared.all() for axis in axes)
+    if alone is None:
+        caption = (
+            f"Measured and {axes[0].prediction} torque of each motor behind its gear, {how}, and their difference on "
+            f"the same scale.{'' if whole else ' Lines break where a motor rests or turns round.'}"
+        )
+        return Chart("torque", caption, partial(_draw_axes, axes, title))
     caption = (
-        f"Measured and {axes[0].prediction} torque of each motor behind its gear, {how}, and "
-        f"their difference on the same scale."
-        + ("" if whole else " Lines break where a motor rests or turns round: friction takes what it must there.")
+        f"Measured and {alone.prediction} {alone.quantity} lie on each other where the model is right; below them "
+        f"their difference, {100 * alone.relative_error:.2f} % of the measured, on a scale of its own"
+        f"{'' if alone.velocity is None else f', and the {how} velocity of the motor'}."
     )
-    return Chart("torque", caption, draw)
+    return Chart("torque", caption, partial(_draw_axis, alone, title))
+
+
+def _draw_axes(axes: Sequence[AxisSignals], title: str) -> Figure:
+    figure, drawn = panels((*(230,) * (len(axes) - 1), 255), title=title, share_x=True)
+    for place, axis in zip(drawn, axes, strict=True):
+        measured, predicted, error = (  # what is not compared is 0, or scaled
+            np.where(axis.compared, signal, np.nan) for signal in (axis.measured, axis.predicted, axis.error)
+        )
+        _compare(place, axis, axis.time, measured, predicted)
+        line(place, axis.time, error, ERROR, "error", 0.8)
+        left = f"{axis.name}, {100 * axis.relative_error:.3g} % left"
+        label(place, "time [s]" if place is drawn[-1] else "", axis.label, left)
+    return figure
+
+
+def _draw_axis(axis: AxisSignals, title: str) -> Figure:
+    moves = axis.velocity is not None
+    figure, (near, whole, error, *motion) = panels((260, 280, 190 if moves else 215, *((175,) * moves)), title=title)
+    size = max(int(_ZOOM * axis.measured.size), min(axis.measured.size, 10))
+    starts = range(0, max(axis.measured.size - size, 1), max(size // 4, 1))
+    low = max(starts, key=lambda start: float(np.std(axis.measured[start : start + size])))
+    part = slice(low, min(low + size, axis.measured.size))
+    _compare(near, axis, axis.time[part], axis.measured[part], axis.predicted[part], 1.6)
+    first, last = axis.time[part][[0, -1]]
+    label(near, "", axis.label, f"its liveliest part, {first:.1f} to {last:.1f} s")
+    _compare(whole, axis, axis.time, axis.measured, axis.predicted)
+    label(whole, "", axis.label, "the whole record")
+    line(error, axis.time, axis.error, ERROR, "error", 0.8)
+    label(error, "" if moves else "time [s]", f"error [{axis.unit}]")
+    for axes in motion:
+        assert axis.velocity is not None
+        line(axes, axis.time, axis.velocity, "#777777")
+        label(axes, "time [s]", f"velocity{axis.side} [{axis.length}/s]")
+    for axes in (error, *motion):
+        axes.sharex(whole)
+    return figure
 
 
 def _compare(
@@ -312,12 +312,11 @@ def _draw_cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, N
         line(axes, (0.5 * (edges[:-1] + edges[1:]))[enough], mean[enough], colour, name, 2.0)
 
 
-def spectra_chart(
-    axes: Sequence[AxisSignals], spectra: Sequence[Spectra | None], cutoff: float | None, modes: Mapping[str, float]
-) -> Chart | None:
-    """Return the spectra of each axis, with the end of the filter's band and the modes; None if one has no spectra."""
-    known = [one for one in spectra if one is not None]
-    if len(known) < len(axes):
+def spectra_chart(axes: Sequence[AxisSignals], cutoff: float | None, modes: Mapping[str, float]) -> Chart | None:
+    """Return the spectra of each axis, with the end of the filter's band and the modes; None of too short a record."""
+    try:
+        known = [_spectra(axis, _BEYOND * (cutoff or math.inf) if len(axes) > 1 else math.inf) for axis in axes]
+    except RecordError:
         return None
 
     def draw() -> Figure:
@@ -339,6 +338,16 @@ def spectra_chart(
         f"{axes[0].quantity} the model explains it; where it reaches it, nothing is explained.{where}"
     )
     return Chart("spectra", caption, draw)
+
+
+def _spectra(axis: AxisSignals, highest: float) -> Spectra:
+    """Return the spectra of the samples between the ends that are left out, up to a frequency, Hz."""
+    inside = np.flatnonzero(axis.compared)
+    part = slice(inside[0], inside[-1] + 1) if inside.size else slice(0)
+    found = estimate_spectra(axis.measured[part], axis.predicted[part], axis.time[1] - axis.time[0])
+    seen = found.frequency <= highest
+    frequency, measured, predicted, error = found.frequency, found.measured, found.predicted, found.error
+    return Spectra(frequency[seen], measured[seen], predicted[seen], error[seen], found.resolution)
 
 
 def _mark_modes(axes: Axes, modes: Mapping[str, float], highest: float) -> int:
@@ -519,13 +528,20 @@ def bounds_chart(estimate: Estimate) -> Chart | None:
 
 
 def report_charts(given: ReportData) -> Iterator[Chart | None]:
-    """Yield the charts of a joint's report, in its order; None for those that cannot be drawn."""
-    estimate, axis = given.estimate, AxisSignals.of(given.estimate, given.motion)
-    modes = {} if given.response is None else given.response.modes
-    yield bounds_chart(estimate)
-    yield torque_chart(axis, given.motion_source)
+    """Yield the charts of a report; None for those that cannot be drawn."""
+    estimate, cutoff = given.estimate, given.estimate.settings.filtering.cutoff
+    if estimate.robot is not None:
+        assert given.diagnosis is not None
+        axes = AxisSignals.of_robot(given.diagnosis)
+        yield torque_chart(axes, "filtered as they were compared")
+        yield residual_chart(axes, "measured" if given.diagnosis.method == "idim" else "simulated")
+        yield spectra_chart(axes, cutoff, {})
+        return
+    axis = AxisSignals.of(estimate, given.motion)
+    yield torque_chart([axis], given.motion_source)
     yield residual_chart([axis], given.motion_source, given.validation)
-    yield spectra_chart([axis], [given.spectra], estimate.settings.filtering.cutoff, modes)
+    yield spectra_chart([axis], cutoff, estimate.frequencies)
+    yield bounds_chart(estimate)
     yield response_chart(estimate, given.response)
     yield correlation_chart(estimate)
     yield profiles_chart(estimate, given)

@@ -32,7 +32,6 @@ from jointid.output.json.estimates import (
 )
 
 REPORT_SCHEMA = "jointid.report/1"
-ROBOT_REPORT_SCHEMA = "jointid.robot_report/1"
 REPORT_ELEMENT = "jointid-answer"
 """The id of the element of a page that carries the document of its report."""
 

@@ -20,7 +20,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
-from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, ROBOT_REPORT_SCHEMA, plain
+from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, plain
 from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA, Json
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
         raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
     except (ValueError, RecursionError):
         raise RecordError(f"{path} is no JSON file; {remedy}.") from None
-    if isinstance(answer, dict) and answer.get("schema") in (REPORT_SCHEMA, ROBOT_REPORT_SCHEMA):
+    if isinstance(answer, dict) and answer.get("schema") in (REPORT_SCHEMA, "jointid.robot_report/1"):
         answer = answer.get("estimate")
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")

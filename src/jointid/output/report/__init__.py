@@ -10,12 +10,11 @@ from typing import Any
 
 from jointid import Drive, Record
 from jointid.common.charts import Chart
-from jointid.common.document import Block, Document, dumps, typeset_block
+from jointid.common.document import Document, dumps, typeset_block
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.diagnose import FeedForwardName, diagnose
-from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
@@ -24,9 +23,9 @@ from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.output.figures.charts import report_charts
 from jointid.output.json import plain
-from jointid.output.json.documents import REPORT_SCHEMA, ROBOT_REPORT_SCHEMA
+from jointid.output.json.documents import REPORT_SCHEMA
 from jointid.output.report.page import Repetition, page, repetition, require_page
-from jointid.output.report.sections import report_blocks, robot_blocks, robot_charts
+from jointid.output.report.sections import report_blocks
 from jointid.tuning.tuned import Tuned
 
 __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
@@ -75,7 +74,7 @@ class Report:
         Args:
             estimate: by any method.
             record: that it was identified from; of a robot the record of each joint.
-            checks: validations of it on other records, from `validate`; of a robot one at most.
+            checks: validations of it on other records, from `validate`.
             name: of the joint, for the title.
             profiles: quantities whose criterion is followed, as `intervals` takes them; none when empty. When None,
                 every free parameter of the joint along which the criterion is no parabola, and its compliance. Of DIDIM
@@ -87,7 +86,7 @@ class Report:
             progress: receives each step.
 
         Raises:
-            MethodError: of a robot there is more than one validation, or `tuned`.
+            MethodError: `tuned` or profiles are given for a robot, or the record was identified in windows.
 
         Example:
             >>> import jointid as ji
@@ -95,20 +94,17 @@ class Report:
             >>> record = axis.record.without("motor_position", "load_position")
             >>> estimate = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0))
             >>> report = ji.Report.of(estimate, record, profiles=["stiffness"])
-            >>> "Checks" in report.to_document().text()
+            >>> "Appendix" in report.to_document().text()
             True
         """
         again = repetition or Repetition()
         if estimate.data.windows is not None:
             raise MethodError(IN_WINDOWS)
         if not isinstance(record, Record):
-            if len(checks) > 1 or tuned is not None or profiles:
-                raise MethodError(
-                    "The report of a robot has one validation at most, no profiles and no tuning; leave them out."
-                )
+            if tuned is not None or profiles:
+                raise MethodError("The report of a robot has no profiles and no tuning; leave them out.")
             found = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
-            (validation,) = checks or (None,)
-            return cls(ReportData(estimate, found, validation), name, again, controllers=controllers)
+            return cls(ReportData(estimate, found, checks=tuple(checks)), name, again, controllers=controllers)
         estimate.require_joint()
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)
@@ -121,9 +117,7 @@ class Report:
     @property
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
-        robot = self._robot
-        drawn = report_charts(self.data) if robot is None else robot_charts(robot)
-        found = {chart.name: chart for chart in drawn if chart is not None}
+        found = {chart.name: chart for chart in report_charts(self.data) if chart is not None}
         if self.tuned is not None:
             found["tuning"] = Chart("tuning", _TUNING, self.tuned.draw)
         return found
@@ -131,51 +125,33 @@ class Report:
     @property
     def title(self) -> str:
         """The axis, the date of its record if it is known, and the version of this program."""
-        robot, again = self._robot, self.repetition
-        own = self.estimate.data.record if robot is None else robot.name
+        robot, again = self.estimate.robot, self.repetition
+        own = self.estimate.data.record if robot is None else robot.model.name
         return ", ".join(filter(None, (self.name or own, again.date, f"jointid {again.version}")))
 
     def _repr_html_(self) -> str:
         """Return the answer and the parameters, as a notebook shows them; `save` writes the whole."""
         return self.estimate._repr_html_()
 
-    @property
-    def _robot(self) -> Diagnosis | None:
-        """The diagnosis of a robot; None of a joint."""
-        return None if self.estimate.robot is None else self.data.diagnosis
-
-    def _contents(self) -> dict[str, Any]:
-        given = self.data
-        both = {"estimate": given.estimate, "diagnosis": given.diagnosis, "validation": given.validation}
-        if self._robot is not None:
-            return {"schema": ROBOT_REPORT_SCHEMA, **both}
-        return {
-            "schema": REPORT_SCHEMA,
-            **both,
-            "checks": given.checks,
-            "profiles": given.profiles,
-            "frequencies": {} if given.response is None else given.response.modes,
-            "parabolic": given.parabolic,
-            "tuning": None if self.tuned is None else _without_responses(plain(self.tuned)),
-            "absent": given.absent,
-        }
-
-    def _blocks(self) -> Iterable[Block]:
-        robot, charts = self._robot, self.charts
-        if robot is None:
-            return report_blocks(self.data, charts, self.repetition, self.tuned)
-        return robot_blocks(self.data, robot, charts, self.repetition, self.controllers)
-
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.title!r})"
 
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
-        return dumps(plain(self._contents() | self.repetition.document))
+        given, tuned = self.data, self.tuned
+        names = ("estimate", "diagnosis", "validation", "checks", "profiles", "parabolic", "absent")
+        contents: dict[str, Any] = {
+            "schema": REPORT_SCHEMA,
+            **{name: getattr(given, name) for name in names},
+            "frequencies": {} if given.response is None else given.response.modes,
+            "tuning": None if tuned is None else _without_responses(plain(tuned)),
+        }
+        return dumps(plain(contents | self.repetition.document))
 
     def to_document(self) -> Document:
         """Return the page as a document, with the JSON that it carries along."""
-        return Document(self.title, tuple(map(typeset_block, self._blocks())), self.answer())
+        blocks = report_blocks(self.data, self.charts, self.repetition, self.tuned, self.controllers)
+        return Document(self.title, tuple(map(typeset_block, blocks)), self.answer())
 
     def html(self) -> str:
         """Return one self-contained HTML page."""

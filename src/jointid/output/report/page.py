@@ -9,16 +9,14 @@ from __future__ import annotations
 import contextlib
 import re
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from jointid import __version__
-from jointid.common.charts import Chart, svg
-from jointid.common.document import Block, Code, Document, Heading, Paragraph, Picture, templates
+from jointid.common.document import Block, Code, Document, Heading, templates
 from jointid.common.errors import RecordError
 from jointid.common.files import digest, write_folder
 from jointid.output.json.documents import REPORT_ELEMENT
@@ -160,25 +158,6 @@ def _find_date(record: Path) -> str:
         if created := _CREATED.search(file.read(128)):
             return datetime.strptime(created[1].decode("ascii"), "%b %d %H:%M:%S %Y").date().isoformat()
     return datetime.fromtimestamp(record.stat().st_mtime, UTC).date().isoformat()
-
-
-def pictures_of(
-    charts: Mapping[str, Chart], *, absent: Callable[[str], str] = "Not available: {}".format
-) -> Callable[[str], list[Block]]:
-    """Return a function from the name of a picture to its blocks.
-
-    Args:
-        charts: by name.
-        absent: says why a picture of that name is not there.
-    """
-
-    def picture(name: str) -> list[Block]:
-        if name not in charts:
-            return [Paragraph(absent(name))]
-        chart = charts[name]
-        return [Picture(f"{name}.svg", partial(svg, chart), chart.caption, chart.wide)]
-
-    return picture
 
 
 def require_page(path: Path) -> None:
