@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from jointid.estimation.descent import descend
-from jointid.estimation.methods.didim import inverse_model_covariance
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.paper.form import inverse_model_deviations
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.identifiability import identifiability
@@ -67,7 +67,7 @@ def judge(seed: int, loop: Literal["L19", "L30"], noise: Literal["disturbance", 
     told = identifiability(problem.free, problem.units, x, J, known.covariance)
     (viscous,) = (one for one in told.physical if one.combination.name == "total viscous")
     motor, load = (names.index(name) for name in _VISCOUS)
-    by_paper = inverse_model_covariance(problem, x, error).std
+    by_paper = inverse_model_deviations(problem, x)
     return CoverageRun(
         error={name: float(x[i] - truth[i]) for i, name in enumerate(joint)},
         inverse_model={name: float(by_paper[i]) for i, name in enumerate(joint)},

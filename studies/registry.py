@@ -384,8 +384,7 @@ STUDIES: tuple[Study, ...] = (
         "studies.resting:judge",
         range(12),
         (
-            Share("neither answer says that it moves", lambda run: not any(run["moves"]), 0.97),
-            Share("both starts end at the same error", lambda run: run["apart"] <= 1.002, 0.97),
+            Share("the answer does not say that it moves", lambda run: not run["moves"], 0.97),
             Share("the inertia within 2 sigma", lambda run: abs(run["z"]) <= 2, 0.9),
         ),
         ({"moving": False},),
@@ -395,7 +394,7 @@ STUDIES: tuple[Study, ...] = (
         "Random rigid servos that move when their log begins.",
         "studies.resting:judge",
         range(10),
-        (Share("the answer says that it moves", lambda run: all(run["moves"]), 0.97),),
+        (Share("the answer says that it moves", lambda run: run["moves"], 0.97),),
         ({"moving": True},),
     ),
     Study(

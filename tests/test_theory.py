@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from scipy.linalg import expm
 from scipy.stats import norm
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.controllers import POSITION, SampledLaw
@@ -21,11 +18,9 @@ from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Timing
 from jointid.records.signals.filtering import Filtering, apply_window, differentiate_twice, window_torque
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import bandwidth, sandwich
-from tests.estimates import identify
 
 T = 1e-3
 RIGID = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}
@@ -197,32 +192,6 @@ def test_simpson_s_rule_and_the_differences_are_of_fourth_order() -> None:
     assert np.allclose(errors(20.0)[:2], [x**4 / 90, -(x**4) / 45], rtol=0.01)
     assert errors(40.0)[2] / errors(20.0)[2] == pytest.approx(64.0, rel=0.05)  # sixth order
     assert np.allclose(errors(60.0), [2.3e-4, -4.3e-4, 6.6e-6], rtol=0.02)
-
-
-def test_convergence_of_the_residual_form() -> None:
-    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLERS["L19"])
-    motion = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, T, duration=8.0)
-    made = simulated_record(loop, motion, RIGID, sample_time=T)
-    joint = RigidJoint("prismatic")
-    off = {p.name: replace(p, start=1.2 * RIGID[p.name]) for p in joint.parameters}
-    settings = DIDIM("residual", start="given", scaled_iterations=0, initial_state="reference")
-    law = loop.controller.law(T)
-
-    def left(edge: float) -> tuple[list[float], float]:
-        trace = identify(made, loop, settings, parameters=off, filtering=Filtering(cutoff=edge)).fit.trace
-        errors = [max(abs(line.values[name] / value - 1) for name, value in RIGID.items()) for line in trace]
-        w = 2 * math.pi * np.linspace(0.1, edge, 100)
-        plant = 1 / (RIGID["inertia"] * (1j * w) ** 2 + RIGID["viscous"] * 1j * w)
-        loops = np.array([feedback(law, each) * held(each) for each in w]) * plant
-        ratios = [after / before for before, after in pairwise(errors) if before > 1e-7]
-        return ratios, float(np.max(np.abs(1 / (1 + loops))))
-
-    ratios, bound = left(5.0)
-    assert bound == pytest.approx(0.080, abs=5e-4)
-    assert all(0.0135 <= ratio <= 0.0165 for ratio in ratios)
-    ratios, bound = left(40.0)
-    assert bound == pytest.approx(1.7, abs=0.05)
-    assert max(ratios) <= 0.13
 
 
 def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:

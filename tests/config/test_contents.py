@@ -88,13 +88,9 @@ def test_all_of_a_file() -> None:
         aliasing = "warned"
         [method]
         name = "didim"
-        minimiser = "nelder-mead"
         frequency = 25.0
         rigid_cutoff = 4.0
         tolerance = 1e-3
-        simulations = 500
-        restarts = 0
-        statistics = "inverse-model"
         free = ["position_gain", "delay"]
         [parameters]
         stiffness = { start = 8e5, lower = 1e3, upper = 1e7 }
@@ -145,13 +141,9 @@ def test_all_of_a_file() -> None:
     assert file == File(
         axes=(axis,),
         method=DIDIM(
-            minimiser="nelder-mead",
             frequency=25.0,
             rigid_cutoff=4.0,
             tolerance=1e-3,
-            simulations=500,
-            restarts=0,
-            statistics="inverse-model",
             free=("position_gain", "delay"),
         ),
         filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
@@ -218,8 +210,6 @@ def test_a_state_space_law() -> None:
             IDIM(effects=(PositionHarmonics(0.005, 2), Drift("both"))),
         ),
         (CHANNELS + "[method]\nharmonics = 1\nperiod = 0.005", IDIM(effects=(PositionHarmonics(0.005),))),
-        (CHANNELS + CASCADE + '[method]\npreset = "paper"', DIDIM.paper()),
-        (CHANNELS + CASCADE + "[method]\niterations = 3", DIDIM(iterations=3)),
     ],
 )
 def test_the_method(text: str, expected: object) -> None:
@@ -236,9 +226,7 @@ def test_the_method(text: str, expected: object) -> None:
         (BOTH_ENCODERS + CASCADE + '[method]\nname = "idim"', IDIM()),
         (CHANNELS + CASCADE + '[method]\nname = "didim"', DIDIM()),
         (CHANNELS + CASCADE + "[method]\ntolerance = 1e-3", DIDIM(tolerance=1e-3)),
-        (CHANNELS + CASCADE + '[method]\nname = "didim"\npreset = "paper"', DIDIM.paper("flexible")),
-        (CHANNELS + CASCADE + '[method]\npreset = "paper"\nfrequency = 42.0', DIDIM.paper("flexible", 42.0)),
-        (CHANNELS + CASCADE + '[method]\nminimiser = "nelder-mead"', DIDIM(minimiser="nelder-mead")),
+        (CHANNELS + CASCADE + "[method]\nfrequency = 42.0", DIDIM(frequency=42.0)),
     ],
 )
 def test_the_method_of_a_flexible_joint(text: str, expected: object) -> None:

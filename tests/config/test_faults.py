@@ -95,7 +95,6 @@ FAULTS = [
         "record.channels.injected.in_torque contradiction",
     ),
     (SMALLEST + '[filtering]\npreset = "published"\ncutoff = 3.0', "filtering.cutoff contradiction"),
-    (SMALLEST + '[method]\npreset = "paper"\nform = "residual"', "method.form contradiction"),
     (
         JOINT + CHANNELS + '[controller]\nlaw = "state_space"\nA = [[1.0, 2.0], [1.0]]\nB = {}\nC = [1.0, 2.0]\nD = {}',
         "controller.A contradiction",
@@ -140,7 +139,6 @@ FAULTS = [
         + '[controller]\nlaw = "pd"\nposition_gain = 1.0\nderivative_gain = 1.0\nreference_velocity = "channel"',
         "record.channels.reference_velocity missing",
     ),
-    (SMALLEST + '[method]\nminimiser = "nelder-mead"', "method.minimiser contradiction"),
     (SMALLEST + "[method]\nfrequency = 30.0", "method.frequency contradiction"),
     (JOINT + CHANNELS + '[method]\nname = "idim"\nestimator = "iv"', "controller missing"),
     (SMALLEST + '[method]\nname = "didim"\ndrift = "force"', "method.drift contradiction"),

@@ -151,7 +151,6 @@ def test_what_cannot_be_compared_is_refused(plain: tuple[Case, SpringComparison]
     for record, loop, asked in (
         (case.clean, replace(case.loop, joint=ji.RigidJoint("prismatic")), {}),
         (case.clean, replace(case.loop, joint=arm), {}),
-        (case.clean, case.loop, {"didim": ji.DIDIM(minimiser="nelder-mead")}),
         (case.clean, case.loop, {"parameters": {"stifness": case.loop.joint.parameters[3]}}),
         (some_of(case.clean, 600), case.loop, {"didim": ji.DIDIM(frequency=case.mode)}),
     ):

@@ -111,25 +111,10 @@ def test_cross_test_on_the_record_with_pulses(emps_pulses: Record, torque_only: 
     assert validate(torque_only, without_pulses).relative_error > 0.1
 
 
-@pytest.mark.parametrize("start", ["regular", "inversion"])
-def test_every_start_ends_at_the_same_place(emps: Record, torque_only: Estimate, start: str) -> None:
-    estimate = identify(emps, LOOP, DIDIM(start=start))  # type: ignore[arg-type]
-    assert_same(estimate, torque_only)
-
-
 def assert_same(estimate: Estimate, other: Estimate) -> None:
     assert estimate.fit.converged
     for name, value in other.values.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-5)
-
-
-def test_the_paper_s_form_stops_early_and_says_so(emps: Record) -> None:
-    """As printed: form (11), regular start, 2.5 %, at rest on the reference at t = 0, where the axis already moves."""
-    estimate = identify(emps, LOOP, DIDIM.paper())
-    assert estimate.fit.iterations <= 10
-    assert "limit 2.5 %" in estimate.fit.stop
-    assert estimate.values["inertia"] == pytest.approx(95.0, abs=1.0)
-    assert not estimate["initial_velocity"].free
 
 
 def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Record) -> None:

@@ -12,10 +12,9 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
 from jointid.diagnostics.validation import validate
 from jointid.estimation.descent import History
-from jointid.estimation.methods import didim, stiffness_search
+from jointid.estimation.methods import stiffness_search
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.starts import flexible_joint
@@ -211,29 +210,6 @@ def test_a_torque_of_the_wrong_sign_is_refused_in_a_sentence() -> None:
     wrong = replace(record, torque=replace(record.torque, values=-record.torque.values))
     with pytest.raises(MethodError, match="explains half of this torque; check the sign"):
         identify(wrong, axis.loop)
-
-
-@pytest.mark.slow
-def test_nelder_mead_reaches_the_minimum_after_one_restart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By ``fminsearch`` rules, from (13) at 30 Hz; the best known is least squares from four starts."""
-    from jointid.simulation.kernels import drive as kernels
-
-    axis = twin(noise="white")
-    record = torque_only(axis)
-    calls = []
-    original = kernels.run
-    monkeypatch.setattr(kernels, "run", lambda *arguments: (calls.append(1), original(*arguments))[1])
-    simplex = identify(record, axis.loop, DIDIM.paper("flexible"))
-    assert simplex.fit.simulations == len(calls)  # the reported simulations are those counted
-    assert simplex.fit.stop.count("iterations") == 2  # one descent and one restart
-    state = tuple(p.fix(0.0) for p in INITIAL_STATE)  # of the same criterion: on the reference, at rest
-    monkeypatch.setattr(didim, "_at_rest", lambda *_: state)
-    calls.clear()
-    best = identify(record, axis.loop)
-    assert best.fit.simulations == len(calls)
-    assert (simplex.fit.filtered_error / best.fit.filtered_error) ** 2 - 1 <= 1e-4
-    assert simplex.fit.simulations >= 10 * best.fit.simulations
-    assert "inverse model" in simplex.params.basis
 
 
 @pytest.mark.parametrize("method", [IDIM(), pytest.param(DIDIM(), marks=pytest.mark.slow)], ids=["idim", "ls"])

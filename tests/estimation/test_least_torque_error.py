@@ -2,44 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.common.messages import ignore_progress
+from jointid.estimation.descent import History
+from jointid.estimation.methods.rigid_search import search_rigid_joint
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
 from jointid.models.controllers import Cascade
 from jointid.simulation.synthesis import simulated_record
-from tests.servos import Servo, servo
-
-STARTS: tuple[Literal["inversion", "regular"], ...] = ("inversion", "regular")
-
-
-def identified(case: Servo, start: Literal["inversion", "regular", "given"]) -> ji.Estimate:
-    settings = ji.DIDIM("least-squares", start)
-    return ji.identify(case.record, case.loop, settings, checks=False)
-
-
-# From the one start the fixed point begins to move, from the other not.
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [8, 14])
-def test_an_axis_that_stands_begins_at_rest_from_every_start(seed: int) -> None:
-    case = servo(seed)
-    found = [identified(case, start) for start in STARTS]
-    for estimate in found:
-        assert not estimate["initial_velocity"].free
-        assert estimate.fit.filtered_error == pytest.approx(found[0].fit.filtered_error, rel=1e-4)
-        assert estimate["inertia"].value == pytest.approx(case.truth["inertia"], rel=0.01)
-    assert max(estimate.fit.simulations for estimate in found) < 120
+from tests.servos import servo
 
 
 @pytest.mark.slow
-def test_an_axis_that_moves_is_seen_to_move() -> None:
-    case = servo(3, moving=True)
-    for start in STARTS:
-        line = identified(case, start)["initial_velocity"]
-        assert line.free
-        assert line.value == pytest.approx(case.velocity, rel=0.05)
+@pytest.mark.parametrize(("seed", "moving"), [(8, False), (14, False), (3, True)])
+def test_a_motion_at_the_first_sample_is_found_from_every_start(seed: int, moving: bool) -> None:
+    case = servo(seed, moving)
+    problem = torque_problem(case.record, case.loop, ji.Filtering(), case.loop.joint.parameters)
+    ends = [
+        search_rigid_joint(problem, [make(problem)], 1e-7, History(ignore_progress))
+        for make in (inversion_start, regular_start)
+    ]
+    for end in ends:
+        assert end.norm == pytest.approx(ends[0].norm, rel=1e-4)
+        assert end.values["initial_velocity"] == pytest.approx(case.velocity if moving else 0.0, rel=0.05)
+        assert moving or end.values["inertia"] == pytest.approx(case.truth["inertia"], rel=0.01)
 
 
 def test_a_direction_that_is_never_taken_is_refused() -> None:

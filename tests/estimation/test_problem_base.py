@@ -11,7 +11,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import RecordProblem, SumProblem
 from jointid.models.joints import Joint, RigidJoint
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.gauss_newton import GaussNewton
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 
 Array = np.ndarray
@@ -56,9 +56,9 @@ def test_values_and_vector_are_each_others_inverse() -> None:
 
 
 def test_one_verb_solves_it() -> None:
-    end = solve(line(1.0, 2.0), GaussNewton(size=1.0), np.zeros(2))
+    end = solve(line(1.0, 2.0), LevenbergMarquardt(), np.zeros(2))
     assert end.x == pytest.approx([1.0, 2.0])
-    kept = solve(line(1.0, 2.0).keeping({"a": 1.0}), GaussNewton(size=1.0), np.zeros(1))
+    kept = solve(line(1.0, 2.0).keeping({"a": 1.0}), LevenbergMarquardt(), np.zeros(1))
     assert kept.x == pytest.approx([2.0])
 
 
@@ -70,7 +70,7 @@ def test_a_sum_shares_what_is_one_and_adds_what_is_known() -> None:
     together = SumProblem(
         (first, second), (shared, *apart), (np.array([1, 0]), np.array([2, 0])), added, (np.ones(1),) * 2
     )
-    end = solve(together, GaussNewton(size=1.0), np.zeros(3))
+    end = solve(together, LevenbergMarquardt(), np.zeros(3))
     assert end.x == pytest.approx([2.0, 1.0, 5.0])
     assert together.of_member(end.x, 1) == pytest.approx([5.0, 2.5])
     assert together.vector([np.array([1.0, 1.0]), np.array([5.0, 3.5])]) == pytest.approx([2.0, 1.0, 5.0])

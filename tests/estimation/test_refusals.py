@@ -58,9 +58,12 @@ def resting() -> None:
         (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(borders=(5000, 5000))), ji.RecordError),
         # settings of methods
         (lambda: ji.identify(RECORD, RIGID, ji.DIDIM()), ji.MethodError),
-        (lambda: ji.identify(RECORD, ji.ClosedLoop(FLEXIBLE, LOOP.controller), ji.DIDIM("paper")), ji.MethodError),
+        (
+            lambda: ji.identify(RECORD, ji.ClosedLoop(FLEXIBLE, LOOP.controller), ji.DIDIM(evaluations=9)),
+            ji.MethodError,
+        ),
         (lambda: ji.identify(RECORD, LOOP, ji.DIDIM(frequency=30.0)), ji.MethodError),
-        (lambda: ji.DIDIM(minimiser="simplex"), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.DIDIM(tolerance=0.0), ji.MethodError),
         (lambda: ji.DIDIM(frequency=-3.0), ji.MethodError),
         (lambda: ji.DriveSideFit(instruments="maybe"), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.IDIM("best"), ji.MethodError),  # type: ignore[arg-type]

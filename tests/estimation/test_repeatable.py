@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
@@ -162,7 +161,7 @@ def fits(emps: Record, emps_pulses: Record) -> list[tuple[np.ndarray, np.ndarray
     found = []
     for record in (emps, emps_pulses):
         problem, residual, J, where = emps_fit(record)
-        found.append((np.array(list(identify(record, LOOP, DIDIM("residual")).values.values())), residual, J, where))
+        found.append((np.array(list(identify(record, LOOP).values.values())), residual, J, where))
         assert residual.size == where.label.size == len(problem.filter(problem.measured))
     return found
 

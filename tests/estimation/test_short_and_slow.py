@@ -38,24 +38,6 @@ def test_two_seconds_of_an_axis_that_moves_are_enough(seed: int) -> None:
     assert line.stderr < 0.03 * line.value
 
 
-def test_steps_that_lead_to_no_joint_give_way_to_least_squares() -> None:
-    """A rigid joint of a flexible axis, from four seconds: much is not explained, and said not to be."""
-    axis = twin("L19", noise="white")
-    rigid = ji.ClosedLoop(axis.loop.joint.rigid, axis.loop.controller)  # type: ignore[union-attr]
-    said: list[str] = []
-    estimate = ji.identify(
-        cut(axis.record, 3000, 4000), rigid, ji.DIDIM("residual"), checks=False, progress=said.append
-    )
-    assert any("searching by least squares" in line for line in said)
-    assert "by least squares" in estimate.settings.variant
-    for name in ("inertia", "coulomb"):
-        value = estimate[name].value
-        assert value is not None
-        assert value >= 0.0
-    with pytest.raises(ji.MethodError, match="DIDIM cannot go on"):
-        ji.identify(cut(axis.record, 3000, 4000), rigid, ji.DIDIM("paper"), checks=False)
-
-
 @pytest.mark.slow
 def test_a_loop_of_a_third_of_a_hertz_is_identified() -> None:
     pace = 2 * math.pi * 0.3

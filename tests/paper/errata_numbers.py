@@ -57,6 +57,11 @@ def agrees(printed: Decimal, recomputed: Decimal | float, rounding: str | None =
     return Decimal(recomputed).quantize(printed, rounding) == printed
 
 
+def _cell(table: PublishedTable, cell: Cell) -> Decimal:
+    column, name = cell
+    return table.column(column)[name]
+
+
 def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:
     """Cells that do not follow from other printed numbers by any admissible rounding.
 
@@ -65,7 +70,7 @@ def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:
     return tuple(
         (column, name)
         for (column, name), candidates in recompute_cells(table).items()
-        if not any(_matches_print(table.cell((column, name)), candidate) for candidate in candidates)
+        if not any(_matches_print(table.column(column)[name], candidate) for candidate in candidates)
     )
 
 
@@ -151,7 +156,7 @@ def _check_variations() -> Erratum:
     return Erratum(
         "The variations with the added mass",
         "Table 6",
-        f"{_list_cells({cell: table.cell(cell) for cell in wrong})}.",
+        f"{_list_cells({cell: _cell(table, cell) for cell in wrong})}.",
         f"{_list_cells({cell: found[cell][0] for cell in wrong})}. The other {len(found) - len(wrong)} of {len(found)} "
         "are as printed.",
         f"Shows the computed ones: the added {EXPERIMENT.added_mass:g} kg are found as {masses} kg by the two methods.",
@@ -176,17 +181,17 @@ def _check_relative_errors() -> Erratum:
     return Erratum(
         "The relative errors and their denominator",
         "Table 7 and equation (15)",
-        f"{list_cells({cell: format_as_print(table.cell(cell)) for cell in found})} %, in the first / second test.",
+        f"{list_cells({cell: format_as_print(_cell(table, cell)) for cell in found})} %, in the first / second test.",
         f"{ways}. Equation (15) divides by the DIDIM value, most of the table by the IDIM value. "
-        f"{_list_cells({cell: table.cell(cell) for cell in find_misprints(table)})} follow from neither; "
-        f"{_list_cells({first: table.cell(first)})} does only if rounded to a whole percent, as "
-        f"{_list_cells({second: table.cell(second)})} is.",
+        f"{_list_cells({cell: _cell(table, cell) for cell in find_misprints(table)})} follow from neither; "
+        f"{_list_cells({first: _cell(table, first)})} does only if rounded to a whole percent, as "
+        f"{_list_cells({second: _cell(table, second)})} is.",
         "Offers both denominators, labelled.",
     )
 
 
 def _check_sums() -> Erratum:
-    found = [sum_sides(table) for table in _FLEXIBLE]
+    found = [sum_sides(table.values) for table in _FLEXIBLE]
     agreeing = [agrees(t.sums[name], one[name]) for t, one in zip(_FLEXIBLE, found, strict=True) for name in one]
     recomputed = "; ".join(_join_slash(f"{value:.1f}" for value in one.values()) for one in found)
     return Erratum(
@@ -200,7 +205,7 @@ def _check_sums() -> Erratum:
 
 def _check_relative_deviations() -> Erratum:
     tables = (TABLES[1], *_FLEXIBLE)
-    cells = [(table.cell(cell), found[0]) for table in tables for cell, found in recompute_cells(table).items()]
+    cells = [(_cell(table, cell), found[0]) for table in tables for cell, found in recompute_cells(table).items()]
     ways = [(agrees(*cell), agrees(*cell, ROUND_DOWN)) for cell in cells]
     ((table, cell),) = [(table, cell) for table in tables for cell in find_misprints(table)]
     value, two_sigma, printed = table.rows[cell[1]]
@@ -232,7 +237,7 @@ def _check_permutation() -> Erratum:
     moved = [compute_variations(*test) for test in TESTS]
     steps = " and ".join(f"{m['motor_viscous']:+} / {m['load_viscous']:+}" for m in moved)
     sigmas = [abs(compute_shifts(*test)[name]) for test in TESTS for name in ("motor_viscous", "load_viscous")]
-    kept = "; ".join(" and ".join(f"{sum_sides(table)['viscous']:g}" for table in test) for test in TESTS)
+    kept = "; ".join(" and ".join(f"{sum_sides(table.values)['viscous']:g}" for table in test) for test in TESTS)
     idim, didim = (table.column("value") for table in TESTS[0])
     return Erratum(
         'The "permuted" frictions',
@@ -270,7 +275,7 @@ def _check_start_values() -> Erratum:
         "Inertia, viscous and Coulomb friction start at half the rigid values; K12 and F12 are not mentioned.",
         "A free-free frequency f gives K12 = mu (2 pi f)^2 with mu = ZZ1 ZZ2 / (ZZ1 + ZZ2). From Table 1 and "
         f"{EXPERIMENT.natural_frequency:g} Hz that is {start / 1e5:.2f}e5 N/m, where Table 3 ends at "
-        f"{format_as_print(TABLES[3].cell(('value', 'stiffness')))}.",
+        f"{format_as_print(TABLES[3].column('value')['stiffness'])}.",
         "Starts K12 there, from a known or guessed frequency; the start of F12 is our own.",
     )
 
@@ -292,7 +297,7 @@ _TOLERANCE = 0.025  # of the sister papers
 _ENDS = {True: "ends the iterations", False: "does not"}
 _PARAMETERS = len(TABLES[3].rows)
 _SPAN = max(TABLES[2].values.values()) / min(TABLES[2].values.values())
-_VISCOUS = sum_sides(TABLES[2])["viscous"]
+_VISCOUS = sum_sides(TABLES[2].values)["viscous"]
 _SIGMAS = [TABLES[3].rows[name][1] / two_sigma for name, (_, two_sigma, _) in TABLES[2].rows.items()]
 
 RECOMPUTED: tuple[Erratum, ...] = (

@@ -26,7 +26,7 @@ def run() -> Reproduction:
 @pytest.mark.slow
 def test_the_rigid_joint_is_the_sum_of_its_sides(run: Reproduction) -> None:
     for name, truth in (("inertia", 105.0), ("viscous", 202.0), ("coulomb", 20.4)):
-        found = run.rigid[name]
+        found = run.first.rigid[name]
         assert found.value is not None
         assert abs(found.value - truth) <= 3 * float(found.stderr or 0.0)
 

@@ -743,7 +743,7 @@ def joint_file_of(file: FileTable, path: Path, faults: Sequence[str] = ()) -> Fi
     axis = axis_of(file, faults)
     return File(
         axes=(axis,),
-        method=file.method.method(_method_name(file, axis.joint), axis.joint.model),
+        method=file.method.method(_method_name(file, axis.joint)),
         filtering=file.filtering.build(),
         parameters=axis.parameters,
         name=axis.name,

@@ -250,7 +250,7 @@ def read_robot_file(tables: Mapping[str, Any], path: Path, axis: str | None = No
     name = said.method_name
     if faults := [fault_at(("method", key), rest) for key, rest in foreign_settings(said.method, name, "robot")]:
         raise JointFileError(faults)
-    bare, method = _robot(said, path.parent), said.method.method(name, "robot")
+    bare, method = _robot(said, path.parent), said.method.method(name)
     axes = _axes(said, bare)
     if axis is not None:
         return replace(_alone(said, bare, axis, path), tables=tables)

@@ -225,7 +225,7 @@ def _needs(method: str, model: str) -> str:
 
 
 def foreign_settings(table: MethodTable, name: str | None, system: str | None) -> Iterator[tuple[str, str]]:
-    """Yield the key and the rest of the sentence on settings of another system, method or preset.
+    """Yield the key and the rest of the sentence on settings of another system or method.
 
     Args:
         table: [method].
@@ -235,15 +235,13 @@ def foreign_settings(table: MethodTable, name: str | None, system: str | None) -
     if system in ROBOT and name is not None and system not in method_of(name).systems:
         yield "name", messages.no_choice(name, [one.name for one in methods() if system in one.systems])
         return
-    for key, value in table.settings("name").items():
+    for key in table.settings("name"):
         owners = [owner for owner in METHODS if _systems_of(owner, key)]
         systems = _systems_of(name if name in owners else owners[0], key)
         if name is not None and name not in owners:
             yield key, f' is not for the method "{name}": leave it out, or use method.name = {messages.either(owners)}.'
         elif system is not None and system not in systems:
             yield key, f" is for {CALLED[systems[0]]}, and this is {CALLED[system]}: leave it out."
-        elif key in table.beside_preset():
-            yield key, messages.beside_preset(value, str(table.preset))
 
 
 def _free_faults(place: Place, names: Collection[str], file: FileTable) -> Iterator[Fault]:

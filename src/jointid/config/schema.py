@@ -319,9 +319,6 @@ class MethodTable(Table):
         "by which method; without it that of a joint is didim if the record has what it needs, else idim; "
         "that of a robot is didim without a motor_position, drive_side with one and a spring, else idim",
     )
-    preset: Literal["paper"] | None = setting(
-        None, "all settings of didim at once as the paper has them, in place of the others but frequency"
-    )
     harmonics: int = setting(0, "of idim: harmonics of the force over the motor position", at_least=0)
     period: float | None = setting(
         None,
@@ -337,30 +334,21 @@ class MethodTable(Table):
         if self.period is not None and self.harmonics == 0:
             yield "period", f" is {self.period:g}, but there are no harmonics; add harmonics = 1, or leave it out."
 
-    def beside_preset(self) -> dict[str, Any]:
-        """Return the values that the preset sets too; the paper knew its frequency, and another joint has another."""
-        return {} if self.preset is None else self.settings("name", "preset", "frequency")
-
     def effects(self) -> tuple[Effect, ...]:
         """Return the further columns of a regression."""
         ripple = () if self.period is None else (PositionHarmonics(self.period, self.harmonics),)
         return (*ripple, *(() if self.drift is None else (Drift(self.drift),)))
 
-    def method(self, name: str, model: str) -> Method:
-        """Return the method with these settings.
-
-        Args:
-            name: of the method.
-            model: of the joint, "rigid" or "flexible"; or "robot".
-        """
+    def method(self, name: str) -> Method:
+        """Return the method of that name with these settings."""
         made: Any = method_of(name)
-        given = self.settings("name", "preset", *EFFECTS)
+        given = self.settings("name", *EFFECTS)
         for one in settings_of(made):
             if one.setting.none and given.get(one.name) == one.setting.none:
                 given[one.name] = None
         if has_effects(made):
             given["effects"] = self.effects()
-        method: Method = made.paper(model, **given) if self.preset == "paper" else made(**given)
+        method: Method = made(**given)
         return method
 
 
@@ -378,7 +366,7 @@ def keys_of(method: type[Method], system: str) -> tuple[str, ...]:
     settings = tuple(one.name for one in own if not one.setting.systems or system in one.setting.systems)
     if system in ROBOT:
         return settings
-    return (*settings, *(EFFECTS if has_effects(method) else ()), *(("preset",) if hasattr(method, "paper") else ()))
+    return (*settings, *(EFFECTS if has_effects(method) else ()))
 
 
 class FilterTable(Table):

@@ -140,7 +140,6 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    tells = method is None or method.tells_of_its_loop
     planned = plan_windows(record, model, method) if windows is None else None
     if windows is False and not isinstance(record, Record | Sequence):
         raise MethodError(
@@ -155,7 +154,7 @@ def identify(
 
     @cache
     def screen() -> Sequence[Fit]:
-        if checks and tells and isinstance(part, Record) and isinstance(model, ClosedLoop):
+        if checks and isinstance(part, Record) and isinstance(model, ClosedLoop):
             with _contained("gross causes", failures):  # the identification says what is wrong
                 return screen_causes(part, model, shown, progress, getattr(method, "free", ()))
         return ()
@@ -181,7 +180,7 @@ def identify(
         fit = replace(fit, after=(*fit.after, said))
     part_of_joint = isinstance(part, Record) and planned is not None and isinstance(model, ClosedLoop)
     of_joint = part_of_joint or (fit.record is not None and fit.problem is not None)
-    if not (fit.robot is not None or (of_joint and tells)) or (planned is not None and part is None):
+    if not (fit.robot is not None or of_joint) or (planned is not None and part is None):
         return assemble(fit, torque_constant=torque_constant)
     if not checks:
         return assemble(fit, _left_out("not checked: the checks were left out"), torque_constant=torque_constant)

@@ -472,10 +472,6 @@ def _check(joint: Joint, among: str, didim: DIDIM | None) -> DIDIM:
         )
     settings = didim or DIDIM()
     settings.require_settings_of(joint.model)
-    if settings.minimiser != "least-squares":
-        raise MethodError(
-            f"{among.capitalize()} are compared by least squares; received the minimiser {settings.minimiser}."
-        )
     if joint.gravity is not None and joint.gravity.varies:
         raise MethodError(
             f"{among.capitalize()} are not compared beside gravity that follows the position, with which {among} in "

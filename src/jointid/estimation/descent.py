@@ -14,7 +14,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import Iteration
-from jointid.simulation.closed_loop import Simulation
 from jointid.solvers.bounded_least_squares import TrustRegion
 from jointid.solvers.solve import Counted, Solution, Solver, Step, Tally, solve
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -31,12 +30,10 @@ class Solved(NamedTuple):
     Attributes:
         problem: the problem that was solved.
         solution: where the solver ended.
-        run: the simulation there, if the search has it already.
     """
 
     problem: ClosedLoopProblem
     solution: Solution
-    run: Simulation | None = None
 
     @property
     def x(self) -> FloatArray:
@@ -78,11 +75,14 @@ class History:
         self.begin()
 
         def watch(step: Step) -> None:
-            last = self.trace[-1] if self.trace else None
-            before = None if last is None else (problem.vector(last.values), last.residual_norm)
-            number = self.note(problem, step.x, step.norm, before, np.where(step.x != 0.0, np.abs(step.x), 1.0))
-            if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
-                self.tell(number, step.norm / size)
+            change = largest = None
+            if self.trace:
+                last, before = self.trace[-1].residual_norm, problem.vector(self.trace[-1].values)
+                change = abs(step.norm - last) / last if last else 0.0
+                largest = float(np.max(np.abs(step.x - before) / np.where(step.x != 0.0, np.abs(step.x), 1.0)))
+            values, number = problem.values(step.x), len(self.trace)
+            self.trace.append(Iteration(number, values, step.norm, change, largest, self.tally.evaluations))
+            self.tell(number, step.norm / size)
 
         return Solved(problem, solve(self.count_evaluations(problem), solver, start, watch))
 
@@ -100,28 +100,6 @@ class History:
         best = f" (best so far {100 * self._best:.4f} %)" if which and error > self._best else ""
         self._best = min(self._best, error)
         self.progress(Detail(f"{which}iteration {number}: torque error {100 * error:.4f} %{best}"))
-
-    def note(
-        self,
-        problem: ClosedLoopProblem,
-        x: FloatArray,
-        norm: float,
-        before: tuple[FloatArray, float] | None,
-        scales: FloatArray,
-        gain_scale: float = 1.0,
-    ) -> int:
-        """Add a step to the trace, with the norm of its residual, and return its number.
-
-        Changes from the point and norm `before` of the first parameters are measured against the scales; those of the
-        others do not count.
-        """
-        change = step = None
-        if before is not None:
-            change = abs(norm - before[1]) / before[1] if before[1] else 0.0
-            step = float(np.max(np.abs(x - before[0])[: scales.size] / scales))
-        number = len(self.trace)
-        self.trace.append(Iteration(number, problem.values(x), norm, change, step, self.tally.evaluations, gain_scale))
-        return number
 
 
 def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:

@@ -504,7 +504,7 @@ class StreamingGaussNewton:
     A pass reads every window once, and keeps of each what `Sums` holds: memory does not grow with what is read but by a
     kilobyte for each window. Of the first passes one window in sixteen is enough, at a sixteenth of the cost: a start
     from one window is far off in the deviations of all of them. A pass over the whole that moves the parameters by less
-    than 0.3 of their deviations is the last. `solvers.gauss_newton` has no such passes, and would read the log for each
+    than 0.3 of their deviations is the last. A solver of `solvers` has no such passes, and would read the log for each
     step that it halves and once more for its last.
 
     Attributes:

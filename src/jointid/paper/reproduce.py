@@ -18,7 +18,6 @@ from importlib.resources import files
 from typing import NamedTuple
 
 from jointid import (
-    DIDIM,
     IDIM,
     ClosedLoop,
     Estimate,
@@ -33,7 +32,8 @@ from jointid.common.document import Block, Document, Heading, Paragraph, Picture
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.validation import Validation
-from jointid.paper.tables import DENOMINATORS, SYMBOLS, TABLES, Denominator, compare_table
+from jointid.paper.form import by_simplex
+from jointid.paper.tables import DENOMINATORS, SYMBOLS, TABLES, compare_table, sum_sides
 from jointid.paper.twin import Twin, twin
 
 
@@ -42,6 +42,7 @@ class ReproducedExperiment:
     """One of the paper's two experiments.
 
     Attributes:
+        rigid: by DIDIM below 5 Hz.
         didim: from torque alone, by Nelder-Mead, with the paper's statistics.
         best: from torque alone, by least squares, with the deviations of the output sensitivities.
         idim_simulated: the loop simulated with IDIM's values, against a run with other pulses (Figure 4).
@@ -49,6 +50,7 @@ class ReproducedExperiment:
     """
 
     axis: Twin
+    rigid: Estimate
     idim: Estimate
     didim: Estimate
     best: Estimate
@@ -61,13 +63,11 @@ class Reproduction:
     """Results of the whole reproduction.
 
     Attributes:
-        rigid: rigid DIDIM of the first experiment.
         first, second: without and with the added mass.
         without_damping: the test of F12, on the first experiment: by least squares, with the damping fixed at 0.
     """
 
     seed: int
-    rigid: Estimate
     first: ReproducedExperiment
     second: ReproducedExperiment
     without_damping: Estimate
@@ -77,9 +77,8 @@ class Reproduction:
         before, after = (getattr(part, method).values for part in (self.first, self.second))
         return {name: after[name] - before[name] for name in before}
 
-    def relative_errors(self, denominator: Denominator) -> tuple[dict[str, float], dict[str, float]]:
+    def relative_errors(self, denominator: str) -> tuple[dict[str, float], dict[str, float]]:
         """Difference of the methods in both experiments, in percent (Table 7)."""
-        assert denominator in DENOMINATORS
         first, second = (
             {
                 name: 100 * abs((part.idim.values[name] - value) / getattr(part, denominator.lower()).values[name])
@@ -105,18 +104,13 @@ def reproduce(seed: int = 1, progress: Progress = ignore_progress) -> Reproducti
     """Run the paper on its twin; a minute on two cores."""
     axis, heavy = twin(seed=seed), twin(seed=seed + 1, added_mass=True)
     others = twin(seed=seed + 2, pulses_seed=1), twin(seed=seed + 3, added_mass=True, pulses_seed=1)
-    progress("Table 1: the rigid joint, below 5 Hz")
-    rigid_loop = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
-    rigid = identify(
-        keep_torque_only(axis), rigid_loop, DIDIM("residual"), filtering=Filtering(cutoff=5.0), checks=False
-    )
     first = _identify_axis(axis, others[0], "Tables 2 and 3", progress)
     second = _identify_axis(heavy, others[1], "Tables 4 and 5, with 10 kg on the load", progress)
     progress("The test of F12")
     damping = next(p for p in axis.loop.joint.parameters if p.name == "damping")
     fixed = {"damping": damping.fix(0.0)}
-    without_damping = identify(keep_torque_only(axis), axis.loop, DIDIM(), parameters=fixed, checks=False)
-    return Reproduction(seed, rigid, first, second, without_damping)
+    without_damping = identify(keep_torque_only(axis), axis.loop, parameters=fixed, checks=False)
+    return Reproduction(seed, first, second, without_damping)
 
 
 def keep_torque_only(axis: Twin) -> Record:
@@ -125,17 +119,20 @@ def keep_torque_only(axis: Twin) -> Record:
 
 
 def _identify_axis(axis: Twin, other: Twin, tables: str, progress: Progress) -> ReproducedExperiment:
+    progress("Table 1: the rigid joint, below 5 Hz")
+    rigid_loop, below = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller), Filtering(cutoff=5.0)
+    rigid = identify(keep_torque_only(axis), rigid_loop, filtering=below, checks=False)
     progress(f"{tables}: IDIM")
     idim = identify(axis.record, axis.loop, IDIM())
-    progress(f"{tables}: DIDIM by Nelder-Mead")
-    didim = identify(keep_torque_only(axis), axis.loop, DIDIM.paper("flexible"))
     progress(f"{tables}: DIDIM by least squares, for its deviations")
-    best = identify(keep_torque_only(axis), axis.loop, DIDIM(), checks=False)
+    best = identify(keep_torque_only(axis), axis.loop, checks=False)
+    progress(f"{tables}: DIDIM by Nelder-Mead")
+    didim = by_simplex(keep_torque_only(axis), axis.loop, rigid, best)
     # An inverse model's values in a loop that can be simulated.
     filtering = Filtering().resolve(idim.data.sample_time, "flexible")
     simulable = replace(idim.identified, method="didim", loop=axis.loop, filtering=filtering)
     return ReproducedExperiment(
-        axis, idim, didim, best, validate(simulable, other.record), validate(didim, axis.record)
+        axis, rigid, idim, didim, best, validate(simulable, other.record), validate(didim, axis.record)
     )
 
 
@@ -162,10 +159,10 @@ def report_reproduction(run: Reproduction, draw: Callable[[Validation], bytes]) 
             f"force of {run.first.axis.noise:.1f} N at 1 kHz inside the loop, which leaves the paper's 8 %."
         ),
     ]
-    fit = run.rigid.fit
+    fit = run.first.rigid.fit
     blocks += [
         Heading("Table 1: the rigid joint"),
-        compare_table(TABLES[1]).beside(("value", "2 sigma", "%"), _format_parameters(run.rigid)),
+        compare_table(TABLES[1], ("value", "2 sigma", "%"), _format_parameters(run.first.rigid)),
         Paragraph(f"{fit.iterations} iterations, {fit.simulations} simulations; {fit.stop}."),
     ]
     for numbers, part in (((2, 3), run.first), ((4, 5), run.second)):
@@ -178,24 +175,22 @@ def report_reproduction(run: Reproduction, draw: Callable[[Validation], bytes]) 
 def _tabulate_axis(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Block]:
     mass = " with 10 kg on the load" if numbers[0] != 2 else ""
     idim, didim = numbers
-    simulated = {"simulated": (_format_share(part.idim_simulated.filtered_error), "-", "-", "-")}
-    residual = {"residual": (_format_share(part.idim.fit.filtered_error), "-", "-", "-")}
-    direct = {"simulated": (_format_share(part.didim.fit.filtered_error), "-", "-", "-")}
+    simulated = {"simulated": (f"{100 * part.idim_simulated.filtered_error:.2f}", "-", "-", "-")}
+    residual = {"residual": (f"{100 * part.idim.fit.filtered_error:.2f}", "-", "-", "-")}
+    direct = {"simulated": (f"{100 * part.didim.fit.filtered_error:.2f}", "-", "-", "-")}
     by_idim, by_didim = (_add_truth(_format_parameters(e), part.axis.truth) for e in (part.idim, part.didim))
     return [
         Heading(f"Table {idim}: IDIM{mass}"),
-        compare_table(TABLES[idim]).beside(_RUN, by_idim | _format_sums(part.idim) | simulated | residual),
+        compare_table(TABLES[idim], _RUN, by_idim | _format_sums(part.idim) | simulated | residual),
         Paragraph(
             f"Standard deviations {part.idim.params.basis}. Nor is the noise in the measured motions: the disturbance "
             "acts inside the loop, so IDIM's regressor is correlated with its error, and ZZ1 most of all is off."
         ),
         Heading(f"Table {didim}: DIDIM{mass}"),
-        compare_table(TABLES[didim]).beside(_RUN, by_didim | _format_sums(part.didim) | direct),
+        compare_table(TABLES[didim], _RUN, by_didim | _format_sums(part.didim) | direct),
         Paragraph(
-            f"{part.didim.fit.stop}. In all {part.didim.fit.iterations} iterations and "
-            f"{part.didim.fit.simulations} simulations; "
-            "the paper counts 10 in one place and 25 in others. The deviations in this table are "
-            f"{part.didim.params.basis}."
+            f"{part.didim.fit.stop}; the paper counts 10 in one place and 25 in others. The deviations in this table "
+            f"are {part.didim.params.basis}."
         ),
         Table(
             ("", "value", "2 sigma", "%", "truth"),
@@ -215,7 +210,7 @@ def _list_variations(run: Reproduction) -> list[Block]:
     cells: Cells = {name: (number(idim[name], 3), number(didim[name], 3)) for name in idim}
     return [
         Heading("Table 6: what the added mass changed"),
-        compare_table(TABLES[6]).beside(("IDIM", "DIDIM"), cells),
+        compare_table(TABLES[6], ("IDIM", "DIDIM"), cells),
         Paragraph(
             "The twin's own changes are those from Table 2 to Table 4. Fv1 and Fv2 move against each other with their "
             "sum kept: torque alone does not distinguish them."
@@ -227,7 +222,7 @@ def _list_relative_errors(run: Reproduction) -> list[Block]:
     ways = [run.relative_errors(denominator) for denominator in DENOMINATORS]
     cells = {name: tuple(number(test[name], 3) for way in ways for test in way) for name in ways[0][0]}
     headings = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in ("first", "second"))
-    return [Heading("Table 7: IDIM against DIDIM"), compare_table(TABLES[7]).beside(headings, cells)]
+    return [Heading("Table 7: IDIM against DIDIM"), compare_table(TABLES[7], headings, cells)]
 
 
 def _list_validations(run: Reproduction, draw: Callable[[Validation], bytes]) -> list[Block]:
@@ -237,9 +232,9 @@ def _list_validations(run: Reproduction, draw: Callable[[Validation], bytes]) ->
     for name, validation, words in (
         ("figure4", run.first.idim_simulated, cross), ("figure5", run.first.didim_direct, direct)
     ):  # fmt: skip
-        shares = (_format_share(ratio) for ratio in (validation.relative_error, validation.filtered_error))
+        raw, filtered = 100 * validation.relative_error, 100 * validation.filtered_error
         blocks.append(Picture(f"{name}.png", partial(bytes, draw(validation)), words))
-        blocks.append(Paragraph("Torque error {} % raw, {} % filtered.".format(*shares)))
+        blocks.append(Paragraph(f"Torque error {raw:.2f} % raw, {filtered:.2f} % filtered."))
     return blocks
 
 
@@ -289,17 +284,9 @@ def _add_truth(cells: Cells, truth: Mapping[str, float]) -> dict[str, tuple[str,
 
 
 def _format_sums(estimate: Estimate) -> dict[str, tuple[str, ...]]:
-    rows: dict[str, tuple[str, ...]] = {
-        name: (f"{hertz:.2f}", "-", "-", "-") for name, hertz in FlexibleJoint.frequencies(estimate.values).items()
-    }
-    for name in ("inertia", "viscous", "coulomb"):
-        total = estimate.values[f"motor_{name}"] + estimate.values[f"load_{name}"]
-        rows[name] = (f"{total:.1f}", "-", "-", "-")
-    return rows
-
-
-def _format_share(ratio: float) -> str:
-    return f"{100 * ratio:.2f}"
+    texts = {name: f"{hertz:.2f}" for name, hertz in FlexibleJoint.frequencies(estimate.values).items()}
+    texts |= {name: f"{total:.1f}" for name, total in sum_sides(estimate.values).items()}
+    return {name: (text, "-", "-", "-") for name, text in texts.items()}
 
 
 class Erratum(NamedTuple):

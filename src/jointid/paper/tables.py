@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from importlib.resources import files
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 from jointid import FlexibleJoint, RigidJoint
 from jointid.common.document import Table
-from jointid.common.text import align, number
+from jointid.common.text import number
 
 PrintedRows: TypeAlias = Mapping[str, tuple[Decimal, ...]]
 Cell: TypeAlias = tuple[str, str]
@@ -67,11 +67,6 @@ class PublishedTable:
         place = self.columns.index(name)
         return {parameter: numbers[place] for parameter, numbers in self.rows.items()}
 
-    def cell(self, cell: Cell) -> Decimal:
-        """Return one number, by its column and parameter."""
-        column, parameter = cell
-        return self.rows[parameter][self.columns.index(column)]
-
     @property
     def values(self) -> dict[str, float]:
         """The identified values, ready for `models.joints` (Tables 1 to 5)."""
@@ -102,9 +97,7 @@ TABLES: Mapping[int, PublishedTable] = MappingProxyType(
 )
 """The tables of the paper, by number."""
 
-Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
-
-DENOMINATORS: Mapping[Denominator, str] = MappingProxyType({"DIDIM": "by (15)", "IDIM": "by the IDIM value"})
+DENOMINATORS: Mapping[str, str] = MappingProxyType({"DIDIM": "by (15)", "IDIM": "by the IDIM value"})
 """Denominators of the errors of Table 7, and their names in reports."""
 
 TESTS = ((TABLES[2], TABLES[3]), (TABLES[4], TABLES[5]))
@@ -118,9 +111,9 @@ _UNITS = {
 }
 
 
-def sum_sides(table: PublishedTable) -> dict[str, float]:
-    """Total inertia, viscous and Coulomb friction (Tables 2 to 5)."""
-    found = FlexibleJoint.rigid_sums({**table.values, "offset": 0.0})
+def sum_sides(values: Mapping[str, float]) -> dict[str, float]:
+    """Total inertia, viscous and Coulomb friction."""
+    found = FlexibleJoint.rigid_sums({"offset": 0.0, **values})
     return {name: found[name] for name in ("inertia", "viscous", "coulomb")}
 
 
@@ -136,7 +129,7 @@ def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[st
 
 
 def compute_relative_errors(
-    idim: PublishedTable, didim: PublishedTable, denominator: Denominator = "DIDIM"
+    idim: PublishedTable, didim: PublishedTable, denominator: str = "DIDIM"
 ) -> dict[str, Decimal]:
     """A column of Table 7 in %, by (15) relative to DIDIM, or to IDIM."""
     of = (didim if denominator == "DIDIM" else idim).column("value")
@@ -165,44 +158,6 @@ def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
 # Tables for reports: printed, and recomputed from print
 
 
-@dataclass(frozen=True, slots=True)
-class ComparisonRow:
-    """One line of a comparison.
-
-    Attributes:
-        name: of a parameter, a sum or a frequency (see `FlexibleJoint`), or a residual.
-        label: the same for readers, with its unit.
-        printed, recomputed: texts, one per heading; "-" where there is nothing.
-    """
-
-    name: str
-    label: str
-    printed: tuple[str, ...]
-    recomputed: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TableComparison:
-    """A published table beside its recomputed values, with column headings."""
-
-    table: PublishedTable
-    printed: tuple[str, ...]
-    recomputed: tuple[str, ...]
-    rows: tuple[ComparisonRow, ...]
-
-    def beside(self, run: tuple[str, ...] = (), cells: Mapping[str, tuple[str, ...]] = MappingProxyType({})) -> Table:
-        """Build a table with the columns of a run, cells by row name."""
-        columns = {"printed": self.printed, "recomputed": self.recomputed, "this run": run}
-        header = tuple(f"{whose} {text}" for whose, headings in columns.items() for text in headings)
-        nothing = ("-",) * len(run)
-        rows = tuple((row.label, *row.printed, *row.recomputed, *cells.get(row.name, nothing)) for row in self.rows)
-        return Table(("", *header), rows, self.table.caption)
-
-    def __str__(self) -> str:
-        table = self.beside()
-        return align(table.header, table.rows, [False, *[True] * (len(table.header) - 1)])
-
-
 def format_as_print(value: Decimal) -> str:
     """Format a number as the tables do: 0.80, 8.0e5."""
     exponent = value.as_tuple().exponent
@@ -215,8 +170,10 @@ def format_digits(value: Decimal) -> str:
     return number(float(value), 3)
 
 
-def compare_table(table: PublishedTable) -> TableComparison:
-    """Return a table as printed, beside its recomputed values."""
+def compare_table(
+    table: PublishedTable, run: tuple[str, ...] = (), cells: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+) -> Table:
+    """Return a table as printed, beside its recomputed values and the cells of a run, by the names of rows."""
     found = recompute_cells(table)
     printed, recomputed = table.columns, table.columns
     if table.number == 6:
@@ -231,36 +188,31 @@ def compare_table(table: PublishedTable) -> TableComparison:
         printed, recomputed = ("value", "2 sigma", "%"), ("value", "%")
         texts = {name: ("-", format_digits(found["relative_percent", name][0])) for name in table.rows}
     units = dict.fromkeys(table.rows, "%") if table.number == 7 else _UNITS
-    rows = tuple(
-        ComparisonRow(name, f"{SYMBOLS[name]} ({units[name]})", _format_cells(numbers), texts[name])
+    rows = [
+        (name, f"{SYMBOLS[name]} ({units[name]})", *_format_cells(numbers), *texts[name])
         for name, numbers in table.rows.items()
-    )
-    return TableComparison(table, printed, recomputed, (*rows, *_list_notes_below(table)))
+    ]
+    columns = {"printed": printed, "recomputed": recomputed, "this run": run}
+    header = tuple(f"{whose} {text}" for whose, headings in columns.items() for text in headings)
+    rows = [(*row, *cells.get(name, ("-",) * len(run))) for name, *row in (*rows, *_list_notes_below(table))]
+    return Table(("", *header), tuple(rows), table.caption)
 
 
-def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
-    """Rows printed under Tables 2 to 5: frequency, sums and residuals."""
+def _list_notes_below(table: PublishedTable) -> list[tuple[str, ...]]:
+    """Rows printed under Tables 2 to 5: frequency, sums and residuals; each begins with its name."""
     rows = []
-
-    def add(name: str, label: str, printed: Decimal | None, recomputed: str = "-") -> None:
-        rows.append(
-            ComparisonRow(
-                name, label, ("-" if printed is None else format_as_print(printed), "-", "-"), (recomputed, "-")
-            )
-        )
-
     if table.frequency is not None:
         for name, hertz in FlexibleJoint.frequencies(table.values).items():
-            printed = table.frequency if name == "free_free" else None
-            add(name, f"{name.replace('_', '-')} frequency (Hz)", printed, f"{hertz:.2f}")
-        for name, value in sum_sides(table).items():
-            symbol, unit = SYMBOLS[name], _UNITS[name]
-            add(name, f"{symbol}1 + {symbol}2 ({unit})", table.sums[name], f"{value:.1f}")
+            printed = format_as_print(table.frequency) if name == "free_free" else "-"
+            rows.append((name, f"{name.replace('_', '-')} frequency (Hz)", printed, f"{hertz:.2f}"))
+        for name, value in sum_sides(table.values).items():
+            label = f"{SYMBOLS[name]}1 + {SYMBOLS[name]}2 ({_UNITS[name]})"
+            rows.append((name, label, format_as_print(table.sums[name]), f"{value:.1f}"))
     if table.residual_percent is not None:
-        add("residual", "||Y - W chi|| / ||Y|| (%)", table.residual_percent)
+        rows.append(("residual", "||Y - W chi|| / ||Y|| (%)", format_as_print(table.residual_percent), "-"))
     if table.simulated_percent is not None:
-        add("simulated", "||Y - Ys|| / ||Y|| (%)", table.simulated_percent)
-    return rows
+        rows.append(("simulated", "||Y - Ys|| / ||Y|| (%)", format_as_print(table.simulated_percent), "-"))
+    return [(name, label, printed, "-", "-", recomputed, "-") for name, label, printed, recomputed in rows]
 
 
 def _format_cells(cells: Iterable[Decimal]) -> tuple[str, ...]:

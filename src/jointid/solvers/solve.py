@@ -61,11 +61,6 @@ class Status(Enum):
         "start elsewhere: the criterion cannot be evaluated, or jumps, beside where it ended",
         False,
     )
-    STALLED = (
-        "the steps go round in circles",
-        "use the exact derivatives in place of the regressor, or start elsewhere",
-        False,
-    )
     NOT_EVALUABLE = (
         "the criterion cannot be evaluated at the start",
         "start elsewhere: with these parameters the model cannot be simulated",

@@ -112,8 +112,8 @@ def test_a_rigid_joint_is_simulated_with_the_links_that_it_moves(robot: Path) ->
 
 
 def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
-    didim = load(robot, ["method.name=didim", "method.form=paper"], axis="base").method
-    assert didim == ji.DIDIM(form="paper")
+    didim = load(robot, ["method.name=didim", "method.tolerance=1e-3"], axis="base").method
+    assert didim == ji.DIDIM(tolerance=1e-3)
     assert load(robot, ["method.drift=force"], axis="base").method == ji.IDIM(effects=(Drift("force"),))
     changed = ['joints.1.method={name="idim",estimator="ols"}']
     assert load(robot, changed, axis="base").method == ji.IDIM(estimator="ols")

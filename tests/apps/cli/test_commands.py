@@ -422,7 +422,7 @@ def test_an_interrupted_search_is_written_and_said(
         ("identfy", EMPS),
         ("identify", EMPS, "--recrod", "x.mat"),
         ("identify", EMPS, "--method", "magic"),
-        ("identify", EMPS, "--set", "method.minimiser=simplex"),
+        ("identify", EMPS, "--set", "method.estimator=ols"),
         ("identify", EMPS, "--set", "method.frequency=30"),
         ("identify", EMPS, "--frequency", "30"),
         ("inspect", EMPS, "--harmonics", "3"),

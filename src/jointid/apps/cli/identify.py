@@ -56,7 +56,7 @@ def identify(
             identified in windows, and tested for drift.
         settling: seconds before and after each window that are simulated and not fitted; without it measured.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times; whatever
-            has no option here, as method.minimiser, method.estimator or method.harmonics, is set so.
+            has no option here, as method.estimator or method.harmonics, is set so.
         axis: of a robot file the name of one joint, which is identified alone, as if no other joint moved.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
             too if the joint is flexible; drive_side reads torque and motor position, and no controller.

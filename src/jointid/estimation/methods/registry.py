@@ -137,11 +137,6 @@ class Method(Protocol):
                     f"{type(self).__name__}.{one.name} is for {meant}, and this is {CALLED[system]}; leave it out."
                 )
 
-    @property
-    def tells_of_its_loop(self) -> bool:
-        """True if a check of the loop may begin at its estimate."""
-        return True
-
     def identify(self, task: Task) -> FitResult:
         """Identify a joint from a record."""
         ...

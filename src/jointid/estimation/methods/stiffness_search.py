@@ -12,8 +12,6 @@
 6. The same with the motor moving at the first sample.
 7. All of it again with other inertias, then from a rigid joint below a lower frequency, where the end explains little
    of the torque.
-
-Nelder-Mead begins as the paper does, by halves (13) at a known frequency.
 """
 
 from __future__ import annotations
@@ -22,20 +20,19 @@ import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Doubt, Progress, Suspicion, ignore_progress
+from jointid.common.messages import Detail, Doubt, Suspicion, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Quantity
 from jointid.estimation.descent import History, Solved, glancing, is_significant, least_squares, or_moving, roughly
-from jointid.estimation.methods.registry import Method, Task, method_of
+from jointid.estimation.methods.registry import Task
+from jointid.estimation.methods.rigid_search import search_rigid_joint
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.starts.flexible_joint import (
     FASTEST,
     Candidate,
@@ -43,18 +40,17 @@ from jointid.estimation.starts.flexible_joint import (
     explore,
     explore_widely,
     frequency_of,
-    start_with_mode,
 )
 from jointid.estimation.starts.inverse_controller import first_state, reconstructed_position
-from jointid.estimation.starts.rigid_joint import regular_start
+from jointid.estimation.starts.rigid_joint import regular_start, rigid_starts
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.nelder_mead import NelderMead, sizes_of
-from jointid.solvers.solve import Counted, Solution, Solver, solve
+from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.position_dependent_error import repeatable
 
+_ROUGH = 1e-3  # tolerance of the rough rigid joint: a start needs no more
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 
 _WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
@@ -102,32 +98,32 @@ class StiffnessSearch:
     tolerance: float
     history: History
 
-    def search(self) -> tuple[Solved, int]:
-        """Return the end, and the number of simulations of rigid joints.
+    def search(self) -> Solved:
+        """Return the end.
 
         Raises:
             MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
         """
         tell = self.history.progress
         try:
-            rigid = rough_rigid_joint(self.task, self.cutoff, tell)
+            rigid = rough_rigid_joint(self.task, self.cutoff, self.history)
         except MethodError as error:
             # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
             tell(Doubt("without a rigid joint to begin with", error))
-            return self._without_rigid_joint(), 0
+            return self._without_rigid_joint()
         try:
             solved = self._from_rigid_joint(rigid)
         except MethodError as error:
             if self.frequency is not None:
                 raise
             tell(Doubt("with other inertias than that joint's", error))
-            solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
-        assert rigid.settings.filtering.cutoff is not None
-        edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
+            solved = self._refine(explore_widely(self._on_band(math.inf), _of_joint(rigid), self.history))
+        edge = rigid.problem.filtering.cutoff
+        assert edge is not None
         if self.frequency is None and self._explains_little(solved):  # its inertia may be far off: noise moves the axis
             tell("the search ended where the model explains little; beginning again with other inertias")
             with contextlib.suppress(MethodError):
-                again = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
+                again = self._refine(explore_widely(self._on_band(math.inf), _of_joint(rigid), self.history))
                 solved = self._better_of(solved, again)
         for lower in () if self.cutoff else _LOWER_AGAIN:
             if not self._explains_little(solved):
@@ -135,13 +131,12 @@ class StiffnessSearch:
             # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
             tell("the search ended where the model explains little; beginning again, below a lower frequency")
             try:
-                rigid = rough_rigid_joint(self.task, edge / lower, tell)
+                rigid = rough_rigid_joint(self.task, edge / lower, self.history)
             except MethodError as error:  # a short record shows too little there
                 tell(Suspicion(f"not below {edge / lower:.3g} Hz", error))
                 break
-            simulations += rigid.simulations
             solved = self._better_of(solved, self._from_rigid_joint(rigid))
-        return solved, simulations
+        return solved
 
     def glance(self, *names: str) -> Solved:
         """Return the best rough end of a few starts with more of the surroundings free, on the whole band of the log.
@@ -151,7 +146,7 @@ class StiffnessSearch:
         """
         values = None
         with contextlib.suppress(MethodError):
-            values = rough_rigid_joint(self.task, self.cutoff, ignore_progress).values
+            values = _of_joint(rough_rigid_joint(self.task, self.cutoff, History(ignore_progress)))
         wide = self._on_band(math.inf)
         ends = []
         for candidate in explore(wide, values, self.frequency, self.history)[:_GLANCED]:
@@ -171,9 +166,9 @@ class StiffnessSearch:
         left = self.history.count_evaluations(solved.problem).residual(solved.x)
         return float(np.linalg.norm(left)) / solved.problem.size
 
-    def _from_rigid_joint(self, rigid: FitResult) -> Solved:
+    def _from_rigid_joint(self, rigid: Solved) -> Solved:
         found = self._explore(rigid)
-        found = _or_moving(found, rigid, least_squares(found.problem, self.tolerance), self.history)
+        found = _or_moving(found, rigid, self.tolerance, self.history)
         steps = np.diff(self.problem.experiment.inputs[:, REFERENCE])
         if abs(steps[0]) > _MOVES * np.max(np.abs(steps)):  # an end at rest is not near
             with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
@@ -184,8 +179,8 @@ class StiffnessSearch:
                     return moving
         return found
 
-    def _explore(self, rigid: FitResult) -> Solved:
-        return self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
+    def _explore(self, rigid: Solved) -> Solved:
+        return self._refine(explore(self._on_band(math.inf), _of_joint(rigid), self.frequency, self.history))
 
     def _without_rigid_joint(self) -> Solved:
         """Search from antiresonances; from the joint that would follow its reference if that fails.
@@ -261,69 +256,37 @@ class StiffnessSearch:
         return self.problem if self.task.filtering.cutoff else on_band(self.problem, self.task.filtering, mode)
 
 
-def search_by_simplex(
-    problem: ClosedLoopProblem,
-    task: Task,
-    frequency: float | None,
-    cutoff: float | None,
-    solver: NelderMead,
-    history: History,
-) -> tuple[Solved, int]:
-    """Search as the paper does, by a simplex from (13) at its frequency; see `StiffnessSearch`.
-
-    Where that loop is unstable, or no frequency is given, it begins at the best of the grid.
-    """
-    rigid = rough_rigid_joint(task, cutoff, history.progress)
-    start = None
-    if frequency is not None:
-        start = problem.vector(start_with_mode(problem, rigid.values, frequency, 0.5))
-        if np.linalg.norm(history.count_evaluations(problem).residual(start)) > problem.size:
-            history.progress(
-                Detail("the halved inertia (13) makes an unstable loop here; starting from another load share")
-            )
-            start = None
-    if start is None:
-        start = problem.vector(explore(problem, rigid.values, frequency, history)[0].values)
-    solver = replace(solver, scales=sizes_of(start), size=problem.size)
-    found = _or_moving(history.solve(problem, solver, start), rigid, solver, history, free=False)
-    return found, rigid.simulations
-
-
-def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> FitResult:
-    """Return a rough identification of a flexible joint as rigid, below its resonance.
+def rough_rigid_joint(task: Task, cutoff: float | None, history: History) -> Solved:
+    """Return a rough search for a flexible joint as rigid, below its resonance; its steps are no part of the history.
 
     Its cut-off, Hz, where None: 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
     """
     record, rigid = task.record, _rigid_loop(task)
-    record.require(rigid.channels, "DIDIM")
-    assert record.torque is not None
-    sample_time = record.torque.sample_time
 
-    didim: Any = method_of("didim")  # whose module imports this one
-    rough: Method = didim("residual", tolerance=1e-3, step_tolerance=1e-2, iterations=6)  # a start needs no more
+    def search(edge: float) -> Solved:
+        history.progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
+        problem = torque_problem(record, rigid, Filtering(cutoff=edge), rigid.joint.parameters)
+        aside = History(history.progress)
+        aside.tally = history.tally
+        return search_rigid_joint(problem, rigid_starts(problem, history.progress), _ROUGH, aside)
 
-    def identify_rigid(edge: float) -> FitResult:
-        progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
-        return rough.identify(
-            Task(record, rigid.joint, rigid, rigid.joint.parameters, Filtering(cutoff=edge), progress)
-        )
-
-    least = _least_cutoff(record)
     edge = cutoff or rigid_cutoff(record)
     found = None
     for lower in () if cutoff else _LOWER:  # a mode below the cut-off may make the joint look like none at all
         try:
-            found = identify_rigid(edge)
+            found = search(edge)
             break
         except MethodError as error:
-            progress(Suspicion(f"no rigid joint was found below {edge:.3g} Hz", error))
+            history.progress(Suspicion(f"no rigid joint was found below {edge:.3g} Hz", error))
             edge /= lower
-    found = found or identify_rigid(edge)
-    law = rigid.controller.law(sample_time)
-    slow = max(_RIGID_BELOW * crossover(law, found.values["inertia"]), least)
-    if cutoff is None and slow < 0.7 * edge:
-        return replace(identify_rigid(slow), earlier=found.simulations)
-    return found
+    found = found or search(edge)
+    slow = max(_RIGID_BELOW * crossover(found.problem.experiment.law, found.values["inertia"]), _least_cutoff(record))
+    return search(slow) if cutoff is None and slow < 0.7 * edge else found
+
+
+def _of_joint(rigid: Solved) -> dict[str, float]:
+    """Return the values of a joint's own parameters."""
+    return {p.name: rigid.values[p.name] for p in rigid.problem.joint.parameters}
 
 
 def rigid_cutoff(record: Record) -> float:
@@ -412,15 +375,10 @@ def _from_beside(found: Solved, history: History) -> Solution:
     return solve(history.count_evaluations(problem), roughly(problem), problem.vector(values | aside))
 
 
-def _or_moving(
-    resting: Solved, rigid: FitResult, solver: Solver[Counted], history: History, *, free: bool = True
-) -> Solved:
-    """Descend with the motor moving as the rigid joint's does, if it does; see `or_moving`.
-
-    `free` says whether the state at the first sample is searched for, or kept as the rigid joint has it.
-    """
-    if not rigid["initial_velocity"].free:  # below its resonance the axis seemed to rest at the first sample
+def _or_moving(resting: Solved, rigid: Solved, tolerance: float, history: History) -> Solved:
+    """Descend with the motor moving as the rigid joint's does, if it does; see `or_moving`."""
+    if all(p.name != "initial_velocity" for p in rigid.problem.free):  # below its resonance the axis seemed to rest
         return resting
-    values = resting.values | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
-    state = {p.name: replace(p, start=values[p.name], free=free) for p in INITIAL_STATE}
-    return or_moving(resting, resting.problem.replace_parameters(state), values, solver, history)
+    values = resting.values | {p.name: rigid.values[p.name] for p in INITIAL_STATE}
+    moving = resting.problem.replace_parameters({p.name: replace(p, start=values[p.name]) for p in INITIAL_STATE})
+    return or_moving(resting, moving, values, least_squares(moving, tolerance), history)

@@ -47,7 +47,6 @@ from jointid.uncertainty.verdict import (
 NOT_CONVERGED = "the search did not converge; the values are where it stopped"
 NOT_SIMULATED = "with these values nothing can be simulated, so nothing is known of them; give other starts"
 
-_PAPER_BASIS = "the paper's: of the inverse model on the simulated motion, which was not solved; far too small"
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
@@ -218,7 +217,6 @@ def build_closed_loop_result(
     simulations: int,
     *,
     spring: Visibility | None = None,
-    paper: Covariance | None = None,
 ) -> FitResult:
     """Return the fit that ends a simulation of the loop.
 
@@ -234,7 +232,6 @@ def build_closed_loop_result(
         trace: every iteration.
         simulations: that were run.
         spring: what the record shows of the spring of a flexible joint.
-        paper: the paper's covariance of the joint's parameters, which are then reported with its standard errors.
     """
     assert record.torque is not None
     assert problem.filtering.cutoff is not None
@@ -252,8 +249,6 @@ def build_closed_loop_result(
     )  # fmt: skip
     held = find_active_bounds(problem.free, x, error, J)
     covariance, basis = known.covariance, f"from the output sensitivities, {known.basis}"
-    if paper is not None:
-        covariance, basis = paper, _PAPER_BASIS
     params = build_params(problem, x, name_deviations(problem, covariance), covariance.correlation, basis, held=held)
     bounds: tuple[StiffnessBound, ...] = ()
     determined = identifiability_verdict(stated)

@@ -203,7 +203,6 @@ class Iteration:
         change: relative change of the residual norm since the last iteration; None at the start.
         step: largest relative change of a parameter since the last iteration; None at the start.
         simulations: so far.
-        gain_scale: factor on the simulated controller's gains.
     """
 
     number: int
@@ -212,7 +211,6 @@ class Iteration:
     change: float | None
     step: float | None
     simulations: int
-    gain_scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +24,14 @@ from jointid.estimation.starts.inverse_controller import (
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import RigidJoint
 from jointid.records.record import Channel, Timing
-from jointid.solvers.gauss_newton import GaussNewton
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.regression import solution as linear_solution
 from jointid.solvers.solve import solve
 
-_STEPS = 6  # enough for two parameters that act almost linearly on the torque
+_EVALUATIONS = 10  # enough for two parameters that act almost linearly on the torque
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class Start(NamedTuple):
     """The start of a search.
 
     Attributes:
@@ -45,24 +44,21 @@ class Start:
     nominal_inertia: float | None
 
 
-def rigid_starts(problem: ClosedLoopProblem, asked: str, progress: Progress) -> dict[str, Start]:
-    """Return starts by name: the one asked for, then the others that can be had.
+def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[Start]:
+    """Return a start from the inverse of the controller, and one of a regular inertia.
 
     Raises:
-        MethodError: there is none, or not the one asked for; a missing inversion start is no reason.
+        MethodError: there is none.
     """
-    makers = {"given": given_start} if asked == "given" else {}
-    makers |= {"regular": regular_start} if asked == "regular" else {}
-    makers |= {"inversion": inversion_start, "regular": regular_start}
-    found, failures = dict[str, Start](), list[MethodError]()
-    for name, make in makers.items():
+    found, failures = list[Start](), list[MethodError]()
+    for make in (inversion_start, regular_start):
         try:
-            found[name] = make(problem)
+            found.append(make(problem))
         except MethodError as error:
             failures.append(error)
-    if not found or (asked not in found and asked != "inversion"):
+    if not found:
         raise failures[0]
-    if asked not in found:
+    if found[0].nominal_inertia is not None:
         progress(Suspicion("starting from an inertia that suits the gains", failures[0]))
     return found
 
@@ -75,8 +71,8 @@ def inversion_start(problem: ClosedLoopProblem) -> Start:
     return Start(_apply_fixed_values(problem, found | first_state(problem, position)), None)
 
 
-def regular_start(problem: ClosedLoopProblem, given: Mapping[str, float] | None = None) -> Start:
-    """Return a regular inertia and no friction, or the given values, with the controller's gains to be scaled.
+def regular_start(problem: ClosedLoopProblem) -> Start:
+    """Return a regular inertia and no friction, with the controller's gains to be scaled.
 
     The loop of an inertia that is `n` times too large, under gains that are `n` times too large, moves like the real
     one; regressing on its motion gives good values at once. The real loop's own inertia is first read off the
@@ -91,15 +87,7 @@ def regular_start(problem: ClosedLoopProblem, given: Mapping[str, float] | None 
     nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
     regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
-    return Start(_apply_fixed_values(problem, {**regular, **(given or {})}), nominal)
-
-
-def given_start(problem: ClosedLoopProblem) -> Start:
-    """Return the starts the parameters carry; those without one begin as in `regular_start`."""
-    given = {p.name: p.start for p in problem.parameters if p.start is not None}
-    if given.get("inertia", 1.0) <= 0:
-        raise MethodError(f"A start for the inertia must be positive; received {given['inertia']}.")
-    return regular_start(problem, given)
+    return Start(_apply_fixed_values(problem, regular), nominal)
 
 
 def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
@@ -112,7 +100,7 @@ def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
         start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
     problems = (problem.keeping({"initial_velocity": 0.0}), problem)
-    solver = GaussNewton(tolerance=1e-9, step_tolerance=math.inf, iterations=_STEPS, halvings=0)
+    solver = LevenbergMarquardt(tolerance=1e-9, evaluations=_EVALUATIONS)
     ends = [(p, solve(p, solver, p.vector(start))) for p in problems]
     which, best = min(ends, key=lambda end: float(np.linalg.norm(end[1].residual)))
     return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)

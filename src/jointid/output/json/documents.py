@@ -77,9 +77,7 @@ SHAPES: Mapping[str, Shape] = {
             name: {"method": method, "time": resampled.channels[name]} for name, method in resampled.methods.items()
         },
     },
-    "Iteration": keys(
-        "iteration=number values residual_norm residual_change=change largest_step=step simulations gain_scale"
-    ),
+    "Iteration": keys("iteration=number values residual_norm residual_change=change largest_step=step simulations"),
     "Message": keys("code values words"),
     "Verdict": keys("subject good said status reasons"),
     "Identifiability": lambda known: [*known.physical, *known.directions],
