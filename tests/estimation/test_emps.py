@@ -142,5 +142,7 @@ def test_each_of_several_records_has_the_interval_that_it_has_alone(emps: Record
 def test_a_gain_that_was_forgotten_is_thought_of(emps: Record) -> None:
     assert emps.torque is not None
     volts = replace(emps, torque=replace(emps.torque, values=emps.torque.values / CONTROLLER.gain))
-    with pytest.raises(MethodError, match=r"inertia 2\.8.* loop is not stable.*check the gain and unit of the torque"):
+    with pytest.raises(
+        MethodError, match=r"inertia 2\.8.* loop is not stable.*check the sign, gain and unit of the torque"
+    ):
         identify(volts, LOOP, DIDIM())

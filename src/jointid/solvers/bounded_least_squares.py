@@ -196,7 +196,7 @@ class TrustRegion:
 
         scaled = bounds.in_units(unit)
         # Of a loop that runs away the derivatives are so large that their squares are infinite: no step comes of it.
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             found = least_squares(
                 residual, start / unit, jacobian, (scaled.lower, scaled.upper), x_scale="jac", xtol=self.tolerance,
                 ftol=self.cost_tolerance or self.tolerance, gtol=None, max_nfev=self.evaluations, callback=step,

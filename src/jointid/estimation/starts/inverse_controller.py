@@ -60,8 +60,7 @@ def command_of(problem: ClosedLoopProblem) -> FloatArray:
         or (averaged and measured and not whole)
     ):
         raise MethodError(
-            "The controller can be turned round only when the log shows the output of its periods, each once at most; "
-            'choose start = "regular".'
+            "The controller can be turned round only when the log shows the output of its periods, each once at most."
         )
     # A measured torque shows an output when it acts, an averaged one when its period is over.
     late = int(averaged) + (int(experiment.lags[0]) if measured else 0)

@@ -367,15 +367,12 @@ def invert(law: SampledLaw, torque: FloatArray, inputs: FloatArray, state: Float
     """
     gain = law.D[:, law.output, POSITION]
     if np.any(gain == 0.0):
-        raise MethodError(
-            "This law does not react to the position within its period, so it cannot be inverted; "
-            'choose start = "regular".'
-        )
+        raise MethodError("This law does not react to the position within its period, so it cannot be inverted.")
     back, out = law.B[:, :, POSITION] / gain[:, np.newaxis], law.C[:, law.output]
     direct = law.D[:, law.output]
     A = law.A - back[:, :, np.newaxis] * out[:, np.newaxis]
     if law.order and np.max(np.abs(np.linalg.eigvals(_over_cycle(A)))) >= 1.0 + 1e-9:
-        raise MethodError('The inverse of this law is unstable, so it gives no start; choose start = "regular".')
+        raise MethodError("The inverse of this law is unstable, so it gives no start.")
     B = law.B - back[:, :, np.newaxis] * direct[:, np.newaxis]
     D = -direct / gain[:, np.newaxis]
     # The torque takes the place of the position among the inputs.

@@ -13,9 +13,7 @@ from jointid.config.serialise import parameter_table
 from jointid.output.export.bodies import Model
 from jointid.output.export.joint_model import JointModel, interval, number
 
-_STARTS = (
-    'jointid simulate takes these starts; identify begins there with method.start = "given" (rigid), or by itself.'
-)
+_STARTS = "jointid simulate takes these starts."
 
 
 def joint_file(
