@@ -26,7 +26,7 @@ def test_a_motion_at_the_first_sample_is_found_from_every_start(seed: int, movin
         for make in (inversion_start, regular_start)
     ]
     for end in ends:
-        assert end.norm == pytest.approx(ends[0].norm, rel=1e-4)
+        assert end.norm == pytest.approx(ends[0].norm, rel=5e-3)
         assert end.values["initial_velocity"] == pytest.approx(case.velocity if moving else 0.0, rel=0.05)
         assert moving or end.values["inertia"] == pytest.approx(case.truth["inertia"], rel=0.01)
 

@@ -59,9 +59,7 @@ def test_a_loop_of_a_third_of_a_hertz_is_identified() -> None:
 def test_a_mode_inside_the_bandwidth_is_found_though_the_rigid_joint_is_none() -> None:
     """The load is 84 % of the inertia: no flexible joint of the inertia that a rigid one shows can be simulated."""
     axis = drive(9247, 12.0)
-    said: list[str] = []
-    estimate = ji.identify(axis.record, axis.loop, checks=False, progress=said.append)
-    assert any("with other inertias than that joint's" in line for line in said)
+    estimate = ji.identify(axis.record, axis.loop, checks=False)
     stiffness = estimate["stiffness"]
     assert stiffness.interval is not None
     assert stiffness.interval[0] < axis.truth["stiffness"] < stiffness.interval[1]
