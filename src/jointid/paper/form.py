@@ -27,13 +27,14 @@ def by_simplex(record: Record, loop: ClosedLoop, rigid: Estimate, best: Estimate
     problem = torque_problem(record, loop, Filtering(), loop.joint.parameters, resting)
     x = problem.vector(start_with_mode(problem, rigid.values, _FREQUENCY, 0.5))
     sizes = np.where(x != 0, np.abs(x), 1e-6 * np.max(np.abs(x)))
+
+    def criterion(at: FloatArray) -> float:
+        return float(np.linalg.norm(problem.residual(at * sizes)) / problem.size) ** 2
+
     runs = []
     for _ in range(2):
-        found = minimize(
-            lambda at: (np.linalg.norm(problem.residual(at * sizes)) / problem.size) ** 2,
-            x / sizes, method="Nelder-Mead",
-            options={"xatol": _TOLERANCE, "fatol": _TOLERANCE**2, "maxfev": 6000, "maxiter": 6000},
-        )  # fmt: skip
+        options = {"xatol": _TOLERANCE, "fatol": _TOLERANCE**2, "maxfev": 6000, "maxiter": 6000}
+        found = minimize(criterion, x / sizes, method="Nelder-Mead", options=options)  # type: ignore[call-overload]
         x = found.x * sizes
         runs.append(found)
     stop = ", then ".join(f"{run.nit} iterations and {run.nfev} simulations" for run in runs)
