@@ -20,9 +20,7 @@ from typing import IO
 from jointid.common.errors import RecordError
 
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
-_NO_STORING = (errno.EINVAL, errno.ENOSYS, getattr(errno, "ENOTSUP", errno.EINVAL))
 _SYSTEM = ("/dev/", "/proc/")  # what is opened there may be a file, and is still no place to put another
-_BLOCK = 2**20  # bytes that are read at once
 _rooms: set[Path] = set()
 
 
@@ -52,15 +50,20 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
             return
         place = _place_of(path)
         with _room_in(place.parent) as room:
-            yield room / place.name
-            _settle(room / place.name, place)
+            fresh = room / place.name
+            yield fresh
+            if fresh.is_file():
+                with fresh.open("rb+") as file:
+                    os.fsync(file.fileno())  # a full disk fails here
+            with contextlib.suppress(FileNotFoundError):
+                shutil.copymode(place, fresh)
+            fresh.replace(place)
 
 
 def require_room(path: str | os.PathLike[str]) -> None:
     """Refuse an output path that cannot be written, before long work.
 
-    An existing folder is tested itself, otherwise the nearest one above. A pipe is not tested: its reader would see
-    the end.
+    An existing folder is tested itself, otherwise the nearest one above. A pipe or a device is not tested.
     """
     path = Path(path)
     with explain(path):
@@ -68,12 +71,6 @@ def require_room(path: str | os.PathLike[str]) -> None:
             place = _place_of(path)
             with _room_in(next(each for each in (place, *place.parents) if each.is_dir())) as room:
                 (room / place.name).write_bytes(b"\n")
-        elif path.is_char_device():
-            device = os.open(path, os.O_WRONLY)
-            try:
-                os.write(device, b"")  # a full one refuses even that
-            finally:
-                os.close(device)
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
@@ -84,27 +81,12 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
 
 
 def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> tuple[Path, ...]:
-    """Write files by name into a folder, and return their paths.
-
-    A new folder appears complete. In an existing folder, no file is replaced until all are written.
-    """
+    """Write files by name into a folder, each atomically, and return their paths."""
     folder = Path(folder)
     with explain(folder):
-        place = Path(os.path.realpath(folder))
-        is_new = not place.exists()
-        if is_new:
-            place.parent.mkdir(parents=True, exist_ok=True)
-        with _room_in(place.parent if is_new else place) as room:
-            fresh = room / place.name
-            fresh.mkdir()
-            for name, content in files.items():
-                (fresh / name).write_bytes(content)
-                _store(fresh / name)
-            if is_new:
-                fresh.rename(place)
-            else:
-                for name in files:
-                    _settle(fresh / name, Path(os.path.realpath(place / name)))
+        folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        write_whole(folder / name, content)
     return tuple(folder / name for name in files)
 
 
@@ -140,7 +122,7 @@ def digest(*records: Path) -> str:
     try:
         for each in (file for record in records for file in files_of(record)):
             with open_file(each) as file:
-                while block := file.read(_BLOCK):
+                while block := file.read(2**20):
                     made.update(block)
     except OSError as error:
         reason = (error.strerror or type(error).__name__).lower()
@@ -179,16 +161,15 @@ def is_full(error: BaseException) -> bool:
 
 @contextlib.contextmanager
 def explain(path: Path) -> Iterator[None]:
-    """Convert an `OSError` to a sentence."""
+    """Convert an `OSError` of writing a file or a folder to a sentence."""
     try:
         yield
     except OSError as error:
         reason = (error.strerror or str(error) or type(error).__name__).lower()
         kept = ", and what was there is as it was" if path.exists() else ""
-        remedy = (
-            "free space there, or choose another place" if error.errno in (None, *_FULL) else "choose another place"
-        )
-        raise RecordError(f"{path} cannot be written ({reason}){kept}; {remedy}.") from error
+        raise RecordError(
+            f"{path} cannot be written ({reason}){kept}; free space there, or choose another place."
+        ) from error
 
 
 def _is_written_as_it_is(path: Path) -> bool:
@@ -221,24 +202,3 @@ def _room_in(folder: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(room, ignore_errors=True)
         _rooms.discard(room)
-
-
-def _settle(fresh: Path, place: Path) -> None:
-    """Move a complete file or folder to its place, with the old permissions."""
-    if fresh.is_dir():
-        fresh.rename(place)
-        return
-    _store(fresh)
-    with contextlib.suppress(FileNotFoundError):
-        fresh.chmod(stat.S_IMODE(place.stat().st_mode))
-    fresh.replace(place)
-
-
-def _store(fresh: Path) -> None:
-    """Flush a file to disk, so that a full disk fails here."""
-    with fresh.open("rb+") as file:
-        try:
-            os.fsync(file.fileno())
-        except OSError as error:  # some disks in a network know no such order
-            if error.errno not in _NO_STORING:
-                raise

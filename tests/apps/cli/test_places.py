@@ -121,15 +121,9 @@ def test_half_a_result_is_never_seen(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob(".jointid-*"))
 
 
-def test_a_disk_without_an_order_to_store_is_written_and_one_that_fails_is_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(number: int) -> None:
-        monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(number, os.strerror(number))))
-
-    refuse(errno.EINVAL)  # as some disks in a network do
+def test_a_disk_that_fails_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_whole(tmp_path / "a.json", "old")
-    refuse(errno.EIO)
+    monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(errno.EIO, os.strerror(errno.EIO))))
     with pytest.raises(RecordError, match="input/output error"):
         write_whole(tmp_path / "a.json", "new")
     assert contents(tmp_path) == {"a.json": b"old"}
@@ -139,10 +133,9 @@ def test_what_takes_nothing_is_refused_before_anything_runs(tmp_path: Path, monk
     """The administrator may write everywhere, so that the system's answer for a file is made up."""
     (tmp_path / "mine.json").write_text("{}")
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path / "mine.json")
-    for refused in (tmp_path / "mine.json", tmp_path, tmp_path / "none" / "x.json", Path("/dev/full")):
-        if refused.parent != Path("/dev") or refused.exists():
-            with pytest.raises(RecordError):
-                spare([refused])
+    for refused in (tmp_path / "mine.json", tmp_path, tmp_path / "none" / "x.json"):
+        with pytest.raises(RecordError):
+            spare([refused])
     spare([Path(os.devnull), None])
 
 
