@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from jointid.common.text import ordinal
 from jointid.common.units import UnitError, normalise_unit, parse_quantity
 from jointid.config import loads
 from jointid.records.columns import Column, known_units
@@ -36,9 +35,3 @@ def test_a_declared_unit_and_that_of_the_name_are_said_with_both() -> None:
 def test_what_is_no_quantity_is_refused(text: str) -> None:
     with pytest.raises(UnitError):
         parse_quantity(text)
-
-
-def test_ordinals_are_those_of_english() -> None:
-    assert [ordinal(one) for one in (1, 2, 3, 4, 11, 12, 13, 22, 111)] == [
-        "1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "22nd", "111th",
-    ]  # fmt: skip

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from importlib import import_module
-from types import UnionType
 from typing import Any, Self
 
 from jointid.common.text import printable
@@ -61,22 +60,6 @@ class JointFileError(FaultsError):
 
 class MethodError(JointidError):
     """The record, joint or controller lacks what a method needs."""
-
-
-def require_type(value: object, expected: type | UnionType, said: str, remedy: str) -> None:
-    """Require an argument of a type.
-
-    Args:
-        value: the argument.
-        expected: its type, or the union of several.
-        said: what takes which type, the beginning of the sentence.
-        remedy: the end of the sentence.
-
-    Raises:
-        MethodError: it is of another type.
-    """
-    if not isinstance(value, expected):
-        raise MethodError(f"{said}; received {type(value).__name__}: {remedy}.")
 
 
 class UnknownName(MethodError, KeyError):  # noqa: N818, it is a name that Python's own KeyError is caught by

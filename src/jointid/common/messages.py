@@ -15,11 +15,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, Self, TypeVar
 
 _LONGEST = 60  # characters of a value that a sentence shows
 _GUESSED = 100  # characters of a word that another one may be meant by
-_NUMBERS = re.compile(r"-?\d[\d.e+-]*")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _FIRST = 3.0  # seconds to the first line of progress where no bar is drawn
 BETWEEN = 10.0
@@ -68,27 +67,13 @@ class Doubt(Suspicion):
     """A suspicion that the record comes from another drive."""
 
 
-class Pace(str):
-    """A line on how far a piece of work is, beside the stage."""
-
-
 def name_progress(progress: Progress, name: str) -> Progress:
     """Return a listener that puts a name before each line; a detail stays one."""
-
-    def tell(message: str) -> None:
-        line = f"{name}: {message}"
-        if isinstance(message, Detail):
-            detail = Detail(line)
-            detail.brief = f"{name}: {message.brief}" if message.brief else ""
-            progress(detail)
-        else:
-            progress(Pace(line) if isinstance(message, Pace) else line)
-
-    return tell
+    return lambda message: progress((Detail if isinstance(message, Detail) else str)(f"{name}: {message}"))
 
 
 class Suspicions:
-    """A listener that tells a reason once, whatever its numbers, and keeps the latest.
+    """A listener that keeps the latest reason.
 
     Args:
         progress: the listener that it passes lines to.
@@ -99,40 +84,19 @@ class Suspicions:
     """
 
     def __init__(self, progress: Progress, look: Callable[[], object] = tuple) -> None:
-        self._progress, self._look, self._told, self.latest = progress, look, set[str](), ""
-        if isinstance(progress, BarListener):
-            self.draw = progress.draw
+        self._progress, self._look, self.latest = progress, look, ""
+        self.draw = getattr(progress, "draw", None)
 
     def __call__(self, message: str) -> None:
-        """Pass on a line, without a reason that was said before."""
-        doubted = isinstance(message, Doubt)
-        if isinstance(message, Suspicion):
-            shape = _NUMBERS.sub("", message.why)
-            if shape in self._told:
-                if message == message.brief:
-                    return
-                message = message.brief
-            else:
-                self._told.add(shape)
-                self.latest = message.why
+        """Pass on a line."""
+        self.latest = getattr(message, "why", self.latest)
         self._progress(message)
-        if doubted:
+        if isinstance(message, Doubt):
             self._look()
 
 
-@runtime_checkable
-class BarListener(Protocol):
-    """A progress listener that can draw a bar."""
-
-    def __call__(self, message: str) -> None:
-        """Receive a sentence."""
-
-    def draw(self, what: str, done: float, total: float, unit: str) -> None:
-        """Draw the progress of a piece of work, complete at `total`."""
-
-
 class Work:
-    """Progress of a piece of work, as a bar, or a line after three seconds and then every ten.
+    """Progress of a piece of work: a bar of the listener's `draw`, or a line after three seconds and then every ten.
 
     Args:
         progress: the listener.
@@ -151,31 +115,27 @@ class Work:
     def reach(self, done: float) -> None:
         """Report the amount done."""
         self._done = done
-        if isinstance(self._progress, BarListener):
-            self._progress.draw(self._what, done, self.total, self._unit)
+        if draw := getattr(self._progress, "draw", None):
+            draw(self._what, done, self.total, self._unit)
             return
         now = time.monotonic()
         if done < self.total and now - self._reported >= BETWEEN:
             self._reported = now
-            self._progress(Pace(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}"))
+            self._progress(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}")
 
     def add(self) -> None:
         """Report one more step, from any thread."""
         with self._lock:
             self.reach(self._done + 1)
 
-    def along(self, steps: Iterable[T]) -> Iterator[T]:
-        """Yield steps, and count each as done."""
-        for step in steps:
-            yield step
-            self.add()
-
 
 def follow(steps: Iterable[T], progress: Progress, what: str, total: float, unit: str) -> Iterator[T]:
     """Yield steps and report progress; see `Work`."""
     work = Work(progress, what, total, unit)
     try:
-        yield from work.along(steps)
+        for step in steps:
+            yield step
+            work.add()
     finally:
         work.reach(total)
 
@@ -224,24 +184,6 @@ class Message:
         return self.words
 
 
-def join_messages(messages: Iterable[Message]) -> str:
-    """Join the words of several messages into one sentence."""
-    return "; ".join(message.words for message in messages)
-
-
-@dataclass(frozen=True, slots=True)
-class Says:
-    """The expected value, in words, and a remedy.
-
-    Attributes:
-        expected: in words, such as "a positive number".
-        negative: the remedy for a negative number, where there is one beside correcting it.
-    """
-
-    expected: str
-    negative: str = ""
-
-
 def first_place(key: int | str | None) -> int:
     """First index of a list: 0 for filters, else 1."""
     return 0 if key == "torque_filters" else 1
@@ -257,22 +199,13 @@ def dot_path(location: Iterable[int | str]) -> str:
 
 def format_value(value: object) -> str:
     """Return a value as the file writes it, shortened."""
-    match value:
-        case dict():
-            text = "a table"
-        case list() if any(isinstance(item, list | dict) for item in value):
-            text = "a list of lists or tables"
-        case list():
-            text = _short(f"[{', '.join(map(format_value, value))}]")
-        case str():
-            text = f'"{_short(json.dumps(value, ensure_ascii=False)[1:-1])}"'
-        case bool():
-            text = str(value).lower()
-        case int() if abs(value) >= 2**63:
-            text = "a whole number of more than 64 bits"  # Python refuses to print the largest
-        case _:
-            text = str(value)
-    return text
+    if isinstance(value, dict):
+        return "a table"
+    try:
+        text = json.dumps(value, ensure_ascii=False, default=str)
+    except (ValueError, RecursionError):
+        return "a value that cannot be printed"
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 def is_number(text: str) -> bool:
@@ -316,11 +249,6 @@ def describe_unknown_name(key: str, known: Iterable[str]) -> str:
     return f" is not a known key; expected one of {', '.join(keys)}: {suggest(key, keys, 'leave it out')}"
 
 
-def foreign(kind: str, known: Iterable[str]) -> str:
-    """Return the rest of the sentence on a key of another kind."""
-    return f' is not a key of the kind "{kind}"; expected one of {", ".join(known)}: leave it out, or change the kind.'
-
-
 def no_choice(value: object, choices: Iterable[str]) -> str:
     """Describe a value that is not among the choices."""
     choices = list(choices)
@@ -328,25 +256,18 @@ def no_choice(value: object, choices: Iterable[str]) -> str:
     return f" is {format_value(value)}; expected {either(choices)}: {nearest}"
 
 
-def no_table(value: object) -> str:
-    """Describe a value in place of a table."""
-    return f" is {format_value(value)}; expected a table: put its keys below a [heading], or in braces."
+def describe_unexpected_value(value: object, expected: str, optional: bool = False, negative: str = "") -> str:
+    """Describe an unexpected value.
 
-
-def beside_preset(value: object, preset: str) -> str:
-    """Describe a value that a preset already sets."""
-    return f' is {format_value(value)} beside preset = "{preset}", which sets it: leave one of them out.'
-
-
-def describe_unexpected_value(value: object, says: Says, optional: bool) -> str:
-    """Describe an unexpected value."""
+    Args:
+        value: the value.
+        expected: in words, such as "a positive number".
+        optional: whether it may be left out.
+        negative: the remedy for a negative number, where there is one beside correcting it.
+    """
     remedy = "correct it, or leave it out" if optional else "correct it"
-    if isinstance(value, int | float) and value < 0 and says.negative:
-        remedy = says.negative
+    if isinstance(value, int | float) and value < 0 and negative:
+        remedy = negative
     elif isinstance(value, str) and is_number(value):
         remedy = "write it without quotes"
-    return f" is {format_value(value)}; expected {says.expected}: {remedy}."
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+    return f" is {format_value(value)}; expected {expected}: {remedy}."

@@ -18,7 +18,6 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 from jointid.common import messages
 from jointid.common.errors import FaultsError, JointidError, MethodError
-from jointid.common.messages import Says
 
 T = TypeVar("T")
 
@@ -108,7 +107,7 @@ class Declared:
         return self.default is MISSING and self.factory is None
 
     @property
-    def says(self) -> Says:
+    def expected(self) -> str:
         """Description of the expected value."""
         expected = self.setting.expected
         if not expected and self.choices:
@@ -117,7 +116,7 @@ class Declared:
             expected = " or ".join(map(str, self.setting.only))
         elif not expected:
             expected = self._range if self.type in (int, float) else _WORDS.get(self.type, "a table")
-        return Says(expected, self.setting.negative)
+        return expected
 
     @property
     def _range(self) -> str:
@@ -135,7 +134,7 @@ class Declared:
             return None
         if self.choices:
             return messages.no_choice(value, self.choices)
-        return messages.describe_unexpected_value(value, self.says, optional=not self.required)
+        return messages.describe_unexpected_value(value, self.expected, not self.required, self.setting.negative)
 
     def _allows(self, value: Any) -> bool:
         if value is None:

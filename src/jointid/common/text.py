@@ -40,18 +40,6 @@ def format_signed(value: float, digits: int = 5) -> str:
     return f"{'-' if value < 0 else '+'}{number(abs(value), digits)}"
 
 
-def format_position(value: float, unit: str) -> str:
-    """Format a small position, in m or rad, in mm or degrees.
-
-    Example:
-        >>> from jointid.common.text import format_position
-        >>> format_position(1.63e-6, "m"), format_position(0.01, "rad")
-        ('0.00163 mm', '0.573 deg')
-    """
-    factor, shown = (1e3, "mm") if unit == "m" else (180 / math.pi, "deg")
-    return f"{number(factor * value, 3)} {shown}"
-
-
 def round_to(value: float, digits: int = 3) -> float:
     """Round to significant digits."""
     return float(f"{value:.{digits - 1}e}")
@@ -75,18 +63,6 @@ def uniform(values: Sequence[float | None], otherwise: str = "-", digits: int = 
         otherwise if value is None else number(round_to(value, digits), digits) if plain else f"{value:.{digits - 1}e}"
         for value in values
     ]
-
-
-def ordinal(count: int) -> str:
-    """Format an ordinal: 1st, 2nd, 3rd, 4th, 11th, 21st.
-
-    Example:
-        >>> from jointid.common.text import ordinal
-        >>> [ordinal(one) for one in (1, 2, 3, 4, 11, 12, 13, 21, 102)]
-        ['1st', '2nd', '3rd', '4th', '11th', '12th', '13th', '21st', '102nd']
-    """
-    ending = "th" if count % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(count % 10, "th")
-    return f"{count}{ending}"
 
 
 def interval(value: float, spread: float) -> str:

@@ -148,16 +148,6 @@ class Transmission:
         return f"{size}{turned}, without loss (efficiency taken as 1); values are on the {self.side} side"
 
 
-def transmission_lines(transmission: Transmission | None) -> list[str]:
-    """State on which side the values are; empty without a choice."""
-    return [] if transmission is None else [f"transmission: {transmission}"]
-
-
-def usual_side(name: str) -> Side:
-    """Default side of a channel: load for a load encoder."""
-    return "load" if name == "load_position" else "motor"
-
-
 @dataclass(frozen=True, slots=True)
 class OtherSide:
     """Conversion from the joint's side to the other.
@@ -205,8 +195,3 @@ class OtherSide:
         """Quantity of a unit; quantities of one unit scale alike."""
         kind = self.transmission.kind
         return next((q for q in Quantity if unit_of(q, kind, self.torque_unit) == unit), None)
-
-
-def other_side(transmission: Transmission | None, torque_unit: str) -> OtherSide | None:
-    """Other side of a joint's transmission; None without one."""
-    return None if transmission is None else OtherSide(transmission, torque_unit)

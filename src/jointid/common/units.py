@@ -7,6 +7,7 @@ ampere or volt. `records.drives` converts encoder counts and shares of a rated t
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Mapping
@@ -123,12 +124,14 @@ _BASES: Mapping[str, Mapping[str, int]] = {
 }  # fmt: skip
 """The powers of the base units in each dimension; a cycle is one, since 1 Hz and 1 rad/s are not the same."""
 
-_LONGEST = 100  # characters of a unit; each bracket in it is a call
+_LONGEST = 100  # characters of a unit
 _TOGETHER = {"Nms": "N m s", "Ns": "N s", "As": "A s", "Vs": "V s", "mNms": "mN m s", "kgm": "kg m"}
+_WRITTEN_TOGETHER = re.compile(rf"(?<![^\W\d])({'|'.join(_TOGETHER)})(\^?-?\d+)?(?!\w)")
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−", "0123456789--")
 _MULTIPLIED = str.maketrans("·⋅*×", "    ")
 _POINT = re.compile(r"(?<=[^\W\d])\.(?=[^\W\d])")  # between two units, as in N.m
-_TOKEN = re.compile(r"\s*(?:(?P<name>[^\W\d]+|[°%‰])(?:\^?(?P<power>-?\d+))?|(?P<number>\d+)|(?P<mark>[()/]))")
+_BRACKET = re.compile(r"\(([^()]+)\)")
+_FACTOR = re.compile(r"(?P<number>\d+)|(?P<name>[^\W\d]+|[°%‰])\^?(?P<power>-?\d+)?")
 _QUANTITY = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>.*)", re.DOTALL)
 
 
@@ -207,60 +210,44 @@ def parse_unit(text: str) -> Compound:
     if "," in text:
         raise UnitError('write the number with a point, as "0.8 A s/rad"')
     spaced = _POINT.sub(" ", text.translate(_RAISED).translate(_MULTIPLIED).replace("per mille", "permille")).strip()
-    if len(spaced) > _LONGEST:
-        raise UnitError(f"its unit has {len(spaced)} characters; expected at most {_LONGEST}")
-    tokens, at = list[re.Match[str]](), 0
-    while at < len(spaced):
-        token = _TOKEN.match(spaced, at)
-        if token is None:
-            raise UnitError(f'"{text.strip()}" is no unit; expected products and quotients of units, as A s/rad')
-        tokens.append(token)
-        at = token.end()
-    try:
-        found = _read_division(tokens, text.strip())
-    except (OverflowError, ZeroDivisionError):
-        raise UnitError(f'"{text.strip()}" is no unit; its factor is 0 or too large') from None
-    if tokens:
-        raise UnitError(f'"{text.strip()}" has a bracket that is not closed or not opened')
-    if not 0.0 < found.factor < math.inf:
-        raise UnitError(f'"{text.strip()}" is no unit; its factor is 0 or too large')
+    spaced = _WRITTEN_TOGETHER.sub(lambda found: f"({_TOGETHER[found[1]]}{found[2] or ''})", spaced)
+    brackets = dict[str, Compound]()
+    if 0 < len(spaced) <= _LONGEST:
+        with contextlib.suppress(ValueError, OverflowError, ZeroDivisionError):
+            while inner := _BRACKET.search(spaced):
+                brackets[name := f"#{len(brackets)}"] = _read_quotient(inner[1], brackets)
+                spaced = f"{spaced[: inner.start()]} {name} {spaced[inner.end() :]}"
+            found = _read_quotient(spaced, brackets)
+            if 0.0 < found.factor < math.inf:
+                return found
+    raise UnitError(
+        f'"{text.strip()[:_LONGEST]}" is no unit; expected products and quotients of units, as A s/rad or A/(rad s)'
+    )
+
+
+def _read_quotient(text: str, brackets: Mapping[str, Compound]) -> Compound:
+    """Parse a quotient whose brackets are replaced by their names.
+
+    Raises:
+        ValueError: behind a stroke stands a product, or nothing.
+    """
+    above, *below = text.split("/")
+    factors = [(word, 1) for word in above.split()]
+    for each in below:
+        (word,) = each.split()
+        factors.append((word, -1))
+    found = Compound(1.0, {})
+    for word, power in factors:
+        found = found.times(brackets[word] if word in brackets else _read_factor(word), power)
     return found
 
 
-def _read_division(tokens: list[re.Match[str]], text: str) -> Compound:
-    """Parse tokens up to the end or a right bracket; consumes them."""
-    found, divided = Compound(1.0, {}), False
-    if not tokens or tokens[0]["mark"] == ")":
-        raise UnitError(f'"{text}" is no unit; expected products and quotients of units, as A s/rad')
-    while tokens and tokens[0]["mark"] != ")":
-        if tokens[0]["mark"] == "/":
-            tokens.pop(0)
-            found, divided = found.times(_read_factor(tokens, text), -1), True
-        elif divided:
-            raise UnitError(f'"{text}" has a product behind a stroke; write brackets, as A/(rad s), or A s/rad')
-        else:
-            found = found.times(_read_factor(tokens, text))
-    return found
-
-
-def _read_factor(tokens: list[re.Match[str]], text: str) -> Compound:
-    if not tokens or tokens[0]["mark"] in ("/", ")"):
-        raise UnitError(f'"{text}" is no unit; expected products and quotients of units, as A s/rad')
-    token = tokens.pop(0)
-    if token["mark"] == "(":
-        found = _read_division(tokens, text)
-        if not tokens:
-            raise UnitError(f'"{text}" has a bracket that is not closed or not opened')
-        tokens.pop(0)
-        return found
-    if token["number"]:
-        return Compound(float(token["number"]), {})
-    named, power = token["name"], int(token["power"] or 1)
-    if named in _TOGETHER:
-        *most, last = _TOGETHER[named].split()
-        found = parse_unit(" ".join(most))
-        return found.times(parse_unit(last), power)
-    entry = _UNITS.get(normalise_unit(named))
+def _read_factor(word: str) -> Compound:
+    if (said := _FACTOR.fullmatch(word)) is None:
+        raise ValueError
+    if said["number"]:
+        return Compound(float(said["number"]), {})
+    entry = _UNITS.get(normalise_unit(said["name"]))
     if entry is None:
-        raise UnitError(f'"{named}" is no unit that is known; {_known_instead(named)}')
-    return Compound(1.0, {}).times(Compound(entry.factor, _BASES[entry.dimension]), power)
+        raise UnitError(f'"{said["name"]}" is no unit that is known; {_known_instead(said["name"])}')
+    return Compound(1.0, {}).times(Compound(entry.factor, _BASES[entry.dimension]), int(said["power"] or 1))

@@ -301,8 +301,8 @@ class FilteringTable(Table):
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the keys beside a preset."""
         if self.preset is not None:
-            for key, value in self.settings("preset").items():
-                yield key, messages.beside_preset(value, self.preset)
+            for key in self.settings("preset"):
+                yield key, " is set by the preset, too: leave one of them out."
 
     def build(self) -> Any:
         """Return the filtering."""
@@ -407,7 +407,7 @@ class FilterTable(Table):
         given, names = self._settings_of_kind(kind), [field.name for field in known]
         foreign = [key for key in given if key not in names]
         for key in foreign:
-            yield key, messages.foreign(kind, names)
+            yield key, messages.describe_unknown_name(key, names)
         lacking = [f.name for f in known if (f.default is MISSING or f.name == "numerator") and f.name not in given]
         for key in lacking:
             yield key, self.lacks(key)

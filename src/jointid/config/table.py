@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, get_args, get_origin
 
 from jointid.common import messages
 from jointid.common.errors import Fault, JointFileError, JointidError
-from jointid.common.messages import Says
 from jointid.common.settings import Declared, declare, settings_of
 from jointid.config.deleted import sentence_of
 from jointid.config.quantities import Stated, is_quantity, list_units, misfit, to_si
@@ -129,7 +128,7 @@ class Table:
     def lacks(cls, key: str) -> str:
         """Return the rest of the sentence on a missing key."""
         one = cls.declared()[key]
-        return messages.missing(one.says.expected, one.setting.description)
+        return messages.missing(one.expected, one.setting.description)
 
     if TYPE_CHECKING:  # keys that are settings of other classes
 
@@ -222,7 +221,7 @@ class Reader:
         if owner.shorthand and not isinstance(raw, dict):
             return self._read_shorthand(owner, raw, place)
         if not isinstance(raw, dict):
-            return self._refuse(place, messages.no_table(raw), "table")
+            return self._refuse(place, messages.describe_unexpected_value(raw, "a table"), "table")
         if owner.variants:
             kind = raw.get(owner.decided_by)
             if not isinstance(kind, str) or kind not in owner.variants:
@@ -289,7 +288,7 @@ class Reader:
             made = [self.read(below, value, (*place, number)) for number, value in enumerate(raw)]
             return WRONG if any(value is WRONG for value in made) else tuple(made)
         if not isinstance(raw, dict):
-            return self._refuse(place, messages.no_table(raw), "value")
+            return self._refuse(place, messages.describe_unexpected_value(raw, "a table"), "value")
         named = {name: self.read(below, value, (*place, name)) for name, value in raw.items()}
         self.wrong.update((*place, name) for name, value in named.items() if value is WRONG)
         return {name: value for name, value in named.items() if value is not WRONG}
@@ -313,9 +312,9 @@ class Reader:
     def _refuse_value(self, one: Declared, raw: object, place: Place, beside: str = "") -> Any:
         if one.choices and one.setting.accept is None:
             return self._refuse(place, messages.no_choice(raw, one.choices), "value")
-        says = Says(one.says.expected + beside, one.says.negative)
-        optional = not (beside or one.required)
-        return self._refuse(place, messages.describe_unexpected_value(raw, says, optional), "value")
+        expected, optional = one.expected + beside, not (beside or one.required)
+        rest = messages.describe_unexpected_value(raw, expected, optional, one.setting.negative)
+        return self._refuse(place, rest, "value")
 
     def require(self) -> None:
         """Raise a `JointFileError` if there are faults."""

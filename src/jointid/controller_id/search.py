@@ -180,8 +180,10 @@ def _start_search(
     likeliest = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in candidates)
     work = Work(progress, "fitting the likeliest laws", sum(keep for keep, _ in _SIEVE), "laws")
     for keep, evaluations in _SIEVE:
-        refined = (data.regression.refine(one, weighting, False, evaluations) for one in work.along(likeliest[:keep]))
-        trimmed = [_trim(data, one, weighting) for one in refined]
+        trimmed = list[RegressionFit]()
+        for one in likeliest[:keep]:
+            trimmed.append(_trim(data, data.regression.refine(one, weighting, False, evaluations), weighting))
+            work.add()
         likeliest = unique_structures(sorted(trimmed, key=partial(score, rows=weighting.noise.rows)))
         weighting = data.regression.weighting(likeliest[0])
     fitted = (data.to_law(one, weighting.noise) for one in likeliest)

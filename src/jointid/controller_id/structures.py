@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
 
-from jointid.common.text import ordinal
 from jointid.models.controllers import (
     PD,
     PID,
@@ -147,7 +146,7 @@ class Structure:
         if self.rate > 1:
             said.append(f"{self.rate} periods per sample" + _ON_REFERENCE[self.interpolation])
         if self.every > 1:
-            said.append(f"position loop every {self.every} periods, from the {ordinal(self.offset + 1)}")
+            said.append(f"position loop every {self.every} periods, from period {self.offset + 1}")
         return ", ".join(said)
 
 

@@ -15,7 +15,7 @@ from enum import StrEnum
 import numpy as np
 
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Paragraph, Table, Verdicts
-from jointid.common.errors import FaultsError, JointidError, MethodError, require_type
+from jointid.common.errors import FaultsError, JointidError, MethodError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
@@ -282,10 +282,8 @@ def _list_axes(record: object, model: object) -> list[_Axis]:
             _Axis(name, one, joint, None if law is None else ClosedLoop(joint, law))
             for name, one, joint, law in zip(robot.names, record, joints, laws, strict=True)
         ]
-    require_type(record, Record, "One record is examined", "give that of one joint")
-    said = "A record is examined with the ClosedLoop or DriveSide of a joint, with the joint, or with a robot"
-    require_type(model, ClosedLoop | DriveSide | Joint, said, "give one of these")
-    assert isinstance(record, Record) and isinstance(model, ClosedLoop | DriveSide | Joint)
+    if not (isinstance(record, Record) and isinstance(model, ClosedLoop | DriveSide | Joint)):
+        raise MethodError("A record is examined with the ClosedLoop or DriveSide of its joint, or with the joint.")
     joint = model.joint if isinstance(model, ClosedLoop | DriveSide) else model
     return [_Axis("", record, joint, model if isinstance(model, ClosedLoop) else None)]
 

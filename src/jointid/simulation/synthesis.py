@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError, require_type
+from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
@@ -70,11 +70,14 @@ def simulate(
     from jointid.simulation.robot_numbers import RobotNumbers
     from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot, simulation_of
 
-    require_type(
-        loop, RobotLoop, "A ClosedLoop or a RobotLoop is simulated", "give joint or robot with its controllers"
-    )
-    if not isinstance(record, Sequence) or not isinstance(values, RobotNumbers | None):
-        raise MethodError("A robot is simulated from a record of each joint, with RobotNumbers; give both so.")
+    if (
+        not isinstance(loop, RobotLoop)
+        or not isinstance(record, Sequence)
+        or not isinstance(values, RobotNumbers | None)
+    ):
+        raise MethodError(
+            "A ClosedLoop is simulated from a record, a RobotLoop from a record of each joint, with RobotNumbers."
+        )
     numbers = RobotNumbers.of(loop.robot) if values is None else values
     return simulation_of(run_robot(prepare_robot(loop, record), numbers, keep=True, steps=steps))
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from jointid.common.messages import Message, join_messages
+from jointid.common.messages import Message
 from jointid.common.text import join, number
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.residual_tests import ResidualReport
@@ -133,7 +133,7 @@ class Verdict:
     @property
     def said(self) -> str:
         """The reasons as one sentence."""
-        return join_messages(self.reasons)
+        return "; ".join(reason.words for reason in self.reasons)
 
 
 @dataclass(frozen=True, slots=True)

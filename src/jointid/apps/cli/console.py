@@ -17,7 +17,7 @@ from cyclopts import Parameter
 
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import require_room
-from jointid.common.messages import BETWEEN, Detail, Pace, Progress, Suspicions, describe_time, ignore_progress
+from jointid.common.messages import BETWEEN, Detail, Progress, Suspicions, describe_time, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
@@ -219,10 +219,7 @@ class Lines:
     def __call__(self, message: str) -> None:
         """Print the stage that a line of progress begins."""
         now, stage = time.monotonic(), message.brief if isinstance(message, Detail) else message
-        if isinstance(message, Pace):
-            self._told = now
-            tell(message)
-        elif stage and stage != self._stage:
+        if stage and stage != self._stage:
             self._stage, self._began, self._told = stage, now, now
             tell(stage)
         elif now - self._told >= BETWEEN:

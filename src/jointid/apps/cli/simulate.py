@@ -45,7 +45,6 @@ def simulate(
 
 def _simulate_joint(file: File, estimate: Path | None, out: Path | None, options: Options) -> None:
     from jointid import simulate as run
-    from jointid.common.transmission import transmission_lines
     from jointid.models.disturbances import EncoderOffset
     from jointid.output import json as answers
     from jointid.simulation.simulated import require_success
@@ -64,8 +63,8 @@ def _simulate_joint(file: File, estimate: Path | None, out: Path | None, options
     ready(options.progress, derivatives=False)
     simulation = require_success(run(file.loop, logged, values))
     peak = float(abs(simulation.torque).max())
-    for line in transmission_lines(file.joint.transmission):
-        show(line)
+    if file.joint.transmission is not None:
+        show(f"transmission: {file.joint.transmission}")
     show(
         f"{simulation.torque.size} samples of {simulation.sample_time:g} s: peak torque {peak:.5g}, "
         f"{simulation.events} reversals, stops and starts, {100 * simulation.at_limit:.2f} % of the time at the limit"

@@ -13,7 +13,7 @@ from jointid.common.document import Documented
 from jointid.common.errors import MethodError, UnknownName
 from jointid.common.messages import suggest
 from jointid.common.text import interval, number
-from jointid.common.transmission import SIDES, OtherSide, Side, other_side
+from jointid.common.transmission import SIDES, OtherSide, Side
 from jointid.estimation.result.agreement import Agreement, DriftTest
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.disturbances import Effect
@@ -492,7 +492,8 @@ class EstimateParts:
     def other(self) -> OtherSide | None:
         """The other side of the transmission; None without one."""
         joint = self.settings.system
-        return None if isinstance(joint, Robot) else other_side(joint.transmission, self.data.torque_unit)
+        gear = None if isinstance(joint, Robot) else joint.transmission
+        return None if gear is None else OtherSide(gear, self.data.torque_unit)
 
     @property
     def other_side(self) -> tuple[EstimatedParameter, ...]:

@@ -12,7 +12,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Tone, Verdicts
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import format_position, format_signed, in_words, interval, number, uniform
+from jointid.common.text import format_signed, in_words, interval, number, uniform
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.log_windows import VISITS
 from jointid.estimation.result.agreement import DriftTest
@@ -175,7 +175,8 @@ def describe_positions(estimate: EstimateParts) -> str:
             if robot is None
             else robot.position_unit(robot.names.index(name))
         )
-        each.append(f"{name} {format_position(rms, unit)}".strip())
+        factor, shown = (1e3, "mm") if unit == "m" else (180 / math.pi, "deg")
+        each.append(f"{name} {number(factor * rms, 3)} {shown}".strip())
     return f"{', '.join(each)} rms"
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
-from jointid.common.errors import MethodError, require_type
+from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress, name_progress
 from jointid.common.parallel import one_thread
 from jointid.common.text import interval, join, number
@@ -233,10 +233,10 @@ def identify_payload(
             not fit the model, does not settle or is not that of the estimate, or the estimator is "iv".
         RecordError: as of `jointid.identify`.
     """
-    said = "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide"
-    require_type(
-        model, Robot | RobotLoop | RobotDriveSide, said, "of a joint compare two estimates, or give SeveralRecords"
-    )
+    if not isinstance(model, Robot | RobotLoop | RobotDriveSide):
+        raise MethodError(
+            "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; of a joint, compare two estimates."
+        )
     if method is not None:
         method.require_settings_of("robot")
     _refuse_payloads(empty, loaded)

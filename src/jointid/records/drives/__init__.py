@@ -24,7 +24,7 @@ from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
-from jointid.common.transmission import Side, Transmission, usual_side
+from jointid.common.transmission import Side, Transmission
 from jointid.records.columns import Column, known_units, unit_fault, unit_of_column
 from jointid.records.record import CHANNELS, InjectionPoint, Tap, Timing
 
@@ -365,7 +365,7 @@ class Drive:
             return column.side
         traces = self.traces
         found = None if traces is None else traces.side(channel, column.column if column else "", self.place)
-        return found or usual_side(channel)
+        return found or ("load" if channel == "load_position" else "motor")
 
     @property
     def _from_current(self) -> float | None:
