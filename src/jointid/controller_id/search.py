@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Progress, Work, follow, ignore_progress
+from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.controller_id.fitting import FittedLaw, Task, fit
 from jointid.controller_id.noise import Noise
 from jointid.controller_id.ranking import (
@@ -178,12 +178,10 @@ def _start_search(
     weighting, late = screen_frames(data.regression, progress)
     candidates = rank_candidates(data.regression, weighting, late, channel, progress)[: _SIEVE[0][0]]
     likeliest = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in candidates)
-    work = Work(progress, "fitting the likeliest laws", sum(keep for keep, _ in _SIEVE), "laws")
     for keep, evaluations in _SIEVE:
-        trimmed = list[RegressionFit]()
-        for one in likeliest[:keep]:
-            trimmed.append(_trim(data, data.regression.refine(one, weighting, False, evaluations), weighting))
-            work.add()
+        kept = follow(likeliest[:keep], progress, "fitting the likeliest laws", keep, "laws")
+        refined = (data.regression.refine(one, weighting, False, evaluations) for one in kept)
+        trimmed = [_trim(data, one, weighting) for one in refined]
         likeliest = unique_structures(sorted(trimmed, key=partial(score, rows=weighting.noise.rows)))
         weighting = data.regression.weighting(likeliest[0])
     fitted = (data.to_law(one, weighting.noise) for one in likeliest)
@@ -194,7 +192,6 @@ def _start_search(
             "filter that is hardly damped. Check units, signs and sides of torque, reference and motor_position, or "
             "declare the law."
         )
-    work.reach(work.total)
     data, best = _add_limit(data, best)
     path.append(best)
     return data, likeliest

@@ -70,13 +70,9 @@ def simulate(
     from jointid.simulation.robot_numbers import RobotNumbers
     from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot, simulation_of
 
-    if (
-        not isinstance(loop, RobotLoop)
-        or not isinstance(record, Sequence)
-        or not isinstance(values, RobotNumbers | None)
-    ):
+    if not (isinstance(loop, RobotLoop) and isinstance(record, Sequence) and isinstance(values, RobotNumbers | None)):
         raise MethodError(
-            "A ClosedLoop is simulated from a record, a RobotLoop from a record of each joint, with RobotNumbers."
+            "A robot is simulated from its RobotLoop, a record of each joint and RobotNumbers; give these."
         )
     numbers = RobotNumbers.of(loop.robot) if values is None else values
     return simulation_of(run_robot(prepare_robot(loop, record), numbers, keep=True, steps=steps))
