@@ -9,7 +9,8 @@ import numpy as np
 
 from jointid.models.smooth import SmoothLaws
 from jointid.simulation.kernels import drive as kernels
-from jointid.simulation.kernels import stepped_drive
+from jointid.simulation.kernels import engine
+from jointid.simulation.plant import plant_of_numbers
 from tests.simulation.oracle import Law, Plant
 
 
@@ -72,6 +73,7 @@ def run(
     far: float = math.inf,
     laws: SmoothLaws | None = None,
     places: np.ndarray | None = None,
+    reach: float = engine.REACH,
 ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
     """Return status, torque (n,), states at the controller's instants (n, 4) and counts; in steps if laws are given."""
     late = delay / T
@@ -105,13 +107,12 @@ def run(
     )
     z = np.array(law.z0, dtype=float).reshape(nz).copy()
     modes, pushed = np.empty(len(states), dtype=np.int16), np.empty((len(states), 2))
-    tape = np.empty((0, kernels.TAPE if laws is None else stepped_drive.STEP_TAPE))
+    tape = np.empty((0, kernels.TAPE if laws is None else engine.STEP_TAPE))
     trace = kernels.Trace(u, np.empty((0, 1)), states, modes, pushed, tape, counts)
     if laws is not None:
         places = np.zeros((0, 5)) if places is None else places
-        status = stepped_drive.run(
-            drive(plant), laws, places, loop, float(before), z, x, float(np.sign(x[1])), far, trace
-        )
+        numbers = plant_of_numbers(drive(plant), laws, places, flexible=plant.inertia2 is not None)
+        status = engine.run(*numbers, loop, float(before), z, x, float(np.sign(x[1])), far, reach, trace)
     else:
         load = float(plant.inertia2 is not None)
         gravity = np.array([*plant.gravity, load]) if any(plant.gravity) else kernels.NO_GRAVITY

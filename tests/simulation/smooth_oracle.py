@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring, smooth_laws
+from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring
 from tests.simulation.oracle import Law, Plant, split_delay
 
 
@@ -36,7 +36,7 @@ class Smooth:
         """As the kernel takes it."""
         motor, load = (SmoothFriction(self.presliding[i], self.drift[i], self.fade[i]) for i in (0, 1))
         spring = SmoothSpring(self.cubic, self.slider, self.slips, *self.swings)
-        return smooth_laws(motor, load._replace(per_torque=self.per_torque), spring)
+        return SmoothLaws(motor, load._replace(per_torque=self.per_torque), spring)
 
     @property
     def places(self) -> np.ndarray:

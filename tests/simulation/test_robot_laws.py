@@ -87,7 +87,7 @@ def reference() -> Record:
 
 @JOINTS
 def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
-    """To the integrator's order, 4, or to rounding where nothing is left of its error."""
+    """To the error of the joint's own steps; where its motion is exact, to the order of the robot's integrator."""
     record, loop = reference(), RobotLoop(robot_of(joint), (LAW,))
     runs = {steps: simulate(loop, (record,), steps=steps) for steps in (4, 8)}
     alone = ClosedLoop(joint, LAW)
@@ -96,10 +96,10 @@ def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     peak = float(np.max(np.abs(exact.torque)))
     errors = {steps: float(np.max(np.abs(run.torque[:, 0] - exact.torque))) / peak for steps, run in runs.items()}
     assert all(run.outcome is RobotOutcome.FINISHED for run in runs.values())
-    assert errors[8] < 2e-9
-    assert errors[8] < errors[4] / 10.0 + 3e-11  # the exact engine of smooth laws has some 1e-11 of its own
-    assert abs(runs[8].events - exact.events) <= 1  # the spring's torque touches 0 at rest
-    assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < 1e-9
+    assert errors[8] < (1e-5 if joint.stepped else 2e-9)
+    assert joint.stepped or errors[8] < errors[4] / 10.0 + 3e-11
+    assert joint.stepped or runs[8].events == exact.events
+    assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < (1e-6 if joint.stepped else 1e-9)
 
 
 def own_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:

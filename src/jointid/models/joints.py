@@ -31,7 +31,7 @@ from jointid.common.units import Kind
 from jointid.models.controllers import Controller
 from jointid.models.friction import FRICTIONS, Band, Friction, SymmetricFriction
 from jointid.models.position_forces import Gravity, Motion, PositionHarmonics
-from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring, smooth_laws
+from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring
 from jointid.models.springs import SPRINGS, LinearSpring, Spring
 
 MODE_DAMPING = 0.02
@@ -202,7 +202,7 @@ class RigidJoint(_JointBase):
 
     def smooth(self, values: Mapping[str, float]) -> SmoothLaws | None:
         """Return the numbers of its smooth laws; None without any."""
-        return smooth_laws(self.friction.smooth(values), SmoothFriction(), SmoothSpring()) if self.stepped else None
+        return SmoothLaws(self.friction.smooth(values), SmoothFriction(), SmoothSpring()) if self.stepped else None
 
     def segments(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return a friction in pieces for the simulation, (segments, 23); None of one that is not."""
@@ -282,7 +282,7 @@ class FlexibleJoint(_JointBase):
         if not self.stepped:
             return None
         motor, load = (self.friction.smooth(values, side) for side in ("motor_", "load_"))
-        return smooth_laws(motor, load, self.spring.smooth(values))
+        return SmoothLaws(motor, load, self.spring.smooth(values))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

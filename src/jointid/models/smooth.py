@@ -1,7 +1,7 @@
 """Numbers of the smooth laws: what a friction or a spring has beside its lines.
 
 A law of friction or of a spring states them (`Friction.smooth`, `Spring.smooth`). Where a joint has any, its motion is
-followed by Taylor series, in steps of a controlled error; all else is exact.
+integrated in steps of a stated error; all else is exact.
 """
 
 from __future__ import annotations
@@ -58,15 +58,3 @@ class SmoothLaws(NamedTuple):
     motor: SmoothFriction
     load: SmoothFriction
     spring: SmoothSpring
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """All of them, in the order of the fields, as derivatives are."""
-        return (*self.motor, *self.load, *self.spring)
-
-
-def smooth_laws(motor: SmoothFriction, load: SmoothFriction, spring: SmoothSpring) -> SmoothLaws:
-    """Return the numbers as floats: a kernel has one form, and an integer would ask for another."""
-    return SmoothLaws(
-        SmoothFriction(*map(float, motor)), SmoothFriction(*map(float, load)), SmoothSpring(*map(float, spring))
-    )

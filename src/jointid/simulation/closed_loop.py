@@ -16,8 +16,8 @@ from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
-from jointid.models.smooth import SmoothLaws
 from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
+from jointid.simulation.plant import Plant, plant_of
 from jointid.simulation.simulated import FINISHED
 
 if TYPE_CHECKING:
@@ -114,16 +114,16 @@ class ClosedLoopRun:
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
         segments: (segments, 23) those of its spring or its friction in pieces, or None.
-        laws: numbers of smooth laws, with which it was simulated in steps; or None.
+        plant: numbers of a joint whose laws are not lines, which is simulated by `kernels.engine`; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         sliding: direction of a motion that began before it; 0 of none.
         command: (periods,) the controller's output.
         excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
-        states, modes, tape: see `kernels.run`; empty when they were not kept. In steps there are no
-            modes, and the tape is that of `kernels.stepped_drive`.
-        accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, where the simulation
-            went in steps and kept its states.
-        counts: events, Taylor steps (rows of the tape), periods simulated, periods at the limit.
+        states, modes, tape: see `kernels.drive.run`; empty when they were not kept. Of a plant there are no modes, and
+            the tape is that of `kernels.engine`.
+        accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, of a plant where
+            states were kept.
+        counts: events, rows of the tape, periods simulated, periods at the limit.
     """
 
     loop: ClosedLoop
@@ -132,7 +132,7 @@ class ClosedLoopRun:
     drive: FloatArray
     gravity: FloatArray | None
     segments: FloatArray | None
-    laws: SmoothLaws | None
+    plant: Plant | None
     position: float
     velocity: float
     torque: float | None
@@ -174,11 +174,11 @@ class ClosedLoopRun:
         if experiment.log_index.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
             seen, begin = (states[at].T.copy() for at in (experiment.log_index, experiment.torque_index))
             push = push[experiment.log_index // experiment.lengths.size]
-            accelerations = accelerations[experiment.torque_index] if self.laws is not None else accelerations
+            accelerations = accelerations[experiment.torque_index] if self.plant is not None else accelerations
 
         def motion(side: int) -> Motion:
             found = np.zeros(push.size)
-            if self.outcome is not Outcome.INVALID and self.laws is None:
+            if self.outcome is not Outcome.INVALID and self.plant is None:
                 found = _acceleration(_drive_at(self, begin), self.gravity, begin, push, side)
             elif self.outcome is not Outcome.INVALID:
                 found = accelerations[:, side].copy()
@@ -213,7 +213,7 @@ def run(
 ) -> ClosedLoopRun:
     """Run one candidate; optionally keep states, modes and a tape, in given memory."""
     from jointid.simulation.kernels import drive as kernels
-    from jointid.simulation.kernels import stepped_drive
+    from jointid.simulation.kernels import engine
 
     initial = initial or Initial()
     law = experiment.law
@@ -221,8 +221,7 @@ def run(
     velocity = initial.velocity or 0.0
     try:
         drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
-        segments, laws = loop.joint.segments(values), loop.joint.smooth(values)
-        places = np.zeros((0, 5)) if laws is None else loop.joint.places(values)
+        segments, plant = loop.joint.segments(values), plant_of(loop.joint, values) if loop.joint.stepped else None
     except KeyError:
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
@@ -232,14 +231,14 @@ def run(
     array = (room or _FRESH).array
     states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
     modes = array("modes", (kept,), np.int16)
-    tape = array("tape", (taped, kernels.TAPE if laws is None else stepped_drive.STEP_TAPE))
-    accelerations = array("accelerations", (kept if laws is not None else 0, 2))
+    tape = array("tape", (taped, kernels.TAPE if plant is None else engine.STEP_TAPE))
+    accelerations = array("accelerations", (kept if plant is not None else 0, 2))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before, sliding = Outcome.INVALID, 0.0, 0.0
     possible = (
         _possible(drive, gravity)
         and _check_pieces(segments)
-        and _check_smooth_laws(laws, places, drive, periods * law.period)
+        and (plant is None or plant.is_possible(periods * law.period))
     )
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
@@ -248,14 +247,14 @@ def run(
         start = start_state(loop, values, position, velocity, sliding)
         sampled, far = experiment.sampled, experiment.far + abs(position)
         trace = kernels.Trace(command, excess, states, modes, accelerations, tape, counts)
-        if laws is None:
+        if plant is None:
             status = kernels.run(
                 drive, sampled, before, state, start, far, trace,
                 kernels.NO_GRAVITY if gravity is None else gravity,
                 kernels.NO_SEGMENTS if segments is None else segments,
             )  # fmt: skip
         else:
-            status = stepped_drive.run(drive, laws, places, sampled, before, state, start, sliding, far, trace)
+            status = engine.run(*plant, sampled, before, state, start, sliding, far, engine.REACH, trace)
         outcome = _OUTCOMES[status]
     done = int(counts[2])
     command[done:] = command[done - 1] if done else 0.0
@@ -266,7 +265,7 @@ def run(
         for signal in (command, excess, states, accelerations):
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return ClosedLoopRun(
-        loop, experiment, values, drive, gravity, segments, laws, position, velocity, initial.torque, sliding, before,
+        loop, experiment, values, drive, gravity, segments, plant, position, velocity, initial.torque, sliding, before,
         command, excess, states, modes, tape, accelerations, outcome, counts,
     )  # fmt: skip
 
@@ -304,8 +303,8 @@ def simulate(
         initial: where the motor is at the first sample.
 
     Exact to rounding for held torques and piecewise linear laws. Position-dependent gravity is held over each part of a
-    period, with second-order error. Smooth laws (`Joint.stepped`) use Taylor series, whose last coefficient is below
-    1e-9 of the largest velocity.
+    period, with second-order error. Laws that are not lines (`Joint.stepped`) use a Runge-Kutta method, whose torque is
+    within some 1e-6 of its peak.
     """
     return run(loop, experiment, values, initial, keep=True).simulation()
 
@@ -332,20 +331,6 @@ def _check_pieces(segments: FloatArray | None) -> bool:
     at_rest = segments[(segments[:, 16] == 0.0) & (segments[:, 18] == 0.0)]
     cones = min(np.min(at_rest[:, 6] + at_rest[:, 7]), np.min(at_rest[:, 10] + at_rest[:, 11]))
     return bool(rising and np.min(segments[:, 2:4]) >= 0 and cones >= 0)
-
-
-def _check_smooth_laws(laws: SmoothLaws | None, places: FloatArray, drive: FloatArray, duration: float) -> bool:
-    """Test for smooth laws with valid numbers and non-negative friction."""
-    if laws is None:
-        return True
-    motor, load, spring = laws
-    faded = min(drive[6:8]) + motor.coulomb_drift * duration, min(drive[10:12]) + load.coulomb_drift * duration
-    if not np.all(np.isfinite(places)) or (min(motor.coulomb_drift, load.coulomb_drift) < 0 and min(faded) < 0):
-        return False
-    slips_at_all = spring.slider >= 0 and (spring.slips > 0 or spring.slider == 0)
-    swings = 0 <= spring.swing_share < 1 and min(spring.swing_stiffness, spring.swing_damping) >= 0
-    winds = min(motor.presliding, load.presliding) >= 0 and all(0 <= one.per_torque < 1 for one in (motor, load))
-    return all(map(math.isfinite, laws.numbers)) and slips_at_all and winds and swings
 
 
 def start_state(

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,10 @@ from jointid.simulation.closed_loop import (
     run,
 )
 from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
+from jointid.simulation.plant import seeds_of
+
+if TYPE_CHECKING:
+    from jointid.simulation.kernels.variation import Seeds
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -179,7 +183,6 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     """
     from jointid.simulation.kernels import drive as kernels
     from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
-    from jointid.simulation.kernels import stepped_sensitivities
 
     experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
@@ -188,10 +191,6 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit, by_name = [], _seeds(joint)
-    smooth = None if out.laws is None else _smooth_seeds(joint)
-    places = np.zeros((0, 5)) if smooth is None else joint.places(out.values)
-    dlaws = np.zeros((0 if out.laws is None else len(out.laws.numbers), width))
-    dplaces = np.zeros((len(places), 3, width))
     in_pieces = _in_pieces(joint)
     for j, name in enumerate(names):
         if name in by_name:
@@ -202,10 +201,8 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
                 pieces[:, :14, j] = by_name[name]
             if out.gravity is not None:
                 weights[:, j] = gravity_slope(joint, name)
-            if smooth is not None:
-                dlaws[:, j], dplaces[:, :, j] = smooth[name]
             # At rest it else begins where the motor is, whatever it is like.
-            if out.velocity != 0.0 or out.gravity is not None or smooth is not None:
+            if out.velocity != 0.0 or out.gravity is not None or out.plant is not None:
                 start[:, j] = start_slope(lambda at: out.start(at, out.position, out.velocity), out.values, name)
         elif name in _INITIAL:
             at = _INITIAL[name]
@@ -222,18 +219,31 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     columns = sensitivity_kernels.Columns(explained, len(names) - len(explicit), delay, limits, start, memory)
     slopes, rows = sensitivity_kernels.Slopes(command, states), int(out.counts[1])
-    if out.laws is None:
+    if out.plant is None:
         sensitivity_kernels.follow(
             experiment.sampled, out.before, out.trace, rows, out.drive, seeds, columns, slopes,
             kernels.NO_GRAVITY if out.gravity is None else out.gravity, weights,
             kernels.NO_SEGMENTS if segments is None else segments, pieces,
         )  # fmt: skip
     else:
+        from jointid.simulation.kernels import variation
+
         trace = out.trace._replace(tape=out.tape[:rows])
-        stepped_sensitivities.follow_steps(
-            experiment.sampled, out.before, trace, out.drive, seeds, out.laws, dlaws, places, dplaces, columns, slopes
-        )
+        variation.follow(*out.plant, _plant_seeds(out, names), experiment.sampled, out.before, trace, columns, slopes)
     return command.T, states
+
+
+def _plant_seeds(out: ClosedLoopRun, names: Sequence[str]) -> Seeds:
+    """Derivatives of the numbers of a plant by the parameters of its joint among some names."""
+    from jointid.simulation.kernels.drive_sensitivities import LANES
+    from jointid.simulation.kernels.variation import Seeds
+
+    assert out.plant is not None
+    masses, springs, places = (np.zeros((*one.shape, LANES)) for one in out.plant)
+    for j, name in enumerate(names):
+        if name in out.values:
+            masses[:, :, j], springs[:, :, j], places[:, :, j] = seeds_of(out.loop.joint, out.values, name)
+    return Seeds(masses, springs, places)
 
 
 def taped_rows(samples: int) -> int:
@@ -257,24 +267,6 @@ def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
     for seed in found.values():
         seed.setflags(write=False)
     return found
-
-
-@lru_cache(maxsize=64)
-def _smooth_seeds(joint: Joint) -> Mapping[str, tuple[FloatArray, FloatArray]]:
-    """Constant derivatives of smooth-law numbers by each parameter.
-
-    These are the numbers of `SmoothLaws`, (14,), and the factors of position-dependent forces, (forces, 3).
-    """
-    nothing = dict.fromkeys([p.name for p in joint.parameters], 0.0)
-
-    def numbers(values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-        laws = joint.smooth(values)
-        assert laws is not None
-        return np.array(laws.numbers), joint.places(values)[:, :3]
-
-    constant = numbers(nothing)
-    ends = {name: numbers(nothing | {name: 1.0}) for name in nothing}
-    return {name: (end[0] - constant[0], end[1] - constant[1]) for name, end in ends.items()}
 
 
 def _in_pieces(joint: Joint) -> set[str]:
@@ -316,7 +308,7 @@ def _start_slope(out: ClosedLoopRun, position: float, velocity: float) -> FloatA
     """
     if velocity and out.velocity == 0.0:  # the drag of steady motion jumps there
         return np.array([0.0, 1.0, 0.0, 1.0])
-    bends = any(one is not None for one in (out.gravity, out.segments, out.laws))
+    bends = any(one is not None for one in (out.gravity, out.segments, out.plant))
     step = _SMALL if bends else 1.0
     by = (step * position, step * velocity * 0.5 * out.velocity)
     moved = out.start(out.values, out.position + by[0], out.velocity + by[1])

@@ -55,8 +55,8 @@ def simulate(
         steps: of a robot's integrator per part of a period; None keeps the fastest motion below 0.5 rad a step.
 
     A joint with piecewise linear laws is exact to rounding. Position-dependent gravity is held over each part of a
-    period, with second-order error; smooth laws use Taylor series. A robot is integrated by Runge-Kutta's method of
-    order 4 between located events.
+    period, with second-order error. Smooth laws and robots are integrated by a Runge-Kutta method of order
+    4 between located events.
 
     Raises:
         RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.

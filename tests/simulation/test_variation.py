@@ -38,7 +38,7 @@ def test_derivatives_are_those_of_differences_of_runs(make: Callable[[int], Case
         now = values.get(name) or numbers_of(loop.controller).get(name) or speed
         step = _STEP * (abs(now) or 1e-3)
         own = tuple(column[:, i] for column in columns)
-        assert error_beside_differences(own, loop, case.clean, values, name, (step,), begin) <= 2e-3, name
+        assert error_beside_differences(own, loop, case.clean, values, name, (step,), begin) <= 5e-3, name
 
 
 @pytest.mark.parametrize("law", ["load-dependent", "asymmetric-load-dependent", "presliding-load-dependent"])
