@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -53,7 +54,7 @@ def plant_of_numbers(drive: FloatArray, laws: SmoothLaws, places: FloatArray, fl
     spring = laws.spring
     masses, springs = [_mass(drive[0], drive[12], drive[4:8], laws.motor)], []
     if flexible:
-        slides = spring.slider / spring.slips if spring.slips != 0.0 else 0.0
+        slides = spring.slider / spring.slips if spring.slips != 0.0 else (math.nan if spring.slider != 0.0 else 0.0)
         springs.append([drive[2], drive[3], spring.cubic, spring.slips, slides])
         load, share = drive[1], spring.swing_share
         if np.real(share) > 0.0 or spring.swing_stiffness + spring.swing_damping == 0.0:
