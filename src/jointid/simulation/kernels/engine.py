@@ -80,7 +80,7 @@ def winding(w: float, way: float, x: float, rate: float) -> float:
     """Return what is wound up after a displacement, from `w` before it."""
     if w == way or rate == 0.0:
         return w
-    return way - (way - w) * math.exp(min(-way * x * rate, 1.0))
+    return w - (way - w) * math.expm1(min(-way * x * rate, 1.0))
 
 
 @inline_kernel
