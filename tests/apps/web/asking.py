@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
 
-from jointid.apps.web.folder import Folder, Run
+from jointid.apps.web.folder import Draft, Folder
+from jointid.apps.web.routes import Page
 from tests.apps.web.testclient import TestClient
 
 TOKEN = "kept-secret"
@@ -52,21 +53,25 @@ class Asker:
         (faults,) = re.findall(r'<div class="faults".*?</div>', text, re.DOTALL)
         return str(faults)
 
-    def identify(self, log: bytes, **fields: str) -> Run:
+    def identify(self, log: bytes, **fields: str) -> Draft:
         """Go through the steps, and return the identification."""
-        assert 'name="record.time" data-column' in self.send("log.csv", log)[1]  # in step 2
+        assert 'name="record.time"' in self.send("log.csv", log)[1]  # in step 2
         assert self.post("/channels", UNITS)[0] == 200
         answer = self.client.post("/joint", data={**LAW, **fields}, follow_redirects=False)
         assert answer.status_code == 303, answer.text
-        found = self.folder.run(int(answer.headers["location"].rsplit("/", 1)[1]))
+        found = self.folder.run(answer.headers["location"].rsplit("/", 1)[1])
         assert found is not None
         return found
 
     @property
-    def folder(self) -> Folder:
-        found = self.client.app.state.page.folder  # type: ignore[attr-defined]
-        assert isinstance(found, Folder)
+    def page(self) -> Page:
+        found = self.client.app.state.page  # type: ignore[attr-defined]
+        assert isinstance(found, Page)
         return found
+
+    @property
+    def folder(self) -> Folder:
+        return self.page.folder
 
     @property
     def kept(self) -> set[str]:
@@ -74,14 +79,13 @@ class Asker:
         folder: Path = self.folder.path
         return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
-
-def ended(run: Run, most: float = 400.0) -> str:
-    """Wait for the end of an identification, and return its state."""
-    for _ in range(int(most / 0.1)):
-        if not run.active:
-            return str(run.status["state"])
-        time.sleep(0.1)
-    raise AssertionError(f"still {run.status} after {most} s: {run.read_progress()}")
+    def ended(self, run: Draft, most: float = 400.0) -> str:
+        """Wait for the end of an identification, and return its state."""
+        for _ in range(int(most / 0.1)):
+            if (state := str(self.page.jobs.state(run)["state"])) != "running":
+                return state
+            time.sleep(0.1)
+        raise AssertionError(f"still running after {most} s: {run.read('_progress.txt')}")
 
 
 WAIT = 300.0  # seconds that a machine which is busy may take

@@ -13,7 +13,6 @@ import uvicorn
 from jointid.apps.web import application as serving
 from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Limits
-from jointid.apps.web.jobs import Jobs
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.writing import write
@@ -35,17 +34,11 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def limits() -> Limits:
     """Small enough to be reached."""
-    return Limits(upload=2_000_000, joint_file=20_000, form=120.0)
+    return Limits(upload=2_000_000)
 
 
 @pytest.fixture
-def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is compiled while a form is filled in: it was, before the tests, and a process that looks takes 2 s."""
-    monkeypatch.setattr(Jobs, "prepare", lambda _: None)
-
-
-@pytest.fixture
-def client(folder: Path, limits: Limits, compiled: None) -> Iterator[TestClient]:
+def client(folder: Path, limits: Limits) -> Iterator[TestClient]:
     with TestClient(build_application(folder, TOKEN, limits=limits), base_url=ADDRESS) as made:
         yield made
 
@@ -67,7 +60,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.fixture
-def served(folder: Path, limits: Limits, monkeypatch: pytest.MonkeyPatch, compiled: None) -> Iterator[Served]:
+def served(folder: Path, limits: Limits, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     """The page on a port of this machine."""
     servers: list[uvicorn.Server] = []
     begin = uvicorn.Server.run

@@ -14,7 +14,7 @@ from tests.apps.web.asking import TOKEN, UNITS, Asker
 from tests.apps.web.testclient import TestClient
 
 PAGE = "http://127.0.0.1:8765"
-PATHS = ["/", "/record", "/channels", "/runs/1", "/runs/1/events", "/runs/1/all.zip", "/static/page.js", "/nothing"]
+PATHS = ["/", "/record", "/channels", "/runs/1", "/runs/1/all.zip", "/static/page.js", "/nothing"]
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -36,8 +36,7 @@ def test_with_a_wrong_token_neither(client: TestClient, wrong: str) -> None:
 def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
     asker.post("/channels", UNITS)
-    (asker.folder.now / "joint.toml").write_text("[joint]")
-    asker.folder.new_run().update(state="done")
+    asker.folder.new_run("[joint]")
     paths = ["/", "/channels", "/joint", "/runs/1", "/runs/1/joint.toml", "/plot/0.svg", "/static/page.js", "/nothing"]
     answers = [client.get(path) for path in paths] + [client.post("/runs/1/cancel"), client.get(f"{PAGE}/wrong/")]
     assert not any("set-cookie" in one.headers for answer in answers for one in [*answer.history, answer])
@@ -45,7 +44,7 @@ def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> 
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
-@pytest.mark.parametrize("path", ["/record", "/example", "/draft", "/joint", "/runs/1/cancel"])
+@pytest.mark.parametrize("path", ["/record", "/example", "/draft/joint", "/joint", "/runs/1/cancel"])
 def test_other_sites_cannot_have_a_browser_send_forms(client: TestClient, path: str, site: str) -> None:
     answer = client.post(path, headers={"sec-fetch-site": site})
     assert answer.status_code == 403
@@ -77,7 +76,7 @@ def test_pages_bring_no_script_or_style_of_their_own(client: TestClient, asker: 
         assert text.count("<script") == text.count(f'<script src="/{TOKEN}/static/page.js"') == 1
 
 
-@pytest.mark.parametrize("path", ["/static/../application.py", "/static/%2e%2e/worker.py", "/runs/1/run.json", "/x"])
+@pytest.mark.parametrize("path", ["/static/../application.py", "/static/%2e%2e/worker.py", "/runs/1/_run.json", "/x"])
 def test_only_what_is_meant_to_be_had_is_given(client: TestClient, path: str) -> None:
     assert client.get(path).status_code == 404
 

@@ -38,9 +38,9 @@ PATHS = (
     "/runs/1e3",
     "/runs/%00",
     "/runs/999999999",
-    "/runs/0x1/events",
-    "/runs/1/run.json",
-    "/runs/1/work.json%00",
+    "/runs/0x1/cancel",
+    "/runs/1/_run.json",
+    "/runs/1/answer.json%00",
     "/plot/-1.svg",
     "/plot/999999999.svg",
     "/plot/..svg",
@@ -53,7 +53,7 @@ PATHS = (
     "/?" + "a=" * 2000,
     "/%E2%80%AE",
     "/record.json",
-    "/draft.json",
+    "/draft/..%2f",
     "/channels/%0d%0aX: 1",
 )
 METHODS = (
@@ -215,16 +215,18 @@ def attacks() -> Iterator[bytes]:
         yield request(method, f"{root}/record")
         yield request(method, "*")
     for header in HEADERS:
-        yield request("POST", f"{root}/draft", header)
+        yield request("POST", f"{root}/draft/joint", header)
         yield request("GET", f"{root}/static/page.js", header)
     for token in ("", "wrong", TOKEN[:-1], TOKEN.upper(), "%00", "%FF", quote(SCRIPT), "a" * 20000, f"x/{TOKEN}"):
         yield request("GET", f"/{token}/")
         yield request("POST", f"/{token}/record", body=parts(b"1,2\n"), kind=MULTIPART)
     for host in ("evil.example", "", "[", "127.0.0.1@evil.example", "a" * 5000, "\x00", f"{HOST}:99999999"):
         yield request("GET", f"{root}/", host=host)
-    for site, path in itertools.product(("cross-site", "same-site"), ("/record", "/joint", "/draft", "/runs/1/cancel")):
+    for site, path in itertools.product(
+        ("cross-site", "same-site"), ("/record", "/joint", "/draft/joint", "/runs/1/cancel")
+    ):
         yield request("POST", root + path, f"sec-fetch-site: {site}")
-    for body, path in itertools.product(BODIES, ("/record", "/draft", "/again", "/channels")):
+    for body, path in itertools.product(BODIES, ("/record", "/draft/joint", "/channels")):
         yield request("POST", root + path, body=body, kind=MULTIPART)
     for name in NAMES:
         yield request("POST", f"{root}/record", body=file_form(name, b"rubbish"), kind=MULTIPART)
@@ -233,10 +235,11 @@ def attacks() -> Iterator[bytes]:
     for suffix in (".mat", ".npy", ".npz", ".json", ".h5", ".parquet", ".mcap", ".tdms", ".db3"):
         yield request("POST", f"{root}/record", body=file_form(f"a{suffix}", b"\x00rubbish"), kind=MULTIPART)
     for text in JOINT_FILES:
-        yield request("POST", f"{root}/record", body=file_form("a.toml", text), kind=MULTIPART)
-    for entries, path in itertools.product(ENTRIES, ("/joint", "/draft")):
+        both = parts(b"t,x\n1,2\n2,3\n")[: -len(b"--x--\r\n")] + file_form("a.toml", text)
+        yield request("POST", f"{root}/record", body=both, kind=MULTIPART)
+    for entries, path in itertools.product(ENTRIES, ("/joint", "/draft/joint")):
         yield request("POST", root + path, body=entries.encode(), kind=FORM)
-        if path == "/draft":
+        if path == "/draft/joint":
             yield request("GET", f"{root}/channels")
             yield request("GET", f"{root}/joint")
     yield b"\x16\x03\x01\x02\x00" + b"\xff" * 200  # as a browser begins to encrypt
@@ -245,13 +248,13 @@ def attacks() -> Iterator[bytes]:
     yield b"GET / HTTP/9.9\r\n\r\n"
     yield b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
     yield request("GET", f"{root}/", "transfer-encoding: chunked") + b"zz\r\n\r\n"
-    yield request("POST", f"{root}/draft", "transfer-encoding: chunked", kind=FORM) + b"fffffffffffffffff\r\na"
+    yield request("POST", f"{root}/draft/joint", "transfer-encoding: chunked", kind=FORM) + b"fffffffffffffffff\r\na"
     yield request("GET", f"{root}/") * 50  # one behind the other
 
 
 @pytest.fixture
 def limits() -> Limits:
-    return Limits(upload=2_000_000, joint_file=20_000)
+    return Limits(upload=2_000_000)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open

@@ -120,7 +120,7 @@ def map_torque(visit: Visit) -> None:
         visit.field(f"record.channels.{channel}.unit").select_option("N" if column == "vir" else "m")
     gain = visit.field("record.channels.torque.gain")
     if not gain.is_visible():
-        visit.page.locator("[data-channel] summary").first.click()
+        visit.page.get_by_text("More about the torque").click()
     gain.fill("35,15065188")
     gain.blur()
 
@@ -140,9 +140,9 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
     visit.looked_at("1-record")
     upload(visit, emps_path)
     # A slow machine keeps an earlier draft first, without the gain.
-    with page.expect_response(lambda answer: "35.15065188" in (answer.request.post_data or "")):
+    with page.expect_response(lambda answer: "35%2C15065188" in (answer.request.post_data or "")):
         map_torque(visit)
-    drawn = "[...document.querySelectorAll('[data-channel] img[src]')].filter(image => image.naturalWidth > 0).length"
+    drawn = "[...document.querySelectorAll('.channel img[src]')].filter(image => image.naturalWidth > 0).length"
     for _ in range(100):  # the policy of the page lets no test wait in it
         if page.evaluate(drawn) == 3:
             break
@@ -160,7 +160,7 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
     visit.looked_at("4-identify")
     page.reload()
     page.wait_for_selector("p.found", timeout=PATIENCE)
-    assert "It is being written" in page.inner_text("[data-run]")  # the answer does not wait for the report
+    assert "is being written" in page.inner_text("[data-poll]")  # the answer does not wait for the report
     assert page.inner_text("p.found") == "Inertia 95.4 ± 1.8\u202fkg."
     assert "ely on it" in page.inner_text("p.trust")
     page.wait_for_selector("iframe", timeout=PATIENCE)

@@ -19,9 +19,9 @@ import pytest
 
 from jointid.apps.cli import main
 from jointid.apps.web.application import build_application
-from jointid.apps.web.folder import Limits, Run, write_json
+from jointid.apps.web.folder import Draft, Limits
 from jointid.config import loads
-from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker, ended
+from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
 
@@ -42,15 +42,15 @@ def processes(monkeypatch: pytest.MonkeyPatch) -> list[Process]:
     return started
 
 
-def begun(run: Run, processes: list[Process]) -> None:
+def begun(asker: Asker, run: Draft, processes: list[Process]) -> None:
     """Wait until the process of an identification works."""
     for _ in range(1200):
-        if run.has("answer.txt") and processes and processes[-1].returncode is None:
+        if run.has("_answer.txt") and processes and processes[-1].returncode is None:
             time.sleep(0.5)
             return
-        assert run.active, run.status
+        assert asker.page.jobs.is_running(run)
         time.sleep(0.05)
-    raise AssertionError(run.status)
+    raise AssertionError(asker.page.jobs.state(run))
 
 
 def alive(pid: int) -> bool:
@@ -62,26 +62,27 @@ def alive(pid: int) -> bool:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory, log: bytes) -> Iterator[tuple[Asker, Run]]:
+def finished(tmp_path_factory: pytest.TempPathFactory, log: bytes) -> Iterator[tuple[Asker, Draft]]:
     """An identification that ended."""
     folder = tmp_path_factory.mktemp("finished")
-    limits = Limits(upload=2_000_000, joint_file=20_000, form=120.0)
+    limits = Limits(upload=2_000_000)
     with TestClient(build_application(folder, TOKEN, limits=limits), base_url=ADDRESS) as client:
-        run = Asker(client).identify(log, **{"joint.name": "<b>axis</b>"})
-        assert ended(run) == "done", run.status
-        yield Asker(client), run
+        asker = Asker(client)
+        run = asker.identify(log, **{"joint.name": "<b>axis</b>"})
+        assert asker.ended(run) == "done"
+        yield asker, run
 
 
-def test_from_a_log_to_files_that_repeat_the_answer(finished: tuple[Asker, Run], log: bytes, tmp_path: Path) -> None:
+def test_from_a_log_to_files_that_repeat_the_answer(finished: tuple[Asker, Draft], log: bytes, tmp_path: Path) -> None:
     asker, run = finished
     client = asker.client
-    page = client.get(f"/runs/{run.number}")
+    page = client.get(f"/runs/{run.name}")
     assert "<b>axis</b>" not in page.text
-    answer = client.get(f"/runs/{run.number}/answer.json").json()
+    answer = client.get(f"/runs/{run.name}/answer.json").json()
     for name, value in TRUTH.items():
         assert answer["parameters"][name]["value"] == pytest.approx(value, rel=0.02), name
-    archive = zipfile.ZipFile(io.BytesIO(client.get(f"/runs/{run.number}/all.zip").content))
-    files = {"joint.toml", "answer.json", "answer.txt", "report.html", "log.csv"}
+    archive = zipfile.ZipFile(io.BytesIO(client.get(f"/runs/{run.name}/all.zip").content))
+    files = {"joint.toml", "answer.json", "report.html", "log.csv"}
     assert set(archive.namelist()) == files
     assert archive.read("log.csv") == log
     assert answer["record"]["name"] == "log"
@@ -91,7 +92,7 @@ def test_from_a_log_to_files_that_repeat_the_answer(finished: tuple[Asker, Run],
     assert carried["record_file"] == "log.csv"
     assert carried["joint_file"] == archive.read("joint.toml").decode()
     archive.extractall(tmp_path / "out")
-    for folder in (tmp_path / "out", run.folder):  # either as it is
+    for folder in (tmp_path / "out", run.path):  # either as it is
         with pytest.raises(SystemExit) as end:
             main(["identify", str(folder / "joint.toml"), "--json", str(tmp_path / "again.json"), "-q"])
         assert end.value.code == 0
@@ -100,66 +101,60 @@ def test_from_a_log_to_files_that_repeat_the_answer(finished: tuple[Asker, Run],
         assert again["record"] == answer["record"]
 
 
-def test_the_report_is_shown_in_a_sandbox(finished: tuple[Asker, Run]) -> None:
+def test_the_report_is_shown_in_a_sandbox(finished: tuple[Asker, Draft]) -> None:
     asker, run = finished
     client = asker.client
-    answer = client.get(f"/runs/{run.number}/report.html")
+    answer = client.get(f"/runs/{run.name}/report.html")
     policy = answer.headers["content-security-policy"]
     assert policy.startswith("sandbox;")
     assert "script-src" not in policy  # and so 'none', the default, as the next
     assert "connect-src" not in policy
     assert "default-src 'none'" in policy
-    assert 'sandbox=""' in client.get(f"/runs/{run.number}").text
-    kept = client.get(f"/runs/{run.number}/report.html?download")
+    assert 'sandbox=""' in client.get(f"/runs/{run.name}").text
+    kept = client.get(f"/runs/{run.name}/report.html?download")
     assert kept.headers["content-disposition"].startswith("attachment")
     assert kept.content == answer.content
-    events = client.get(f"/runs/{run.number}/events").text
-    assert "event: answer" in events
-    assert events.rstrip().endswith("event: end\ndata: true")
-    later = client.get(f"/runs/{run.number}/events", headers={"last-event-id": "0"}).text
-    assert "id: 0\n" not in later
 
 
 def test_a_controller_that_nobody_knows_is_learned(client: TestClient, asker: Asker, log: bytes) -> None:
     short = b"\n".join(log.splitlines()[:2501])  # the search takes longer on all of it
     run = asker.identify(short, **{"controller.law": "learn"})
-    assert ended(run) == "done", run.status
-    answer = client.get(f"/runs/{run.number}/answer.json").json()
+    assert asker.ended(run) == "done"
+    answer = client.get(f"/runs/{run.name}/answer.json").json()
     assert answer["parameters"]["inertia"]["value"] == pytest.approx(TRUTH["inertia"], rel=0.02)
-    text = client.get(f"/runs/{run.number}/joint.toml").text
+    text = client.get(f"/runs/{run.name}/joint.toml").text
     assert 'law = "cascade"' in text
-    assert "P-P" in asker.get(f"/runs/{run.number}")
+    assert "P-P" in asker.get(f"/runs/{run.name}")
 
 
 def test_a_process_that_is_killed_leaves_the_page_up(
     client: TestClient, asker: Asker, log: bytes, processes: list[Process]
 ) -> None:
     run = asker.identify(log)
-    begun(run, processes)
+    begun(asker, run, processes)
     os.kill(processes[-1].pid, signal.SIGKILL)
-    assert ended(run) == "failed"
-    assert "signal 9" in asker.get(f"/runs/{run.number}")
-    assert client.get(f"/runs/{run.number}/answer.json").status_code == 404
+    assert asker.ended(run) == "refused"
+    assert "signal 9" in asker.get(f"/runs/{run.name}")
+    assert client.get(f"/runs/{run.name}/answer.json").status_code == 404
     following = asker.identify(log)
-    assert following.number == run.number + 1
-    begun(following, processes)
+    assert following.name == "2"
+    begun(asker, following, processes)
 
 
 def test_what_the_record_does_not_allow_is_said_in_its_sentence(asker: Asker, log: bytes) -> None:
     run = asker.identify(log, **{"record.channels.torque.sign": "-1"})
-    assert ended(run) == "refused"
-    page = asker.get(f"/runs/{run.number}")
+    assert asker.ended(run) == "refused"
+    page = asker.get(f"/runs/{run.name}")
     assert "It could not be identified" in page
-    assert run.status["sentence"]
-    assert all(sentence in page for sentence in run.status["sentence"].splitlines())
+    assert asker.page.jobs.state(run)["sentence"].splitlines()[0] in page
     assert "Traceback" not in page
 
 
 def test_cancelling_ends_the_process(asker: Asker, log: bytes, processes: list[Process]) -> None:
     run = asker.identify(log)
-    begun(run, processes)
-    assert "You cancelled it" in asker.post(f"/runs/{run.number}/cancel")[1]
-    assert run.status["state"] == "cancelled"
+    begun(asker, run, processes)
+    assert "You cancelled it" in asker.post(f"/runs/{run.name}/cancel")[1]
+    assert asker.page.jobs.state(run)["state"] == "cancelled"
     assert not alive(processes[-1].pid)
     assert not run.has("answer.json")  # it did not run to its end
 
@@ -169,36 +164,37 @@ def test_one_identification_runs_at_a_time(asker: Asker, log: bytes) -> None:
     code, page = asker.post("/joint", LAW)
     assert code == 422
     assert "Identification 1 is still running; wait for its end or cancel it" in page
-    assert [one.number for one in asker.folder.runs] == [1]
-    asker.post(f"/runs/{run.number}/cancel")
+    assert [one.name for one in asker.folder.runs] == ["1"]
+    asker.post(f"/runs/{run.name}/cancel")
     assert asker.post("/joint", LAW)[0] == 200
-    assert [one.number for one in asker.folder.runs] == [2, 1]
+    assert [one.name for one in asker.folder.runs] == ["2", "1"]
 
 
 def test_an_identification_that_takes_too_long_is_stopped(folder: Path, log: bytes, processes: list[Process]) -> None:
     hasty = build_application(folder, TOKEN, limits=Limits(seconds=0.5))
     with TestClient(hasty, base_url=ADDRESS) as client:
-        run = Asker(client).identify(log)
-        assert ended(run) == "failed"
-        assert "took longer than" in run.status["sentence"]
+        asker = Asker(client)
+        run = asker.identify(log)
+        assert asker.ended(run) == "refused"
+        assert "took longer than" in asker.page.jobs.state(run)["sentence"]
         assert not alive(processes[-1].pid)
 
 
 def test_the_end_of_the_page_ends_what_runs(folder: Path, log: bytes, processes: list[Process]) -> None:
     with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as client:
-        run = Asker(client).identify(log)
-        begun(run, processes)
+        asker = Asker(client)
+        run = asker.identify(log)
+        begun(asker, run, processes)
     assert not alive(processes[-1].pid)
-    assert run.status["state"] == "cancelled"
-    assert "The page was stopped" in run.status["sentence"]
+    assert asker.page.jobs.state(run)["state"] == "cancelled"
 
 
 def test_a_page_that_is_started_again_finds_everything_under_its_new_token(folder: Path, log: bytes) -> None:
     with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as client:
         asker = Asker(client)
         run = asker.identify(log)
-        asker.post(f"/runs/{run.number}/cancel")
-    write_json(run.folder / "run.json", {"state": "running", "sentence": ""})  # as a page that is killed leaves it
+        asker.post(f"/runs/{run.name}/cancel")
+    (run.path / "_run.json").unlink()  # as a page that is killed leaves it
     with TestClient(build_application(folder, "new"), base_url="http://127.0.0.1:8765/new/") as client:
         assert "log.csv" in client.get("/").text
         assert "stopped before this had ended" in client.get("/runs/1").text
@@ -210,7 +206,7 @@ def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Pa
     with TestClient(small, base_url=ADDRESS) as client:
         asker = Asker(client)
         assert asker.send("log.csv", log)[0] == 200
-        asker.post("/draft", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-7}'})
+        asker.post("/draft/joint", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-7}'})
         code, said = asker.post("/channels", UNITS)
         assert code == 422
         assert "jointid identify --window" in said

@@ -1,300 +1,367 @@
-"""The addresses of the page: the record, its channels, the axis and its controller, the progress and the answer."""
+"""The addresses of the page: the record, its channels, the axis and its controller, the progress and the answer.
+
+Forms and files come in bounded; pages go out as HTML from templates of our own, every text that came in escaped.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import re
+import shutil
 import zipfile
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from python_multipart.exceptions import FormParserError
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import Message as Sent
 
-from jointid.apps.web import form, pages
-from jointid.apps.web.folder import MODELS, PageError, Run, read_json, refusal_of, write_json
-from jointid.apps.web.pages import AppState, receive_files
-from jointid.apps.web.preview import draw_svg
+from jointid import __version__
+from jointid.apps.web import form
+from jointid.apps.web.folder import MODELS, Draft, Folder, Limits, PageError
+from jointid.apps.web.jobs import Jobs
+from jointid.common.document import templates, typeset
 from jointid.common.errors import JointidError
-from jointid.common.files import beside
-from jointid.records.formats import format_of
+from jointid.common.files import beside, is_full
+from jointid.config import load, load_to_learn, loads
+from jointid.config.toml import parse_toml, read_text
+from jointid.records.formats import FORMATS
+from jointid.records.record import CHANNELS
 
-_EVERY = 0.25  # seconds between looks at the progress
-_ALIVE = 60  # of these, after which a line is sent that keeps the connection
-_WITH_OPTIONS = "CSV"  # the format whose files may need to be read in another way
-_MOST = 50  # files of one upload, and of one identification
-_LINE = re.compile(r"[0-9]{1,9}")
-
-FILES = {
-    "joint.toml": "application/toml",
-    "robot.toml": "application/toml",
-    "answer.json": "application/json",
-    "answer.txt": "text/plain; charset=utf-8",
-    "report.html": "text/html; charset=utf-8",
+_FORM = 2**19  # bytes of a form beside its files
+_FILES = 50  # of one upload
+_DAMAGED = (HTTPException, FormParserError)  # of a form that cannot be parsed
+_DOWNLOADS = ("joint.toml", "robot.toml", "answer.json", "report.html")
+_BUNDLE = "all.zip"
+_REPORT = {
+    "content-security-policy": "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+    "frame-ancestors 'self'"
 }
-"""The files of an answer that can be downloaded, beside all of it with the record."""
-
-REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'"
 """A report runs no script: its sandbox reaches neither the page nor the network."""
+_SUFFIXES = (*(suffix for entry in FORMATS for suffix in entry.suffixes), ".toml", *MODELS)
 
-BUNDLE = "all.zip"
 
-_Action: TypeAlias = Callable[[Request, AppState], Awaitable[Response]]
+class Page:
+    """The state of one page.
+
+    Attributes:
+        folder: in which everything is kept.
+        root: begins every address of the page; it holds the token.
+        limits: of uploads and runs.
+        jobs: the processes at work.
+        files: held by a request while it replaces or reads the record, so that one from another tab waits.
+    """
+
+    def __init__(self, folder: Path, token: str, limits: Limits) -> None:
+        self.folder = Folder(folder)
+        self.root = f"/{token}"
+        self.limits = limits
+        self.jobs = Jobs(limits)
+        self.files = asyncio.Lock()
+
+    def redirect(self, path: str) -> Response:
+        """Lead the browser to another address of the page, such as "/channels"."""
+        return RedirectResponse(f"{self.root}{path}", 303)
+
+    def render(self, template: str, code: int = 200, **values: Any) -> Response:
+        """Return a page."""
+        now, runs = self.folder.now, self.folder.runs
+        common = {
+            "root": self.root, "version": __version__, "folder": self.folder.path.name, "sent": now.records,
+            "robot": now.robot, "latest": f"/runs/{runs[0].name}" if runs else "", "typeset": typeset, "step": 0,
+        }  # fmt: skip
+        made = templates(Path(__file__).with_name("templates")).get_template(f"{template}.html")
+        return HTMLResponse(made.render(common | values), code)
+
+    def show(self, step: str, refusal: Exception | None = None, entries: Mapping[str, str] | None = None) -> Response:
+        """Show the form of a step, and what was refused of it beside its fields; step 1 where there is no record."""
+        now, columns = self.folder.now, self.folder.now.json("_columns.json")
+        tables = {} if now.robot else now.tables
+        texts = ({form.EXTRA: now.text} if now.robot else form.show(tables)) | dict(entries or {})
+        if step == "record" or not (columns and now.records):
+            made, template, sections = 1, "record", [form.Section("Read a text file in another way", form.TEXT, True)]
+        elif now.robot:
+            made, template, sections = 3, "form", [form.Section("The robot file", (form.FURTHER,))]
+        else:
+            made, template = (2, "form") if step == "channels" else (3, "form")
+            sections = [*(form.channel_step if made == 2 else form.joint_step)(tables)]
+        faults = form.place_faults(refusal, {one.key for section in sections for one in section.fields})
+        return self.render(
+            template, 422 if faults else 200, step=made, sections=sections, texts=texts, faults=faults,
+            suffixes=_SUFFIXES, bound=self.limits.upload, columns=columns, checked=now.json("_checked.json"),
+        )  # fmt: skip
+
+
+_Action: TypeAlias = Callable[[Page, Request], Awaitable[Response]]
 _Endpoint: TypeAlias = Callable[[Request], Awaitable[Response]]
 
 
-def _refusing(show: Callable[[AppState, Exception], Response]) -> Callable[[_Action], _Endpoint]:
-    """Return the decorator of what a form asks for: where it is refused, the form's page is shown with the reasons."""
+def _of_step(step: str) -> Callable[[_Action], _Endpoint]:
+    """Return the decorator of what a step's form asks for: where it is refused, the form is shown with the reasons."""
 
     def decorate(action: _Action) -> _Endpoint:
         async def answer(request: Request) -> Response:
-            state = AppState.of(request)
+            page: Page = request.app.state.page
             try:
-                return await action(request, state)
+                return await action(page, request)
             except (JointidError, OSError) as error:
-                return show(state, refusal_of(error))
+                if isinstance(error, OSError) and not is_full(error):
+                    raise
+                return page.show(step, error, getattr(request.state, "entries", None))
 
         return answer
 
     return decorate
 
 
-async def show_record(request: Request) -> Response:
-    """Show step 1."""
-    return pages.show_record(AppState.of(request))
+def _show(step: str) -> _Endpoint:
+    async def answer(request: Request) -> Response:
+        page: Page = request.app.state.page
+        return page.show(step)
+
+    return answer
 
 
-@_refusing(pages.show_record)
-async def take_record(request: Request, state: AppState) -> Response:
-    """Take records in place of those before, with the joint file, or the robot file and its model, that came along."""
-    with state.folder.receiving() as fresh:
-        names = await receive_files(request, fresh, state.limits.upload, pages.list_sent_suffixes(), _MOST)
-        async with state.files:
-            return await _take_files(state, fresh, names)
-
-
-async def _take_files(state: AppState, fresh: Path, names: list[str]) -> Response:
-    """Sort the files of an upload: a joint file or robot file, the model of a robot, and records.
+async def _save(page: Page, request: Request) -> None:
+    """Set the entries of a form in the joint file; of a robot its text is the whole file.
 
     Raises:
-        PageError: they do not belong together.
-        JointFileError: the joint file or robot file is no TOML.
+        JointidError: the form is too large or damaged, or its further lines are no TOML.
     """
-    tables = [name for name in names if name.lower().endswith(".toml")]
-    models = [name for name in names if name.lower().endswith(MODELS)]
-    records = [name for name in names if name not in (*tables, *models)]
-    if len(tables) > 1 or len(models) > 1:
-        several = ", ".join(tables if len(tables) > 1 else models)
-        raise PageError(f"Expected one joint file or robot file with one model; received {several}: send one.")
-    made: dict[str, Any] = {"robot": False, "draft": None}
-    if tables:
-        made = await _fill_in(state, fresh, tables[0])
-    if made["robot"] and not (models and records):
-        raise PageError(f"{tables[0]} is a robot file; choose it with its model and its record, all at once.")
-    if models and not made["robot"]:
-        raise PageError(f"{models[0]} is the model of a robot; send the robot file (TOML) and its record with it.")
-    if not records:
-        if not state.folder.sent or state.folder.robot:
-            raise PageError(f"{tables[0]} came without its record; choose both at once.")
-        state.folder.save_draft(made["draft"])
-        return state.redirect("/channels")
-    await _keep(state, fresh, [*records, *models], made["draft"])
-    return state.redirect("/joint" if made["robot"] else "/channels")
+    entries, _ = await _receive(request, _FORM)
+    request.state.entries = dict(entries)
+    now = page.folder.now
+    if not now.robot:
+        now.write(form.write(form.enter(now.tables, entries, now.records)))
+    elif form.EXTRA in request.state.entries:
+        now.write(request.state.entries[form.EXTRA].replace("\r\n", "\n"), now.file)
 
 
-@_refusing(pages.show_record)
-async def make_example(_: Request, state: AppState) -> Response:
+@_of_step("record")
+async def take_record(page: Page, request: Request) -> Response:
+    """Take records in place of those before, with the joint file, or the robot file and its model, that came along."""
+    with page.folder.receiving() as fresh:
+        entries, names = await _receive(request, page.limits.upload, fresh.path)
+        files = [name for name in names if name.lower().endswith(".toml")]
+        models = [name for name in names if name.lower().endswith(MODELS)]
+        records = [name for name in names if name not in (*files, *models)]
+        if len(files) > 1 or len(models) > 1 or not records:
+            raise PageError("Expected one record or several, with at most one joint file or robot file; choose again.")
+        text = "".join(read_text(fresh.path / name) for name in files)
+        if ("robot" in parse_toml(text)) != bool(models):
+            raise PageError("A robot file comes with the model that it names (.urdf, .xml) and its record; choose all.")
+        for name in files:
+            (fresh.path / name).unlink()
+        if models:
+            fresh.write(text, "robot.toml")
+        options = [(name, value) for name, value in entries if value]
+        await _keep(page, fresh, records, parse_toml(text) if files else None, options)
+    return page.redirect("/joint" if models else "/channels")
+
+
+async def _keep(
+    page: Page, fresh: Draft, records: list[str], tables: form.Tables | None, options: list[tuple[str, str]]
+) -> None:
+    """Put files in the record's place; without a joint file what is known before stays where it suits the columns."""
+    async with page.files:
+        if not fresh.robot:
+            fresh.write(form.write(form.enter(tables or {"joint": {}}, options, records)))
+        await page.jobs.read(fresh.path, "preview")
+        if tables is None:
+            columns, before = fresh.json("_columns.json"), page.folder.now.tables or {"joint": {}}
+            named = {one for name in CHANNELS if (one := form.at(before, f"record.channels.{name}.column"))}
+            if not named or not named <= {one["name"] for one in columns["columns"]}:
+                before |= {"record": {}, "drive": columns["drive"]}
+            for key in ("records", "record.files", "record.offsets"):
+                form.drop(before, key)
+            fresh.write(form.write(form.enter(before, options, records)))
+        page.folder.replace(fresh)
+
+
+@_of_step("record")
+async def make_example(page: Page, request: Request) -> Response:
     """Simulate the example, with every field filled in."""
-    with state.folder.receiving() as fresh:
-        await state.jobs.act("example", fresh)
-        made = await _fill_in(state, fresh, "joint.toml")
-        async with state.files:
-            await _keep(state, fresh, ["example.csv"], made["draft"])
-    return state.redirect("/channels")
+    with page.folder.receiving() as fresh:
+        await page.jobs.read(fresh.path, "example")
+        await _keep(page, fresh, ["example.csv"], fresh.tables, [])
+    return page.redirect("/channels")
 
 
-@_refusing(pages.show_record)
-async def read_again(request: Request, state: AppState) -> Response:
-    """Read the record again, with other options of a text file."""
-    draft = await state.save_form(request)
-    async with state.files:
-        if state.folder.sent:
-            await _preview(state, state.folder.now, state.folder.sent, draft)
-    return state.redirect("/channels")
-
-
-async def _keep(state: AppState, fresh: Path, names: list[str], draft: Mapping[str, str] | None) -> None:
-    """Put files in the record's place; without a draft what is known before stays where it suits the columns."""
-    before = state.folder.draft
-    options = {one.name: before.get(one.name, "") for one in form.TEXT} if names == state.folder.sent else {}
-    try:
-        found = await _preview(state, fresh, names, options if draft is None else draft)
-    except PageError:  # of a text file an option may be all that is missing
-        if format_of(fresh / names[0]).name == _WITH_OPTIONS:
-            state.folder.replace(fresh, names, draft or {})
-        raise
-    if draft is None:
-        columns = {column["name"] for column in (read_json(fresh / "columns.json") or {})["columns"]}
-        named = {text for key, text in before.items() if key.endswith(".column") and text}
-        same = bool(named) and named <= columns
-        kept = {key: text for key, text in before.items() if same or not key.startswith(("record.", "drive."))}
-        draft = {**kept, **({} if same else found["draft"])}
-    state.folder.replace(fresh, names, draft)
-
-
-async def _preview(state: AppState, folder: Path, names: list[str], draft: Mapping[str, str]) -> dict[str, Any]:
-    """Read the columns of records, and return what their names say."""
-    values = {one.key.rpartition(".")[2]: one.read(draft) for one in form.TEXT}
-    records = [name for name in names if not name.lower().endswith(MODELS)]
-    work = {"files": records, "options": {key: value for key, value in values.items() if value is not None}}
-    write_json(folder / "work.json", work)
-    (folder / "columns.json").unlink(missing_ok=True)  # of what the form no longer says
-    await state.jobs.act("preview", folder)
-    return read_json(folder / "made.json") or {"draft": {}}
-
-
-async def _fill_in(state: AppState, folder: Path, name: str) -> dict[str, Any]:
-    """Fill in the forms from a joint file or a robot file."""
-    if (folder / name).stat().st_size > state.limits.joint_file:
-        most = pages.format_size(state.limits.joint_file)
-        raise PageError(f"{name} is larger than {most}, the most of a joint file; is it the record?")
-    (folder / name).replace(folder / "joint.toml")
-    await state.jobs.act("fill_in", folder)
-    made = read_json(folder / "made.json")
-    if made is None:
-        raise PageError(f"{name} is not text in UTF-8; save it so.")
-    return made
-
-
-async def show_channels(request: Request) -> Response:
-    """Show step 2."""
-    state = AppState.of(request)
-    if state.folder.robot:
-        return state.redirect("/joint")
-    return state.redirect("/") if state.folder.preview is None else pages.show_channels(state)
-
-
-@_refusing(pages.show_channels)
-async def check_channels(request: Request, state: AppState) -> Response:
+@_of_step("channels")
+async def check_channels(page: Page, request: Request) -> Response:
     """Check step 2 by reading the record as it says."""
-    await state.save_form(request)
-    if not state.folder.sent:
-        return state.redirect("/")
-    async with state.files:
-        await state.jobs.act("check", state.folder.now)
-    state.jobs.prepare()
-    return state.redirect("/joint")
+    await _save(page, request)
+    async with page.files:
+        now = page.folder.now
+        if now.records:
+            text = form.write(form.make_reading_tables(now.tables))
+            await run_in_threadpool(loads, text, now.path)
+            now.write(text, "_reading.toml")
+            await page.jobs.read(now.path, "check")
+    return page.redirect("/joint")
 
 
-async def draw_column(request: Request) -> Response:
-    """Draw a column."""
-    folder, number = AppState.of(request).folder, request.path_params["column"]
-    preview = folder.preview
-    if preview is None or number >= len(preview["columns"]):
-        raise HTTPException(404)
-    column = preview["columns"][number]
-    return Response(draw_svg(column, f"{column['samples']} rows"), media_type="image/svg+xml")
-
-
-async def show_joint(request: Request) -> Response:
-    """Show step 3."""
-    state = AppState.of(request)
-    return pages.show_joint(state) if state.folder.sent else state.redirect("/")
-
-
-@_refusing(pages.show_joint)
-async def identify(request: Request, state: AppState) -> Response:
+@_of_step("joint")
+async def identify(page: Page, request: Request) -> Response:
     """Check everything, and start the identification, in a folder of its own that holds all it takes."""
-    await state.save_form(request)
-    if not state.folder.sent:
-        return state.redirect("/")
-    async with state.files:
-        await state.jobs.act("order", state.folder.now)
-        state.jobs.require_idle()
-        run = state.folder.new_run()
-        state.jobs.start(run)
-    return state.redirect(f"/runs/{run.number}")
+    await _save(page, request)
+    async with page.files:
+        now = page.folder.now
+        if not now.records:
+            return page.redirect("/")
+        tables = parse_toml(now.text)
+        learn = form.at(tables, form.LAW) == form.LEARN
+        if learn:
+            form.drop(tables, form.LAW)
+        text = form.write(form.confine(tables, now.records))
+        now.write(text, "_order.toml")
+        if not now.robot:  # whose model is read in a process of its own
+            await run_in_threadpool(load_to_learn if learn else load, now.path / "_order.toml")
+        page.jobs.require_idle()
+        run = page.folder.new_run(text)
+        page.jobs.start(run, learn=learn)
+    return page.redirect(f"/runs/{run.name}")
 
 
 async def save_draft(request: Request) -> Response:
-    """Keep the entries of the form, at each change."""
-    await AppState.of(request).save_form(request)
-    return Response(status_code=204)
+    """Keep the entries of a form at each change, and show its step as they make it."""
+    return await _of_step(request.path_params["step"])(_save_and_show)(request)
+
+
+async def _save_and_show(page: Page, request: Request) -> Response:
+    await _save(page, request)
+    return page.show(request.path_params["step"])
+
+
+async def draw_column(request: Request) -> Response:
+    """Send the plot of a column."""
+    now, name = request.app.state.page.folder.now, f"_plot-{request.path_params['column']}.svg"
+    if not re.fullmatch(r"_plot-[0-9]{1,9}\.svg", name) or not now.has(name):
+        raise HTTPException(404)
+    return FileResponse(now.path / name)
 
 
 async def show_run(request: Request) -> Response:
-    """Show the progress, or the answer."""
-    return pages.show_run(AppState.of(request), _find_run(request))
-
-
-async def stream_progress(request: Request) -> Response:
-    """Send the progress as it comes, as server-sent events."""
-    last = request.headers.get("last-event-id", "")
-    begin = int(last) + 1 if _LINE.fullmatch(last) else 0
-    return StreamingResponse(_events(_find_run(request), begin), media_type="text/event-stream")
+    """Show the progress, then the answer with its report."""
+    page, run = _find_run(request)
+    answer = run.json("answer.json").get("answer")
+    runs = [(one, page.jobs.state(one)) for one in page.folder.runs]
+    return page.render("run", step=5 if answer else 4, run=run, answer=answer, status=page.jobs.state(run), runs=runs)
 
 
 async def cancel_run(request: Request) -> Response:
     """End an identification."""
-    state, run = AppState.of(request), _find_run(request)
-    await state.jobs.cancel(run)
-    return state.redirect(f"/runs/{run.number}")
+    page, run = _find_run(request)
+    await page.jobs.cancel(run)
+    return page.redirect(f"/runs/{run.name}")
 
 
 async def send_file(request: Request) -> Response:
-    """Send one of the files of an answer."""
-    run, name = _find_run(request), request.path_params["name"]
-    if name == BUNDLE and run.has("answer.json"):
-        async with AppState.of(request).files:
+    """Send one of the files of an answer, or all of them with the record."""
+    page, run = _find_run(request)
+    name = request.path_params["name"]
+    if name == _BUNDLE and run.has("answer.json"):
+        async with page.files:
             path = await run_in_threadpool(_bundle, run)
-        return FileResponse(path, media_type="application/zip", filename=f"jointid-{run.number}.zip")
-    if name not in FILES or not run.has(name):
+        return FileResponse(path, filename=f"jointid-{run.name}.zip")
+    if name not in _DOWNLOADS or not run.has(name):
         raise HTTPException(404)
-    if name == "report.html" and "download" not in request.query_params:
-        policy = {"content-security-policy": REPORT_POLICY}
-        return FileResponse(run.folder / name, media_type=FILES[name], headers=policy)
-    return FileResponse(run.folder / name, media_type=FILES[name], filename=name)
+    shown = name == "report.html" and "download" not in request.query_params
+    return FileResponse(run.path / name, headers=_REPORT) if shown else FileResponse(run.path / name, filename=name)
 
 
-def _find_run(request: Request) -> Run:
-    run = AppState.of(request).folder.run(request.path_params["number"])
+def _find_run(request: Request) -> tuple[Page, Draft]:
+    page: Page = request.app.state.page
+    run = page.folder.run(request.path_params["number"])
     if run is None:
         raise HTTPException(404)
-    return run
+    return page, run
 
 
-async def _events(run: Run, begin: int) -> AsyncIterator[str]:
-    """Yield the lines of an identification's progress from a number on, that there is an answer, and its end."""
-    sent, looks, answered = begin, 0, False
-    while True:
-        active = run.active  # before the lines: none that came before the end is left out
-        if run.has("answer.json") and not answered:
-            answered = True
-            yield "event: answer\ndata: true\n\n"
-        lines = run.read_progress()
-        for number in range(sent, len(lines)):
-            yield f"id: {number}\ndata: {json.dumps(lines[number])}\n\n"
-        sent, looks = max(sent, len(lines)), looks + 1
-        if not active:
-            yield "event: end\ndata: true\n\n"
-            return
-        if looks % _ALIVE == 0:
-            yield ": still here\n\n"
-        await asyncio.sleep(_EVERY)
-
-
-def _bundle(run: Run) -> Path:
+def _bundle(run: Draft) -> Path:
     """Return an archive of the answer and its records; in it `jointid identify` repeats the answer."""
-    sent = (read_json(run.folder / "work.json") or {}).get("files")
-    if not isinstance(sent, list) or not all(map(run.has, sent)):
-        raise PageError(f"work.json of identification {run.number} is damaged; press Identify again.")
-    path = run.folder / BUNDLE
-    path.unlink(missing_ok=True)  # it may be a link, which would be followed
+    path = run.path / f"_{_BUNDLE}"
     with beside(path) as fresh, zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in (*(name for name in FILES if run.has(name)), *sent):
-            archive.write(run.folder / name, name)
+        for name in run.files():
+            archive.write(run.path / name, name)
     return path
+
+
+async def _receive(request: Request, bound: int, folder: Path | None = None) -> tuple[list[tuple[str, str]], list[str]]:
+    """Return the entries of a form, and the names of its files, which are written to a folder.
+
+    Raises:
+        PageError: the form has more bytes than the bound, too many files, one of another suffix or two of one name, or
+            is damaged.
+    """
+    received = list[str]()
+    try:
+        async with _bound(request, bound).form(max_files=_FILES if folder else 0) as sent:
+            entries = [(name, value) for name, value in sent.multi_items() if isinstance(value, str)]
+            files = [value for _, value in sent.multi_items() if isinstance(value, UploadFile) and value.filename]
+            for file in files if folder else ():
+                name = form.clean_name(file.filename or "")
+                if Path(name).suffix.lower() not in _SUFFIXES:
+                    raise PageError(f"{name} is of no format that is read; expected one of {', '.join(_SUFFIXES)}.")
+                if name in received:
+                    raise PageError(f"Two files are called {name}; rename one of them.")
+                received.append(name)
+                with (folder / name).open("wb") as place:
+                    await run_in_threadpool(shutil.copyfileobj, file.file, place)
+    except _DAMAGED:
+        raise PageError("The form or its files did not arrive whole; load the page again, and send it again.") from None
+    return entries, received
+
+
+def _bound(request: Request, bound: int) -> Request:
+    """Return a request whose body raises a `PageError` above a number of bytes, or at once if it declares more."""
+    refusal = PageError(f"The upload is larger than {bound / 2**20:.3g} MB, the most of this page; cut the record.")
+    sent, most = 0, bound + _FORM
+    declared = request.headers.get("content-length", "")
+    if re.fullmatch("[0-9]{1,18}", declared) and int(declared) > most:
+        raise refusal
+
+    async def receive() -> Sent:
+        nonlocal sent
+        message = await request.receive()
+        sent += len(message.get("body", b""))
+        if sent > most:
+            raise refusal
+        return message
+
+    return Request(request.scope, receive)
+
+
+async def _explain(request: Request, error: Exception) -> Response:
+    """Show that there is no such page, or what failed."""
+    page: Page = request.app.state.page
+    if isinstance(error, HTTPException):
+        return page.render("message", 404, title="Not found", sentence="There is nothing at this address.")
+    said = f"This is a fault of ours ({type(error).__name__}: {error}); please report it. Your data is kept."
+    return page.render("message", 500, title="The page failed", sentence=said)
+
+
+HANDLERS = {404: _explain, 405: _explain, 500: _explain}
+
+ROUTES = [
+    Route("/", _show("record")),
+    Route("/record", take_record, methods=["POST"]),
+    Route("/example", make_example, methods=["POST"]),
+    Route("/channels", _show("channels"), methods=["GET"]),
+    Route("/channels", check_channels, methods=["POST"]),
+    Route("/plot/{column}.svg", draw_column),
+    Route("/joint", _show("joint"), methods=["GET"]),
+    Route("/joint", identify, methods=["POST"]),
+    Route("/draft/{step}", save_draft, methods=["POST"]),
+    Route("/runs/{number}", show_run),
+    Route("/runs/{number}/cancel", cancel_run, methods=["POST"]),
+    Route("/runs/{number}/{name}", send_file),
+    Mount("/static", StaticFiles(packages=[("jointid.apps.web", "static")])),
+]

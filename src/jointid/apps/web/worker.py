@@ -1,120 +1,98 @@
 """A process that works for the page: `python -m jointid.apps.web.worker MEMORY WORDS`.
 
-The words are those of a command of jointid, or one of the actions below and a folder. A file may be damaged and a fit
-may take hours: whatever becomes of the process, the page stays up, and its memory is bounded. It ends when the page
-does, whose end it hears on its standard input. Refusals of an action are in `fault.json`, with exit code 2.
+The words are those of a command of jointid, or one of the actions below, in the current folder. A file may be damaged
+and a fit may take hours: whatever becomes of the process, the page stays up, and its memory is bounded. It ends when
+the page does, whose end it hears on its standard input. A refusal is printed as that of a command.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from jointid.apps.web.folder import MODELS, REFUSED
+import numpy as np
+
+from jointid.apps.web.folder import Draft
+from jointid.apps.web.form import TEXT, at
+from jointid.common.arrays import FloatArray
 from jointid.common.bounds import LIBRARIES, TOO_LARGE, limit_memory, measure_memory
-from jointid.common.errors import JointFileError, JointidError
-from jointid.common.files import write_whole
+from jointid.common.errors import JointidError
+from jointid.common.text import number
+from jointid.records.inspection import draw_outline
+
+_DRAWN, _LISTED = 64, 2000  # columns that are drawn, and whose names are listed
+_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 150, 74, 8, 10, 24
+_LINE = "#0072B2"  # that of what is measured, in all our figures
 
 
-def preview(folder: Path) -> None:
-    """Write the columns of the first record, and what the log says of itself."""
-    from jointid.apps.web.form import describe_record
-    from jointid.apps.web.preview import build_preview
+def preview(draft: Draft) -> None:
+    """Write the names of the first record's columns, their plots, and what the names say of the drive."""
     from jointid.records.formats import read_table
+    from jointid.records.recognition import recognise
 
-    work = _read(folder, "work.json")
-    for name in reversed(work["files"]):  # the first one last
-        table = read_table(folder / name, **work["options"])
-        if not table.columns:
-            raise JointidError(f"{name} holds no column with more than one number; choose another file.")
-        made = describe_record(list(table.columns))
-        _write(folder, "columns.json", {**build_preview(table), "sentence": made["sentence"]})
-        _write(folder, "made.json", made)
+    options = {one.key.partition(".")[2]: at(draft.tables, one.key) for one in TEXT}
+    given = {key: value for key, value in options.items() if value is not None}
+    every = [read_table(draft.path / name, **given).columns for name in draft.records]
+    columns = every[0]
+    if not columns:
+        raise JointidError(f"{draft.records[0]} holds no column with more than one number; choose another file.")
+    names, log = list(columns), recognise(tuple(columns))
+    for k, name in enumerate(names[:_DRAWN]):
+        (draft.path / f"_plot-{k}.svg").write_text(draw_column(columns[name]), encoding="utf-8")
+    drive, sentence = {}, ""
+    if log is not None:
+        drive, sentence = {"profile": log.profile.name}, log.sentence
+        if len(log.axes) > 1:
+            drive |= {key: value for key, value in log.axes[0].place.items() if key != "index"}
+    listed = [
+        {"name": name, "samples": columns[name].size, "plot": f"{k}.svg" if k < _DRAWN else ""}
+        for k, name in enumerate(names[:_LISTED])
+    ]
+    draft.write_json("_columns.json", {"columns": listed, "count": len(names), "drive": drive, "sentence": sentence})
 
 
-def example(folder: Path) -> None:
+def example(draft: Draft) -> None:
     """Simulate the digital twin, and write its record and joint file."""
     from jointid import twin, write
     from jointid.paper.twin import JOINT_FILE
 
-    write(twin().record, folder / "example.csv")
-    write_whole(folder / "joint.toml", JOINT_FILE.replace(", optional = true", ""))  # this record has every channel
+    write(twin().record, draft.path / "example.csv")
+    draft.write(JOINT_FILE.replace(", optional = true", ""))  # this record has every channel
 
 
-def check(folder: Path) -> None:
+def check(draft: Draft) -> None:
     """Read the records as the forms say, and write what the first one holds."""
-    from jointid.apps.web.form import make_reading_tables
-    from jointid.config import file_of
+    from jointid.config import load_joint
 
-    names = _records(folder)
-    file = file_of(make_reading_tables(_read(folder, "draft.json"), names), folder / "joint.toml")
-    first, *_ = [file.record(folder / name) for name in ([names[0]] if file.source.files else names)]
+    file = load_joint(draft.path / "_reading.toml")
+    first, *_ = [file.record(draft.path / name) for name in draft.records[: 1 if file.source.files else None]]
     torque = first.torque
     assert torque is not None
     size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
-    _write(folder, "checked.json", size)
+    draft.write_json("_checked.json", size)
 
 
-def fill_in(folder: Path) -> None:
-    """Write the entries of the forms that the joint file or robot file makes."""
-    from jointid.apps.web.form import fill_in_form
-
-    _write(folder, "made.json", fill_in_form((folder / "joint.toml").read_text(encoding="utf-8-sig")))
-
-
-def order(folder: Path) -> None:
-    """Write the joint file or the robot file that the forms describe."""
-    from jointid.apps.web.form import make_joint_file, make_robot_file
-
-    draft, sent = _read(folder, "draft.json"), _read(folder, "sent.json")["files"]
-    if any(name.lower().endswith(MODELS) for name in sent):
-        write_whole(folder / "robot.toml", make_robot_file(draft, sent, folder))
-    else:
-        write_whole(folder / "joint.toml", make_joint_file(draft, sent))
-
-
-def prepare(_: Path) -> None:
-    """Compile the simulation before the first identification needs it."""
-    from jointid.simulation.warm_up import warm_up
-
-    warm_up(wait=True)
-
-
-ACTIONS: dict[str, Callable[[Path], None]] = {
-    one.__name__: one for one in (preview, example, check, fill_in, order, prepare)
-}
-
-
-def _read(folder: Path, name: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / name).read_text(encoding="utf-8"))
-    return found
-
-
-def _write(folder: Path, name: str, value: Any) -> None:
-    write_whole(folder / name, json.dumps(value, allow_nan=False))
-
-
-def _records(folder: Path) -> list[str]:
-    return [name for name in _read(folder, "sent.json")["files"] if not name.lower().endswith(MODELS)]
-
-
-def act(action: str, folder: Path) -> int:
-    """Carry out an action, and return the exit code."""
-    try:
-        ACTIONS[action](folder)
-    except MemoryError:
-        return TOO_LARGE
-    except JointidError as error:
-        faults = getattr(error, "faults", (str(error),))
-        places = [getattr(fault, "place", ()) for fault in faults]
-        _write(folder, "fault.json", {"faults": faults, "places": places, "of_form": isinstance(error, JointFileError)})
-        return REFUSED
-    return 0
+def draw_column(values: FloatArray) -> str:
+    """Return a column as SVG, which a browser shows without running anything: a line through lows and highs."""
+    outline = draw_outline(np.where(np.isfinite(values), values, np.nan))
+    low, high, base = outline.minimum, outline.maximum, _HEIGHT - _BOTTOM
+    body = '<text x="320" y="80" text-anchor="middle">no numbers</text>'
+    if low is not None and high is not None:
+        bottom, span = (low, high - low) if high > low else (low - 0.5, 1.0)
+        ends = np.repeat(np.arange(outline.low.size), 2), np.stack([outline.low, outline.high], axis=1).ravel()
+        across, up = (_LEFT + (_WIDTH - _LEFT - _RIGHT) * ends[0] / max(ends[0][-1], 1), (ends[1] - bottom) / span)
+        points = [(x, base - (base - _TOP) * y) for x, y in zip(across, up, strict=True) if np.isfinite(y)]
+        body = f'<polyline fill="none" stroke="{_LINE}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
+        for value, y in ((high, _TOP + 8), (low, base)) if high > low else ((low, (_TOP + base) / 2),):
+            body += f'<text x="{_LEFT - 6}" y="{y:g}" text-anchor="end">{number(value, 4)}</text>'
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
+        f'font-size="13" fill="#4a545e"><path d="M{_LEFT} {_TOP}V{base}H{_WIDTH - _RIGHT}" fill="none" '
+        f'stroke="#8a949e"/><text x="{_LEFT}" y="{_HEIGHT - 6}">0</text><text x="{_WIDTH - _RIGHT}" '
+        f'y="{_HEIGHT - 6}" text-anchor="end">{outline.rows} rows</text>{body}</svg>'
+    )
 
 
 def _end_with_the_page() -> None:
@@ -124,12 +102,24 @@ def _end_with_the_page() -> None:
     os._exit(1)
 
 
+def _act(words: list[str]) -> None:
+    """Carry out an action, or a command, and exit as the command does."""
+    action = {"preview": preview, "example": example, "check": check}.get(words[0])
+    if action is None:
+        from jointid.apps.cli import main
+
+        main(words)
+    else:
+        try:
+            action(Draft(Path.cwd()))
+        except MemoryError:
+            sys.exit(TOO_LARGE)
+        except JointidError as error:
+            sys.exit("\n".join(f"jointid: {line}" for line in str(error).splitlines()))
+
+
 if __name__ == "__main__":
     threading.Thread(target=_end_with_the_page, daemon=True).start()
     # Beside the libraries: one that is loaded at the limit fails in ways of its own, not with `MemoryError`.
     limit_memory(measure_memory() + LIBRARIES + int(sys.argv[1]))
-    if sys.argv[2] in ACTIONS:
-        sys.exit(act(sys.argv[2], Path(sys.argv[3])))
-    from jointid.apps.cli import main
-
-    main(sys.argv[2:])
+    _act(sys.argv[2:])
