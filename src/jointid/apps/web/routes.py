@@ -28,7 +28,7 @@ from jointid.apps.web import form
 from jointid.apps.web.folder import MODELS, Draft, Folder, Limits, PageError
 from jointid.apps.web.jobs import Jobs
 from jointid.common.document import templates, typeset
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import beside, is_full
 from jointid.config import load, load_to_learn, loads
 from jointid.config.toml import parse_toml, read_text
@@ -154,7 +154,10 @@ async def take_record(page: Page, request: Request) -> Response:
         records = [name for name in names if name not in (*files, *models)]
         if len(files) > 1 or len(models) > 1 or not records:
             raise PageError("Expected one record or several, with at most one joint file or robot file; choose again.")
-        text = "".join(read_text(fresh.path / name) for name in files)
+        try:
+            text = "".join(read_text(fresh.path / name) for name in files)
+        except JointFileError as error:
+            raise PageError(str(error).replace(f"{fresh.path / files[0]}", files[0])) from None
         if ("robot" in parse_toml(text)) != bool(models):
             raise PageError("A robot file comes with the model that it names (.urdf, .xml) and its record; choose all.")
         for name in files:
