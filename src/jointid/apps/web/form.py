@@ -242,7 +242,7 @@ def make_reading_tables(tables: Tables) -> Tables:
                 faults.append(_fault(f"record.channels.{channel}.unit", rest))
     if faults:
         raise JointFileError(faults)
-    made = {key: tables[key] for key in ("transmission", "record", "drive") if key in tables}
+    made: Tables = {key: tables[key] for key in ("transmission", "record", "drive") if key in tables}
     made["joint"] = {key: tables["joint"][key] for key in ("kind", "torque_constant") if key in tables["joint"]}
     if "reference" in channels or profile is not None:
         return made | {"method": {"name": "didim"}, "controller": _STAND_IN}
@@ -267,8 +267,8 @@ def confine(tables: Tables, records: Sequence[str]) -> Tables:
     """
     made = copy.deepcopy(tables)
     for table in (made.get("record"), made.get("robot"), *_rows(made)):
-        for key in {"file", "model"} & table.keys() if isinstance(table, dict) else ():
-            table[key] = clean_name(str(table[key]))
+        if isinstance(table, dict):
+            table |= {key: clean_name(str(table[key])) for key in ("file", "model") if key in table}
     joined = at(made, "record.files")
     if joined is not None:
         put(made, "record.files", [clean_name(str(one)) for one in joined] if isinstance(joined, list) else [])

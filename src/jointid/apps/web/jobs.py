@@ -88,8 +88,8 @@ class Jobs:
         state, sentence, limit = "done", "", self._limits.seconds
         try:
             if learn:
-                words = ("learn-controller", "joint.toml", "--write", "learned.toml")
-                await self._work(run.path, limit, "_learned.txt", *words)
+                learning = ("learn-controller", "joint.toml", "--write", "learned.toml")
+                await self._work(run.path, limit, "_learned.txt", *learning)
                 (run.path / "learned.toml").replace(run.path / "joint.toml")
             await self._work(run.path, limit, "_answer.txt", "identify", run.file, "--json", "answer.json")
             words = ("report", run.file, "--estimate", "answer.json", "--html", "report.html")

@@ -15,7 +15,6 @@ from typing import Any, TypeAlias
 
 from python_multipart.exceptions import FormParserError
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
@@ -135,7 +134,7 @@ async def _save(page: Page, request: Request) -> None:
     Raises:
         JointidError: the form is too large or damaged, or its further lines are no TOML.
     """
-    entries, _ = await _receive(request, _FORM)
+    entries, _ = await _receive(request, _FORM, None)
     request.state.entries = dict(entries)
     now = page.folder.now
     if not now.robot:
@@ -297,7 +296,7 @@ def _bundle(run: Draft) -> Path:
     return path
 
 
-async def _receive(request: Request, bound: int, folder: Path | None = None) -> tuple[list[tuple[str, str]], list[str]]:
+async def _receive(request: Request, bound: int, folder: Path | None) -> tuple[list[tuple[str, str]], list[str]]:
     """Return the entries of a form, and the names of its files, which are written to a folder.
 
     Raises:
@@ -306,11 +305,12 @@ async def _receive(request: Request, bound: int, folder: Path | None = None) -> 
     """
     received = list[str]()
     try:
-        async with _bound(request, bound).form(max_files=_FILES if folder else 0) as sent:
+        async with _bound(request, bound).form(max_files=_FILES) as sent:
             entries = [(name, value) for name, value in sent.multi_items() if isinstance(value, str)]
-            files = [value for _, value in sent.multi_items() if isinstance(value, UploadFile) and value.filename]
-            for file in files if folder else ():
-                name = form.clean_name(file.filename or "")
+            for _, file in sent.multi_items():
+                if isinstance(file, str) or not file.filename or folder is None:
+                    continue
+                name = form.clean_name(file.filename)
                 if Path(name).suffix.lower() not in _SUFFIXES:
                     raise PageError(f"{name} is of no format that is read; expected one of {', '.join(_SUFFIXES)}.")
                 if name in received:

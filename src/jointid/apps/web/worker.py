@@ -11,6 +11,7 @@ import os
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,11 +42,11 @@ def preview(draft: Draft) -> None:
     names, log = list(columns), recognise(tuple(columns))
     for k, name in enumerate(names[:_DRAWN]):
         (draft.path / f"_plot-{k}.svg").write_text(draw_column(columns[name]), encoding="utf-8")
-    drive, sentence = {}, ""
+    drive, sentence = dict[str, Any](), ""
     if log is not None:
-        drive, sentence = {"profile": log.profile.name}, log.sentence
-        if len(log.axes) > 1:
-            drive |= {key: value for key, value in log.axes[0].place.items() if key != "index"}
+        place = log.axes[0].place if len(log.axes) > 1 else {}
+        drive = {"profile": log.profile.name} | {key: value for key, value in place.items() if key != "index"}
+        sentence = log.sentence
     listed = [
         {"name": name, "samples": columns[name].size, "plot": f"{k}.svg" if k < _DRAWN else ""}
         for k, name in enumerate(names[:_LISTED])
