@@ -32,7 +32,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS, EstimateParts
 from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
-from jointid.estimation.robots.zeros import EncoderZero
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.controllers.servo_base import require_one_each
@@ -199,7 +198,6 @@ def diagnose_robot(
         for k, (name, record) in enumerate(zip(robot.names, records, strict=True))
     )  # fmt: skip
     better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
-    zeros: tuple[EncoderZero, ...] = ()
     cause = find_copied_reference(robot, records)
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
     if cause is None and estimate.settings.method == "idim" and not all(one.is_small for one in axes):
@@ -209,11 +207,10 @@ def diagnose_robot(
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # a robot that cannot be fitted has others
             cause = find_springs(part.setup, records, estimate.settings.filtering)
     if cause is not None and cause.explained > explained:
-        axes, zeros = tuple(map(_wait_for_cause, axes)), cause.zeros
-        cause = None if zeros else cause
+        axes = tuple(map(_wait_for_cause, axes))
     else:
         cause = None
-    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better, zeros, cause)
+    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better, cause)
 
 
 def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:

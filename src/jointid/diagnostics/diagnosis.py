@@ -18,7 +18,6 @@ from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.model_free import BEYOND_NOISE, OF_LAW, LawOnPosition
 from jointid.diagnostics.robot_causes import RobotCause
-from jointid.estimation.robots.zeros import EncoderZero
 from jointid.uncertainty.residual_tests import Coupling, Whiteness
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
@@ -202,7 +201,6 @@ class Diagnosis(Documented):
         axes: the diagnosis of each: one of a joint.
         torques: of the record, beside the estimate's.
         feed_forward: "gravity" or "inverse-model" where the controllers leave much less with it; None otherwise.
-        zeros: encoder zeros that are not the model's, with which the model leaves less.
         cause: of the whole log or model, that explains more than the faults of single axes.
     """
 
@@ -211,7 +209,6 @@ class Diagnosis(Documented):
     axes: tuple[AxisDiagnosis, ...]
     torques: AxisTorques
     feed_forward: str | None = None
-    zeros: tuple[EncoderZero, ...] = ()
     cause: RobotCause | None = None
 
     @property
@@ -228,7 +225,7 @@ class Diagnosis(Documented):
     @property
     def finds_nothing(self) -> bool:
         """True if no fault of loop, log or joint was found, and nothing of the torque is left unexplained."""
-        return self.explained and self.as_declared is not False and not (self._faulty or self.zeros)
+        return self.explained and self.as_declared is not False and not self._faulty
 
     @property
     def reasons(self) -> tuple[Message, ...]:
@@ -288,10 +285,6 @@ class Diagnosis(Documented):
             )
         if self.cause is not None:
             found.append(sentence(str(self.cause)))
-        found += [
-            f"{one.joint}: {one}. Check the encoder's zero, and give zero = {one.zero:.4g} in its table."
-            for one in self.zeros
-        ]
         if any(axis.caused for axis in self.axes):
             found.append("Correct this first, and identify again: other faults of single joints are named only then.")
         found += [*self._other_laws(), *(one for axis in self.axes for one in axis.sentences)]

@@ -408,8 +408,8 @@ def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress, fail
         (Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little"),),
     )
     bad = [joint.name for joint in found.axes if not joint.explained]
-    if bad or found.zeros or found.cause:
-        causes = [Message(Reason.CAUSE_FOUND, str(one)) for one in (found.cause, *found.zeros) if one]
+    if bad or found.cause:
+        causes = [Message(Reason.CAUSE_FOUND, str(found.cause))] if found.cause else []
         rest = [f"what the model leaves of the torque of {join(bad)} is no noise"] if bad else []
         follows = [Message(Reason.RESIDUAL_FOLLOWS_MOTION, one) for one in rest]
         of_model = found.name_faults(of_model=True)

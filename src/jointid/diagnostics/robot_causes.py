@@ -1,9 +1,9 @@
 """Causes of a misfit that concern more than the torque of one joint: a base, a gear, an order, a coupling, a length.
 
 Each is a change of the log or of the model, with which the inverse model is solved again on some hundred instants. Its
-numbers are searched on a grid, then by descent (variable projection, as encoder zeros are in
-`jointid.estimation.robots.zeros`). The rows of each joint are divided by the size of its error as declared, so the sum
-of squares is the number of joints before a cause is corrected. The cause that lowers it most is named.
+numbers are searched on a grid, then by descent (variable projection). The rows of each joint are divided by the size of
+its error as declared, so the sum of squares is the number of joints before a cause is corrected. The cause that lowers
+it most is named.
 
 Springs that are not declared are found in a robot that DIDIM simulates, by simulations with a spring.
 """
@@ -28,7 +28,6 @@ from jointid.estimation.robots.flexible import SLOW
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
 from jointid.estimation.robots.regression import motion_of_robot
-from jointid.estimation.robots.zeros import EncoderZero, find_zeros
 from jointid.estimation.starts.robot_springs import StartOfSprings, bound_springs, frequency_row
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import friction_columns
@@ -70,7 +69,6 @@ class RobotCause:
         words: clause that states it, with its remedy.
         value: its number; None without one.
         explained: squares of the residual that it explains, as a sum of the shares of all joints.
-        zeros: of encoders, that are the cause in its place; none without any.
     """
 
     name: str
@@ -78,7 +76,6 @@ class RobotCause:
     words: str
     value: float | None
     explained: float
-    zeros: tuple[EncoderZero, ...] = ()
 
     def __str__(self) -> str:
         return self.words
@@ -166,14 +163,8 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
     least, x, cause = min(found, key=lambda one: one[0] * _SIMPLER ** one[2].count(one[1]))
     if n - least < _LEAST or not cause.name:
         return None
-    zeros = find_zeros(robot, [records], filtering) if x.size else ()
-    turned = np.array([sum(one.zero for one in zeros if one.joint == name) for name in robot.names])
-    if zeros and cause.name != "zero":  # the causes hold one zero alone, and several may be wrong
-        after = solve.left(declared.under(robot.turn(turned)))
-        better = after * _SIMPLER ** len(zeros) < least * _SIMPLER ** cause.count(x)
-        zeros, least = (zeros, after) if better else ((), least)
     joints = tuple(robot.names[k] for k in cause.joints)
-    return RobotCause(cause.name, joints, cause.words(x), cause.value(x), n - least, zeros)
+    return RobotCause(cause.name, joints, cause.words(x), cause.value(x), n - least)
 
 
 def find_springs(loop: RobotLoop, records: Sequence[Record], filtering: Filtering) -> RobotCause | None:
@@ -381,8 +372,8 @@ def _causes_of_joint(declared: _Case, k: int) -> Iterator[_Cause]:
     if robot.links[k].kind == "revolute":
         yield _Cause(
             "zero", (k,), lambda x: declared.under(robot.turn(x[0] * np.eye(len(robot))[k])),
-            lambda x: f"the encoder of {name} reads 0 where the joint of the model is at {number(_wrap(x[0]), 3)} rad: "
-            f"check it, and give zero = {number(_wrap(x[0]), 3)} in its table",
+            lambda x: f"the encoder of {name} reads 0 where the joint of the model is near {number(_wrap(x[0]), 2)} "
+            "rad: check it, and give its zero in its table",
             tuple((one,) for one in _ZEROS), lambda x: _wrap(x[0]),
         )  # fmt: skip
 

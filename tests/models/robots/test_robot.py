@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
+from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, RobotJoint
 from tests.models.robots.trees import chain
 
@@ -20,3 +24,13 @@ def test_a_joint_whose_spring_does_not_give_keeps_the_friction_behind_it() -> No
     stiff = joint.rigid
     assert (stiff.viscous, stiff.viscous_backwards, stiff.coulomb, stiff.coulomb_backwards) == (4.0, None, 2.5, 3.0)
     assert stiff.values["viscous_backwards"] == 4.0
+
+
+def test_a_turned_robot_moves_as_the_robot_at_shifted_positions() -> None:
+    sliding = replace(ARM.links[2], kind="prismatic")
+    robot = replace(ARM, links=(*ARM.links[:2], sliding, *ARM.links[3:]))
+    random = np.random.default_rng(1)
+    zeros, (q, v, a) = random.normal(size=3), random.normal(size=(3, 5, 3))
+    turned = robot.turn(zeros)
+    expected = inverse_dynamics(robot.tree, robot.inertials, q + zeros, v, a)
+    assert inverse_dynamics(turned.tree, turned.inertials, q, v, a) == pytest.approx(expected, rel=1e-9, abs=1e-9)

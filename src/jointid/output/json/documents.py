@@ -135,10 +135,9 @@ SHAPES: Mapping[str, Shape] = {
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
     "Diagnosis": document_shape(
         "jointid.diagnosis/1",
-        "name method answer explained as_declared feed_forward zeros cause sentences reasons axes",
+        "name method answer explained as_declared feed_forward cause sentences reasons axes",
     ),
     "RobotCause": keys("name joints words value"),
-    "EncoderZero": keys("joint zero stderr residual residual_without"),
     "AxisDiagnosis": {
         **keys(
             "name left explained white=whiteness.white travel speed moving as_declared law_holds law "
