@@ -280,7 +280,6 @@ def say(truth: Truth, seed: int) -> list[tuple[str, int]]:
     if diagnosis.cause is not None:
         said.append((diagnosis.cause.name, names.index(diagnosis.cause.joints[0]) + 1 if diagnosis.cause.joints else 0))
     said += [(one.test.name, k + 1) for k, axis in enumerate(diagnosis.axes) for one in axis.faults.findings]
-    said += [("zero", names.index(one.joint) + 1) for one in diagnosis.zeros]
     said += [("log_delay", 0) for one in found.checks.warnings if "late" in one]
     said += [("?", k + 1) for k, axis in enumerate(diagnosis.axes) if not axis.explained]
     return said
