@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import date
 
 import numpy as np
@@ -62,14 +62,13 @@ class Stamps:
         Raises:
             ValueError: a cell is no instant.
         """
-        spans: list[tuple[int, Stamps]] = []
+        spans: list[tuple[float, Stamps]] = []
         for day_first in (True, False):
             try:
-                made = cls(0, _read(next(filter(None, cells)), day_first)[1], day_first)
-                counts = [count for count in made._counts(cells) if count is not None]
+                made = cls(*_read(next(filter(None, cells)), day_first), day_first)
+                spans.append((float(np.nanmax(made.seconds(cells)) - np.nanmin(made.seconds(cells))), made))
             except ValueError:  # there is no such month
                 continue
-            spans.append((max(counts) - min(counts), replace(made, origin=counts[0])))
         if not spans:
             raise ValueError
         return min(spans, key=lambda one: one[0])[1]
@@ -80,24 +79,19 @@ class Stamps:
         Raises:
             ValueError: a cell is no instant.
         """
-        counts = self._counts(cells)
-        return np.array([np.nan if count is None else (count - self.origin) / _SECOND for count in counts])
-
-    def _counts(self, cells: Sequence[str]) -> list[int | None]:
-        counts: list[int | None] = []
-        added, last = 0, None
-        for cell in cells:
+        seconds = np.full(len(cells), np.nan)
+        added, earliest = 0, self.origin
+        for place, cell in enumerate(cells):
             if not cell:
-                counts.append(None)
                 continue
             count, period = _read(cell, self.day_first)
             if period != self.period:
                 raise ValueError(cell)
-            if period and count + added < (self.origin if last is None else last - period // 2):
+            if period and count + added < earliest:
                 added += period
-            last = count + added
-            counts.append(last)
-        return counts
+            earliest = count + added - period // 2
+            seconds[place] = (count + added - self.origin) / _SECOND
+        return seconds
 
 
 def _match(cell: str) -> re.Match[str] | None:
@@ -123,9 +117,9 @@ def _read(cell: str, day_first: bool) -> tuple[int, int]:
     if (zone := found["zone"]) and zone[0] in "+-":
         digits = zone[1:].replace(":", "").ljust(4, "0")
         count -= (1 if zone[0] == "+" else -1) * (int(digits[:2]) * 3600 + int(digits[2:]) * 60) * _SECOND
-    if found["y"]:
-        return count + date(int(found["y"]), int(found["m"]), int(found["d"])).toordinal() * _DAY, 0
-    if found["c"]:
-        day, month = (found["a"], found["b"]) if day_first else (found["b"], found["a"])
-        return count + date(int(found["c"]), int(month), int(day)).toordinal() * _DAY, 0
-    return count, _HOUR if is_minutes else _DAY
+    year, month, day = found["y"] or found["c"], found["m"] or found["b"], found["d"] or found["a"]
+    if not year:
+        return count, _HOUR if is_minutes else _DAY
+    if found["c"] and not day_first:
+        day, month = month, day
+    return count + date(int(year), int(month), int(day)).toordinal() * _DAY, 0

@@ -13,7 +13,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -26,14 +26,7 @@ from jointid.common.text import pluralise, short
 from jointid.common.units import UnitError, normalise_unit, unit
 from jointid.records.formats.scope import find_scope, read_scope
 from jointid.records.formats.stamps import Stamps, is_date, is_stamp
-from jointid.records.formats.table import (
-    TIME_NAME,
-    Table,
-    join_tables,
-    require_columns,
-    require_size,
-    require_width,
-)
+from jointid.records.formats.table import TIME_NAME, Table, join_tables, require_columns, require_size, require_width
 
 _BLANKS = " "  # the delimiter that stands for any run of blanks
 _COMMA_BLANK = ", "  # the delimiter beside decimal commas that is a comma with a blank behind it
@@ -61,7 +54,6 @@ _OTHER_UNITS = frozenset({
     "LU", "Inkr", "Inkr.", "Arms", "Aeff", "A_eff", "A rms", "Apk", "Vrms",
 })  # fmt: skip
 _RUN = ("=", "+", "-", "@")  # with these a cell begins that a spreadsheet program takes for a formula
-_KINDS = {"n": "numbers", "l": "lists of numbers", "t": "instants", "d": "dates without a time", "w": "words"}
 
 
 class Line(NamedTuple):
@@ -101,24 +93,26 @@ class TextOptions:
             raise RecordError(f"header is true or false; got {self.header!r}.")
 
 
-@dataclass(frozen=True, slots=True)
-class Dialect:
+class Dialect(NamedTuple):
     """Delimiter, a character, `_BLANKS` or `_COMMA_BLANK`, and decimal mark."""
 
     delimiter: str
     decimal: str
 
     def split(self, line: str) -> list[str]:
-        """Split a line into cells, without blanks and quotes."""
+        """Split a line into cells, without blanks and quotes; a quote without end makes one cell."""
         if self.delimiter == _COMMA_BLANK:
             return [cell.strip(' \t"') for cell in re.split(r",[ \t]+", line)]
         if '"' in line:
-            reader = csv.reader([line.strip(" ")], delimiter=self.delimiter, skipinitialspace=True)
-            return [cell.strip() for cell in next(reader)]
+            try:
+                cells = next(csv.reader([line.strip(" ")], delimiter=self.delimiter, skipinitialspace=True))
+            except csv.Error:
+                return [line]
+            return [cell.strip() for cell in cells]
         return line.split() if self.delimiter == _BLANKS else [cell.strip() for cell in line.split(self.delimiter)]
 
     def kind(self, cell: str) -> str:
-        """Return a letter for a cell: empty, number, list of numbers, instant, date or word."""
+        """Return a letter for a cell: empty, number, list of numbers, instant (t), date or word."""
         if not cell:
             return "e"
         if _NUMBERS[self.decimal].fullmatch(cell):
@@ -139,13 +133,8 @@ class Dialect:
             raise ValueError(cell)
         return float(cell.replace(self.decimal, ".")) if cell else np.nan
 
-    def plain(self, text: str) -> str:
-        """Convert decimal commas to points; a point beside them invalidates the number."""
-        return text if self.decimal == "." else text.replace(".", "?").replace(",", ".")
 
-
-@dataclass(frozen=True, slots=True)
-class Fit:
+class Fit(NamedTuple):
     """How many lines are rows under a dialect, and the kinds of their columns."""
 
     dialect: Dialect
@@ -184,65 +173,54 @@ class Layout:
     stamps: dict[int, Stamps] = field(default_factory=dict)
     passed: Mapping[str, str] = field(default_factory=dict)
 
-    def read(self, lines: Sequence[Line], ends: bool) -> Table:
-        """Parse lines, which may include the end of the file."""
-        rows = [self._open_row(line) for line in lines]
-        mark = None if self.dialect.delimiter == _BLANKS else self.dialect.delimiter
+    def read(self, lines: Sequence[Line]) -> Table:
+        """Parse rows."""
+        mark, point = self.dialect
+        texts = [line.text.rstrip(_BLANKS).removesuffix(mark) if self.closed else line.text for line in lines]
         try:
-            plain = [self.dialect.plain(row.text) for row in rows]
-            values = np.loadtxt(plain, delimiter=mark, comments=None, ndmin=2)
+            # A point beside decimal commas makes no number.
+            plain = texts if point == "." else [text.replace(".", "?").replace(",", ".") for text in texts]
+            values = np.loadtxt(plain, delimiter=None if mark == _BLANKS else mark, comments=None, ndmin=2)
             return Table(dict(zip(self.names, values.T, strict=True)), source=self.file, passed=self.passed)
         except (ValueError, TypeError):  # words, quotes, an empty cell or a fault: only the slow way can tell
-            cells = [self._split_row(row, ends and row is rows[-1]) for row in rows]
-        columns, passed, clock = dict[str, FloatArray](), dict(self.passed), list[str]()
-        for place, name in enumerate(self.names):
-            column = [row[place] for row in cells]
-            found = self._parse(place, rows, column)
+            rows = list(map(self.dialect.split, texts))
+        for line, cells in zip(lines, rows, strict=True):
+            if len(cells) != len(self.names):
+                raise RecordError(
+                    f"{self.file}: line {line.number} has {pluralise(len(cells), 'cell')} for "
+                    f"{pluralise(len(self.names), 'column')}; mend or delete that line."
+                )
+        columns, passed = dict[str, FloatArray](), dict(self.passed)
+        for place, (name, column) in enumerate(zip(self.names, zip(*rows, strict=True), strict=True)):
+            found = self._parse(place, lines, column)
             if isinstance(found, str):
                 passed[name] = found
-                continue
-            columns |= found
-            clock += [name] if place in self.stamps else []
+            else:
+                columns |= found
         if not columns:
             raise RecordError(f"{self.file} has no column of numbers; log the signals as numbers.")
         # A single column of instants is the clock, whatever its name.
+        clock = [name for place, name in enumerate(self.names) if place in self.stamps and name in columns]
         is_clock = len(clock) == 1 and not any(map(TIME_NAME.fullmatch, columns))
         clocks = dict.fromkeys((name for name in columns if name not in clock), clock[0]) if is_clock else {}
         return Table(columns, {}, self.file, dict.fromkeys(clock, "s"), passed, clocks)
 
-    def _split_row(self, line: Line, last: bool) -> list[str]:
-        try:
-            cells = self.dialect.split(line.text)
-        except csv.Error as error:
-            raise RecordError(
-                f"{self.file}: line {line.number} cannot be split into cells ({error}); mend or delete that line."
-            ) from None
-        if len(cells) != len(self.names):
-            place = f"line {line.number}, the last," if last else f"line {line.number}"
-            remedy = "the file was cut off or ends in a remark; delete" if last else "mend or delete"
-            raise RecordError(
-                f"{self.file}: {place} has {pluralise(len(cells), 'cell')} for {pluralise(len(self.names), 'column')}; "
-                f"{remedy} that line."
-            )
-        return cells
-
-    def _parse(self, place: int, rows: Sequence[Line], cells: Sequence[str]) -> dict[str, FloatArray] | str:
+    def _parse(self, place: int, lines: Sequence[Line], cells: Sequence[str]) -> dict[str, FloatArray] | str:
         """Return the column of some cells, of lists "name[0]", "name[1]", ..., or why it is passed over."""
         name, dialect = self.names[place], self.dialect
         try:
             return {name: np.array([dialect.number(cell) for cell in cells])}
         except ValueError:
             kind = _commonest(map(dialect.kind, islice(filter(None, cells), _FILLED)))
-        pairs = zip(rows, cells, strict=True)
+        of_kind = [dialect.kind(cell) for cell in cells]
         if kind in "dw":
-            row, cell = next((row, cell) for row, cell in pairs if dialect.kind(cell) == kind)
-            return f'it holds {_KINDS[kind]}, such as "{short(cell)}" in line {row.number}'
-        for row, cell in pairs:
-            if dialect.kind(cell) not in (kind, "e"):
-                raise RecordError(
-                    f'{self.file}: line {row.number}, column "{name}" holds "{short(cell)}", which is not one of the '
-                    f"{_KINDS[kind]} as in the other rows; mend it or leave the cell empty."
-                )
+            return f'it holds words, such as "{short(cells[of_kind.index(kind)])}"'
+        other = next((row for row, one in enumerate(of_kind) if one not in (kind, "e")), None)
+        if other is not None:
+            raise RecordError(
+                f'{self.file}: line {lines[other].number}, column "{name}" holds "{short(cells[other])}", which is not '
+                "like the other rows; mend it or leave the cell empty."
+            )
         try:
             if kind == "t":
                 if place not in self.stamps:
@@ -252,12 +230,6 @@ class Layout:
             return {f"{name}[{k}]": column for k, column in enumerate(lists.T)}
         except ValueError:
             return "its instants or its lists are not written alike"
-
-    def _open_row(self, row: Line) -> Line:
-        """Leave out the delimiter at the end of a row."""
-        if not self.closed:
-            return row
-        return Line(row.number, row.text.rstrip(_BLANKS).removesuffix(self.dialect.delimiter))
 
 
 def read_text(path: Path, **options: Any) -> Table:
@@ -285,23 +257,16 @@ def _read(path: Path, rows: int | None, options: TextOptions) -> Iterator[Table]
     lines = stream_lines(path, head)
     beginning = list(_take(lines, head))
     scope = None if options.header is False else find_scope([line.text for line in beginning if not line.is_remark])
-    if scope is not None and rows is not None:
-        raise RecordError(
-            f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in chunks; "
-            "convert it to NPY."
-        )
     if scope is not None:
-        every = [line for line in chain(beginning, lines) if not line.is_remark]
-        yield read_scope(path, scope, every, options.decimal)
+        if rows is not None:
+            raise RecordError(f"{path.name} is an export of TwinCAT Scope, which is read whole; convert it to NPY.")
+        yield read_scope(path, scope, [line for line in chain(beginning, lines) if not line.is_remark], options.decimal)
         return
     layout, start = _find_layout(path.name, beginning, options)
     content = (line for line in chain(beginning[start:], lines) if not line.is_remark)
     rows = rows or max(_CELLS // len(layout.names), 1)
-    block = list(islice(content, rows))
-    while block:
-        following = list(islice(content, rows))
-        yield layout.read(block, not following)
-        block = following
+    while block := list(islice(content, rows)):
+        yield layout.read(block)
 
 
 def open_text(path: Path) -> IO[bytes]:
@@ -330,14 +295,13 @@ def stream_lines(path: Path, head: int) -> Iterator[Line]:
         for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
             if len(line) > _LONGEST:
                 raise RecordError(
-                    f"{path.name}: line {number} has more than {_LONGEST} characters; expected a row for each sample: "
-                    "is it a matrix that lies on its side, or no text?"
+                    f"{path.name}: line {number} has more than {_LONGEST} characters; write a row for each sample."
                 )
             if not line.isspace():
                 yield Line(number, line.rstrip("\n"))
 
 
-def _take(lines: Iterator[Line], characters: int) -> Iterator[Line]:
+def _take(lines: Iterable[Line], characters: int) -> Iterator[Line]:
     """Yield lines of so many characters."""
     for line in lines:
         yield line
@@ -352,24 +316,21 @@ def _find_layout(file: str, beginning: Sequence[Line], options: TextOptions) -> 
     lines = [line for _, line in content]
     fit = _find_fit(file, lines, options)
     first = next(index for index, line in enumerate(lines) if fit.is_row(line.text))
-    start = content[first][0]
-    dialect, width, rows = fit.dialect, fit.width, lines[first:]
+    start, mark, rows = content[first][0], fit.dialect.delimiter, lines[first:]
     # Where all rows end with the delimiter, their empty last cell is a column only if it has a name.
-    closed = dialect.delimiter != _BLANKS and all(
-        row.text.rstrip(_BLANKS).endswith(dialect.delimiter) for row in rows[:-1] or rows
-    )
-    remark = None if start == 0 or beginning[start - 1].text.startswith("sep=") else beginning[start - 1]
-    above = lines[first - 1] if first else remark and Line(remark.number, remark.text.lstrip(" \t#%/"))
-    over = lines[first - 2].text if first > 1 else None
-    named = _find_names(file, above, over, fit, closed, options.header, is_remark=first == 0)
-    unnamed = closed and (named is None or len(named) < width or not named[-1])
-    width -= unnamed
+    closed = mark != _BLANKS and all(row.text.rstrip(_BLANKS).endswith(mark) for row in rows[:-1] or rows)
+    above = lines[max(first - 2, 0) : first]
+    if not first and start and not beginning[start - 1].text.startswith("sep="):
+        above = [beginning[start - 1]]
+    named = _find_names(file, above, fit, closed, options.header)
+    unnamed = closed and (named is None or len(named) < fit.width or not named[-1])
+    width = fit.width - unnamed
     names = [name or str(i) for i, name in enumerate(named or [""] * width, start=1)][:width]
     require_width(Path(file), width)
     count = Counter(names)
     passed = {name: f"the name of {several} columns" for name, several in count.items() if several > 1}
     names = [f"column {i}: {name}" if name in passed else name for i, name in enumerate(names, start=1)]
-    return Layout(file, dialect, names, unnamed, passed=passed), start
+    return Layout(file, fit.dialect, names, unnamed, passed=passed), start
 
 
 def _find_fit(file: str, lines: Sequence[Line], options: TextOptions) -> Fit:
@@ -383,10 +344,9 @@ def _find_fit(file: str, lines: Sequence[Line], options: TextOptions) -> Fit:
     if options.delimiter is None and options.decimal != ".":
         dialects.append(Dialect(_COMMA_BLANK, ","))
     fits = [fit for dialect in dialects for fit in _fit(dialect, sample)]
-    plain = [fit for fit in fits if not fit.kinds.strip("n")]
+    plain, mixed = ([fit for fit in fits if bool(fit.kinds.strip("n")) is other] for other in (False, True))
     best = _prefer_blanks(plain, max(plain, key=lambda fit: (fit.rows, fit.width > 1), default=None))
     if best is None or 2 * best.rows < len(sample):
-        mixed = [fit for fit in fits if fit not in plain]
         chosen = _prefer_blanks(mixed, max(mixed, key=lambda f: f.rows * len(f.kinds.strip("dwe")), default=None))
         if chosen is not None and (best is None or chosen.rows > 2 * best.rows):
             return chosen
@@ -395,11 +355,9 @@ def _find_fit(file: str, lines: Sequence[Line], options: TextOptions) -> Fit:
             f"{file} has no row of numbers; expected columns of numbers with a decimal point or a decimal comma, "
             "without thousands separators."
         )
-    if best.dialect.delimiter == _COMMA_BLANK:
-        return best
     pair = next((fit for fit in plain if fit.width == 2 and fit.dialect.delimiter == ","), None)
     single = next((fit for fit in plain if fit.width == 1 and fit.dialect.decimal == ","), None)
-    if pair and single and best.rows == single.rows:
+    if pair and single and best.rows == single.rows and best.dialect.delimiter != _COMMA_BLANK:
         first = next(index for index, line in enumerate(lines) if single.is_row(line.text))
         if first:
             return pair if len(_split_names(lines[first - 1].text, pair)) == pair.width else single
@@ -415,10 +373,7 @@ def _find_fit(file: str, lines: Sequence[Line], options: TextOptions) -> Fit:
 
 def _fit(dialect: Dialect, lines: Sequence[Line]) -> Iterator[Fit]:
     """Yield how a dialect reads lines: as rows of numbers alone, and as rows that also hold something else."""
-    try:
-        every = [dialect.kinds(line.text) for line in lines]
-    except csv.Error:
-        return
+    every = [dialect.kinds(line.text) for line in lines]
     numbers = Counter(len(kinds) for kinds in every if "n" in kinds and not kinds.strip("ne"))
     for width, rows in numbers.most_common(1):
         yield Fit(dialect, "n" * width, rows)
@@ -445,40 +400,30 @@ def _prefer_blanks(fits: Sequence[Fit], best: Fit | None) -> Fit | None:
     return spaced if spaced and best and spaced.rows == best.rows and 1 < spaced.width < best.width else best
 
 
-def _find_names(
-    file: str, above: Line | None, over: str | None, fit: Fit, closed: bool, header: bool | None, *, is_remark: bool
-) -> list[str] | None:
-    """Cells of the line above the rows, joined to those of the line over it; None without names."""
-    if above is None or header is False:
-        if header:
-            raise RecordError(f"{file} has no line above the numbers; leave header = true out.")
+def _find_names(file: str, above: Sequence[Line], fit: Fit, closed: bool, header: bool | None) -> list[str] | None:
+    """Cells of the last line above the rows, joined to those of the line over it; None without names."""
+    if header and not above:
+        raise RecordError(f"{file} has no line above the numbers; leave header = true out.")
+    if not above or header is False:
         return None
-    names = _split_names(above.text, fit)
+    line, is_remark = above[-1], above[-1].is_remark
+    names = _split_names(line.text.lstrip(" \t#%/") if is_remark else line.text, fit)
     fits = len(names) == fit.width or (closed and len(names) == fit.width - 1)
     number = next((name for name in names if any(one.fullmatch(name) for one in _NUMBERS.values())), None)
-    if header is None:
-        if is_remark and (number or not fits):
-            return None
-        if number:
-            raise RecordError(
-                f'{file}: line {above.number} ("{short(above.text)}") stands above the first row and holds the number '
-                f'"{number}"; mend it if it is a row, give header = true if it holds names, header = false if it is a '
-                "remark."
-            )
-        if len(names) == 1 and not fits:
-            return None  # the last line of a preamble
-    if not fits:
+    if header is None and ((is_remark and number) or (not fits and (is_remark or (len(names) == 1 and not number)))):
+        return None  # a remark, or the last line of a preamble
+    if (header is None and number) or not fits:
         raise RecordError(
-            f"{file}: line {above.number} has {pluralise(len(names), 'name')} for {pluralise(fit.width, 'column')}; "
-            "export it with a decimal point, mend it, or give header = false to call the columns by their numbers."
+            f'{file}: line {line.number} ("{short(line.text)}") stands above the first row of '
+            f"{pluralise(fit.width, 'column')} and does not name them; mend it, or give header = false."
         )
-    return names if over is None else _add_units(fit.dialect.split(over), names)
+    return names if len(above) == 1 else _add_units(fit.dialect.split(above[-2].text), names)
 
 
 def _split_names(text: str, fit: Fit) -> list[str]:
     """Split a line of names; a delimiter at its end is none."""
     spaced = fit.dialect.delimiter == _COMMA_BLANK
-    names = (replace(fit.dialect, delimiter=",") if spaced else fit.dialect).split(text)
+    names = (Dialect(",", ",") if spaced else fit.dialect).split(text)
     while len(names) > fit.width and not names[-1]:
         names.pop()
     return names
@@ -488,10 +433,9 @@ def _add_units(over: list[str], names: list[str]) -> list[str]:
     """Join a line of units to the names above it."""
     units = [match[1] or match[2] if (match := _BRACKETED.fullmatch(cell)) else cell for cell in names]
     bare = [cell for cell in names if cell not in _NO_UNIT and not _BRACKETED.fullmatch(cell)]
-    if len(over) != len(names) or not any(units) or not all(map(_is_unit, bare)):
+    # Under a remark, "m" alone is as well a name.
+    if len(over) != len(names) or not any(units) or not all(map(_is_unit, bare)) or (len(names) == 1 and bare):
         return names
-    if len(names) == 1 and bare:
-        return names  # under a remark, "m" alone is as well a name
     return [name if u in _NO_UNIT else f"{name} [{u}]" for name, u in zip(over, units, strict=True)]
 
 
@@ -514,28 +458,19 @@ def write_text(path: Path, table: Table, **options: Any) -> None:
     mark, point = said.delimiter or (";" if said.decimal == "," else ","), said.decimal or "."
     if mark == point:
         raise RecordError('A comma cannot be both delimiter and decimal mark of what is written; give delimiter = ";".')
-    cells = ([repr(value).replace(".", point) for value in values.tolist()] for values in table.columns.values())
-    rows = map(mark.join, zip(*cells, strict=True))
-    path.write_text("\n".join([*_write_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
-
-
-def _write_header(table: Table, delimiter: str) -> list[str]:
-    """Header lines; empty for numbered columns."""
     names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
-    if not any(names):
-        return []
-    for name in names:
-        if name.startswith(_RUN):
+    for name in names if any(names) else ():
+        is_number = any(one.fullmatch(name) for one in _NUMBERS.values())
+        if name.startswith(_RUN) or not name.isprintable() or name != name.strip() or is_number:
             raise RecordError(
-                f"The column name {name!r} begins with a mark by which spreadsheet programs know a formula, which they "
-                "would run when they open the file; rename the column, or write a .npy or .mat file."
+                f"The column name {name!r} would not be read back from delimited text, or be run by a spreadsheet: a "
+                "name is printable, is no number or formula and has no blank at its ends; rename the column."
             )
-        if not name.isprintable() or name != name.strip() or any(one.fullmatch(name) for one in _NUMBERS.values()):
-            raise RecordError(
-                f"The column name {name!r} would not be read back from delimited text: a name is printable, is no "
-                "number and does not begin or end with a blank; rename the column."
-            )
-    special = re.compile(rf'[,;|"\t{re.escape(delimiter)}]')
-    quoted = [special.search(name) or name.startswith(_REMARKS) for name in names]
-    doubled = [name.replace('"', '""') for name in names]
-    return [delimiter.join(f'"{name}"' if q else name for name, q in zip(doubled, quoted, strict=True))]
+    special = re.compile(rf'[,;|"\t{re.escape(mark)}]')
+    cells = ([repr(value).replace(".", point) for value in values.tolist()] for values in table.columns.values())
+    heading = (
+        '"{}"'.format(name.replace('"', '""')) if special.search(name) or name.startswith(_REMARKS) else name
+        for name in names
+    )
+    rows = [*([mark.join(heading)] if any(names) else []), *map(mark.join, zip(*cells, strict=True)), ""]
+    path.write_text("\n".join(rows), encoding="utf-8", newline="\n")
