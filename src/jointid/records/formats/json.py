@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jointid.common.errors import RecordError
-from jointid.common.text import short
 from jointid.records.formats.stamps import Stamps, is_stamp
 from jointid.records.formats.table import Found, Table, find_columns
 from jointid.records.formats.text import find_encoding, open_text
 
 _LONGEST = 2**28  # bytes of text
-_DEEPEST = 64  # values within values
 
 
 def read_json(path: Path) -> Table:
@@ -24,59 +23,55 @@ def read_json(path: Path) -> Table:
     Values within values go by their path, "joint.position" or "q[0]". Instants written as text are seconds since the
     first one, null is NaN; words, true and false are passed over.
     """
-    found = Found(path)
-    _take(found, "", _parse(path), 0)
-    return found.table()
-
-
-def _parse(path: Path) -> Any:
     with open_text(path) as file:
         raw = file.read(_LONGEST + 1)
     if len(raw) > _LONGEST:
         raise RecordError(f"{path.name} has more than {_LONGEST} bytes of text; cut it into shorter files.")
-    text, name = raw.decode(find_encoding(path, raw), "replace"), path.name.lower().removesuffix(".gz")
-    try:
-        if name.endswith((".jsonl", ".ndjson")):
-            return [json.loads(line) for line in text.split("\n") if line.strip()]
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise RecordError(f"{path.name} is no JSON ({short(str(error))}); log or copy it again.") from None
+    text, found = raw.decode(find_encoding(path, raw), "replace"), Found(path)
+    by_lines = path.name.lower().removesuffix(".gz").endswith((".jsonl", ".ndjson"))
+    _take(found, "", [json.loads(line) for line in text.split("\n") if line.strip()] if by_lines else json.loads(text))
+    return found.table()
 
 
-def _take(found: Found, name: str, value: Any, depth: int) -> None:
-    """Add the values of a document by their paths; a list of records is a record of lists."""
-    if depth > _DEEPEST:
-        raise ValueError("values within values without end")
+def _take(found: Found, name: str, value: Any) -> None:
+    """Add the columns of a document by their paths; a list of records is a record of lists."""
     if isinstance(value, dict) and len(value) > 1 and list(value) == [str(row) for row in range(len(value))]:
         value = list(value.values())  # a column of pandas, by its rows
-    members: dict[str, Any] = {}
-    filled = [one for one in value if one is not None] if isinstance(value, list) else []
     if isinstance(value, dict):
-        members = {f"{name}.{key}" if name else key: member for key, member in value.items()}
-    elif filled and all(isinstance(one, dict) for one in filled):
-        for key in dict.fromkeys(key for one in filled for key in one):
-            members[f"{name}.{key}" if name else key] = [None if one is None else one.get(key) for one in value]
-    elif filled and all(isinstance(one, list) and one and isinstance(one[0], dict) for one in filled):
-        for place in range(max(map(len, filled))):  # of records in each record, as of the motors of a robot
-            cells = [None if one is None or place >= len(one) else one[place] for one in value]
-            members[f"{name}[{place}]"] = cells
+        for key, member in value.items():
+            _take(found, f"{name}.{key}" if name else key, member)
+    elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
+        records = [dict(_leaves(name, one)) for one in value]
+        for path in dict.fromkeys(path for record in records for path in record):
+            _take_column(found, path, [record.get(path) for record in records])
     else:
-        _take_leaf(found, name or "value", value, filled)
-    for path, member in members.items():
-        _take(found, path, member, depth + 1)
+        _take_column(found, name or "value", value)
 
 
-def _take_leaf(found: Found, name: str, value: Any, filled: list[Any]) -> None:
-    of_time = bool(filled) and all(isinstance(one, str) and is_stamp(one) for one in filled)
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield what a record holds, by its path."""
+    if isinstance(value, dict):
+        for key, member in value.items():
+            yield from _leaves(f"{name}.{key}" if name else key, member)
+    elif isinstance(value, list):
+        for place, member in enumerate(value):
+            yield from _leaves(f"{name}[{place}]", member)
+    else:
+        yield name, value
+
+
+def _take_column(found: Found, name: str, value: Any) -> None:
+    cells = np.array(value, dtype=object)
+    filled = [cell for cell in cells.flat if cell is not None]
+    of_time = bool(filled) and all(isinstance(cell, str) and is_stamp(cell) for cell in filled)
     try:
         if of_time:
-            cells = [one or "" for one in value]
-            array = Stamps.of(cells).seconds(cells)
+            texts = [cell or "" for cell in value]
+            array = Stamps.of(texts).seconds(texts)
+        elif any(isinstance(cell, str | bool) for cell in filled):
+            raise ValueError
         else:
-            objects = np.array(value, dtype=object)
-            if any(isinstance(cell, str | bool) for cell in objects.flat):
-                raise ValueError
-            array = np.where(objects == None, np.nan, objects).astype(np.float64)  # noqa: E711 - each of them
+            array = np.where(cells == None, np.nan, cells).astype(np.float64)  # noqa: E711 - each of them
     except (ValueError, TypeError, OverflowError):
         found.passed[name] = "it holds more than numbers, or lists or instants that are not alike"
         return

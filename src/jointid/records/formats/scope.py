@@ -7,9 +7,8 @@ View manual, "Export to CSV".
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,9 +85,7 @@ def read_scope(path: Path, scope: Scope, lines: Sequence[Line], decimal: str | N
     Times are in ms, FILETIMEs relative to the first. `Offset` is for display only. None detects the decimal mark.
     """
     file, names = path.name, _name_channels(path.name, scope)
-    rows = lines[scope.first :]
-    if rows and rows[-1].text.rstrip(f" {scope.delimiter}") == "EOF":
-        rows = rows[:-1]
+    rows = [line for line in lines[scope.first :] if line.text.rstrip(f" {scope.delimiter}") != "EOF"]
     if not rows:
         raise RecordError(f"{file} has no row of numbers below its channels; export it again.")
     point = decimal or ("," if scope.delimiter != "," and any("," in row.text for row in rows) else ".")
@@ -97,35 +94,28 @@ def read_scope(path: Path, scope: Scope, lines: Sequence[Line], decimal: str | N
     alike = len({clock.tobytes() for clock in clocks.values()}) == 1
     found = Found(path)
     for group in scope.groups():
-        numbers = values[: clocks[group.start].size, group.start : group.stop]
+        numbers, first = values[: clocks[group.start].size, group.start : group.stop], names[group[1]]
         if not numbers.size or np.isnan(numbers).any():
             raise RecordError(
-                f'{file} has a row without a number of the channel "{scope.cell("Name", group[1])}" or of its time; '
-                "leave the channel out of the export."
+                f'{file} has a row without a number of "{first}" or its time; leave it out.'
             )
         # Rows that repeat the one before are the export's padding.
-        kept = np.concatenate([[True], np.any(np.diff(numbers, axis=0) != 0, axis=1)])
-        first = names[group[1]]
-        _check_step(file, numbers[kept, 0], scope.cell("SampleTime[ms]", group[1]), first)
+        numbers = numbers[np.concatenate([[True], np.any(np.diff(numbers, axis=0) != 0, axis=1)])]
+        _check_step(file, numbers[:, 0], scope.cell("SampleTime[ms]", group[1]), first)
         clock = "time [ms]" if alike else f"time of {first.partition(' [')[0]} [ms]"
         if clock not in found.columns:
-            found.add(clock, numbers[kept, 0])
+            found.add(clock, numbers[:, 0])
         for index, column in enumerate(group[1:], start=1):
-            found.add(names[column], numbers[kept, index], clock="" if alike else clock)
+            found.add(names[column], numbers[:, index], clock="" if alike else clock)
     return found.table()
 
 
 def _name_channels(file: str, scope: Scope) -> dict[int, str]:
     """Channel names by column, with units in brackets."""
-    if scope.delimiter == " ":
+    if scope.delimiter == " " or not scope.starts or any(len(group) < 2 for group in scope.groups()):
         raise RecordError(
-            f"{file} was exported with blanks between its columns, which also stand for what is missing; export it "
-            "with tabs or semicolons."
-        )
-    if not scope.starts or any(len(group) < 2 for group in scope.groups()):
-        raise RecordError(
-            f'{file} has a time column without channels in its row "Name"; export it with a time column for each '
-            "channel, or for each sample time."
+            f"{file} has blanks between its columns, or a time column without channels; export it with tabs or "
+            "semicolons, and with a time column for each channel or each sample time."
         )
     channels = [column for group in scope.groups() for column in group[1:]]
     for said in ("Name", "SymbolName"):
@@ -151,36 +141,24 @@ def _bracket_unit(scope: Scope, column: int) -> str:
 
 def _parse(file: str, scope: Scope, rows: Sequence[Line], point: str) -> FloatArray:
     """Return the numbers of all columns, (rows, columns), NaN where a cell is empty."""
-    width, mark = len(scope.rows["Name"]), scope.delimiter
-    firsts = rows[0].text.split(mark)
+    firsts = rows[0].text.split(scope.delimiter)
     stamps = [firsts[start].strip() for start in scope.starts if start < len(firsts)]
     origin = min((int(cell) for cell in stamps if cell.isdecimal() and len(cell) in _FILETIME), default=0)
-    # A FILETIME has 18 digits, and a float 16: the difference is taken before.
-    readers: list[Callable[[str], float]] = [
-        partial(_ticks, origin) if origin and column in scope.starts else partial(_number, point)
-        for column in range(width)
-    ]
-    values = np.full((len(rows), width), math.nan)
+    values = np.full((len(rows), len(scope.rows["Name"])), math.nan)
     for index, row in enumerate(rows):
-        for column, (read, cell) in enumerate(zip(readers, row.text.split(mark), strict=False)):
+        for column, cell in zip(range(values.shape[1]), map(str.strip, row.text.split(scope.delimiter)), strict=False):
             try:
-                values[index, column] = read(cell)
+                if cell and origin and column in scope.starts:
+                    # A FILETIME has 18 digits, and a float 16: the difference is taken before.
+                    values[index, column] = (int(cell) - origin) / _TICKS
+                elif cell:
+                    values[index, column] = float(cell if point == "." else cell.replace(".", "?").replace(",", "."))
             except (ValueError, OverflowError):
                 raise RecordError(
-                    f'{file}: line {row.number}, cell {column + 1} holds "{short(cell)}", where a number with the '
-                    f'decimal mark "{point}" was expected; export it again, or delete that line.'
+                    f'{file}: line {row.number} holds "{short(cell)}", where a number with the decimal mark "{point}" '
+                    "was expected; export it again, or delete that line."
                 ) from None
     return values
-
-
-def _ticks(origin: int, cell: str) -> float:
-    return (int(cell) - origin) / _TICKS if cell and not cell.isspace() else math.nan
-
-
-def _number(point: str, cell: str) -> float:
-    if not cell or cell.isspace():
-        return math.nan
-    return float(cell if point == "." else cell.replace(".", "?").replace(",", "."))
 
 
 def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
