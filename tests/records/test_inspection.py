@@ -12,7 +12,7 @@ from jointid.common.text import printable
 from jointid.output.figures import save
 from jointid.output.json import dumps, to_dict
 from jointid.records.formats import Table, write_table
-from jointid.records.inspection import draw_outline, draw_sparkline, inspect
+from jointid.records.inspection import draw_sparkline, find_band, inspect
 from tests.records.logged import LOGGED, ROWS
 
 
@@ -35,8 +35,8 @@ def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
     time, position, torque = (channels[column] for column in LOGGED[name].names)
     assert time.is_time and position.time == torque.time == time.name
     assert position.sample_time == pytest.approx(1e-3)
-    assert position.outline.rows == ROWS
-    assert position.outline.maximum == pytest.approx(1.0, abs=1e-4)
+    assert position.rows == ROWS
+    assert position.maximum == pytest.approx(1.0, abs=1e-4)
     text = str(inspection)
     assert "a sample every 0.001 s" in text
     assert ("rad" in text) == (name in ("hdf5", "parquet", "tdms"))
@@ -44,10 +44,10 @@ def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
 
 
 def test_the_picture_shows_where_a_signal_is() -> None:
-    assert draw_sparkline(draw_outline(np.repeat([0.0, 1.0, 0.5, np.nan], 6))) == "▁▁▁▁▁▁██████▅▅▅▅▅▅      "
-    assert draw_sparkline(draw_outline(np.full(5, 3.0))) == "▁▁▁▁▁"
-    long = draw_outline(np.arange(5000.0))
-    assert (long.length, long.low[1], long.high[1], long.step, long.stalls) == (8, 8.0, 15.0, 1.0, 0)
+    assert draw_sparkline(np.repeat([0.0, 1.0, 0.5, np.nan], 6)) == "▁▁▁▁▁▁██████▅▅▅▅▅▅      "
+    assert draw_sparkline(np.full(5, 3.0)) == "▁▁▁▁▁"
+    low, high = find_band(np.arange(5000.0), 625)
+    assert (low.size, low[1], high[1]) == (625, 8.0, 15.0)
 
 
 def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:
@@ -88,6 +88,6 @@ def test_a_channel_without_numbers_is_shown(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t,q\n0,\n1,\n2,\n", encoding="utf-8")
     inspection = inspect(path)
-    assert inspection.channels[1].outline.minimum is None
+    assert inspection.channels[1].minimum is None
     assert inspection.plot() is not None
     assert '"minimum": null' in dumps(to_dict(inspection))

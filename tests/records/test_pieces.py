@@ -56,7 +56,7 @@ def test_comments_and_empty_lines_are_no_rows(tmp_path: Path) -> None:
     [
         (52, "0.5,oops,0.1", 'line 52, column "torque"'),
         (51, "0.5,0.1", "line 51 has 2 cells for 3 columns"),
-        (98, "0.96,0.1", "line 98, the last, has 2 cells for 3 columns"),
+        (98, "0.96,0.1", "line 98 has 2 cells for 3 columns"),
     ],
 )
 def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad: str, said: str) -> None:

@@ -72,7 +72,7 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
 
 
 def _moves(channel: InspectedChannel) -> bool:
-    return channel.outline.minimum != channel.outline.maximum
+    return channel.minimum != channel.maximum
 
 
 def _clock(columns: Mapping[str, InspectedChannel], axes: tuple[LoggedAxis, ...]) -> dict[str, Any]:
@@ -81,16 +81,16 @@ def _clock(columns: Mapping[str, InspectedChannel], axes: tuple[LoggedAxis, ...]
     times = {channel.time: channel.sample_time for channel in every if channel.time and channel.sample_time}
     if len(times) > 1:
         return {"resample": {"sample_time": float(f"{min(times.values()):.3g}"), "method": "linear"}}
-    return {"part": 0} if any(columns[name].outline.stalls for name in times) else {}
+    return {"part": 0} if any(columns[name].stalls for name in times) else {}
 
 
 def _controller(log: Recognised, axis: LoggedAxis, columns: Mapping[str, InspectedChannel]) -> dict[str, Any]:
     """Return [controller] of a known law whose logged gains are constant."""
-    gains = {gain.key: (columns[name].outline, gain.units[0]) for name, gain in axis.gains.items()}
+    gains = {gain.key: (columns[name], gain.units[0]) for name, gain in axis.gains.items()}
     if not log.profile.law or len(gains) < 2 or any(_moves(columns[name]) for name in axis.gains):
         return {}
-    said: dict[str, Any] = {key: f"{outline.maximum:.9g} {unit}" for key, (outline, unit) in gains.items()}
+    said: dict[str, Any] = {key: f"{column.maximum:.9g} {unit}" for key, (column, unit) in gains.items()}
     if velocity := axis.channels.get("reference_velocity"):
-        outline = columns[velocity].outline
-        said["reference_velocity"] = "none" if outline.minimum == outline.maximum == 0 else "channel"
+        driven = _moves(columns[velocity]) or columns[velocity].minimum != 0
+        said["reference_velocity"] = "channel" if driven else "none"
     return {"controller": {"law": log.profile.law, **said}}

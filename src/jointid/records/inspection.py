@@ -34,22 +34,21 @@ _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
 _MOSTLY = 0.05  # of the steps of a clock, that may repeat a stamp or run backward
 _STEPS, _PARTS = re.compile(r"[/.]"), 32  # what parts a path, and how often at most
 _CLOCKS = 100  # of a file, among which those of other columns are sought
-_LONGEST = 60  # characters of a name in the table
 _LISTED = 1000  # channels; who has more of them reads them by a program
 _DRAWN = 90  # channels; more would be illegible
 _ACROSS = 3  # of their panels
-_TITLE = 40  # characters of the title of one
-_STRETCHES = 1024  # that are kept at most, of equal length; a power of two
+_LONGEST, _TITLE = 60, 40  # characters of a name in the table, and over a panel
+_STRETCHES = 1000  # of a signal that is drawn
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class InspectedChannel:
     """One column of a file.
 
     Attributes:
         name: as the file has it.
         unit: that the file or the name states, None without one; it need not be one that is known here.
-        outline: its numbers in short.
+        values: (samples,), NaN where a row has no number.
         time: the column that is taken for its clock, None where none is recognised; of a clock its own name.
         sample_time: mean time between its samples in seconds, None without a clock.
         jitter: largest deviation of a step of the clock from that, as a share of it; None without a clock.
@@ -57,7 +56,7 @@ class InspectedChannel:
 
     name: str
     unit: str | None
-    outline: Outline
+    values: FloatArray
     time: str | None = None
     sample_time: float | None = None
     jitter: float | None = None
@@ -66,6 +65,38 @@ class InspectedChannel:
     def is_time(self) -> bool:
         """True if the channel is a clock itself."""
         return self.time == self.name
+
+    @property
+    def rows(self) -> int:
+        """Count of its numbers, NaN included."""
+        return self.values.size
+
+    @property
+    def missing(self) -> int:
+        """Count of NaN."""
+        return int(np.count_nonzero(np.isnan(self.values)))
+
+    @property
+    def minimum(self) -> float | None:
+        """Smallest number; None where all are missing."""
+        return float(np.fmin.reduce(self.values)) if self.missing < self.rows else None
+
+    @property
+    def maximum(self) -> float | None:
+        """Largest number; None where all are missing."""
+        return float(np.fmax.reduce(self.values)) if self.missing < self.rows else None
+
+    @property
+    def stalls(self) -> int:
+        """Count of numbers that are not larger than the one before."""
+        return int(np.count_nonzero(~(self.values[1:] > self.values[:-1])))
+
+
+def find_band(values: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the smallest and the largest number of at most so many stretches of a signal, (stretches,) each."""
+    count = min(count, values.size)
+    starts = np.arange(count) * values.size // count
+    return np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +137,9 @@ class Inspection(Charted, Documented):
             blocks.append(Paragraph(f"single numbers: {numbers}"))
         if self.passed:
             blocks.append(Listing(tuple(f"not read: {show(name)} ({show(why)})" for name, why in self.passed.items())))
-        title = f"{show(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
         if self.recognised is not None:
             blocks.append(Paragraph(show(self.recognised.sentence)))
+        title = f"{show(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
         return Document(title, (*blocks, Listing(tuple(self.clocks()))))
 
     def draw(self) -> Figure:
@@ -122,14 +153,14 @@ class Inspection(Charted, Documented):
         across = min(_ACROSS, max(len(drawn), 1))
         figure, places = panels([170] * len(drawn), across, title=f"{show(self.file)}: {count}")
         for axes, channel in zip(places, drawn, strict=True):
-            outline = channel.outline
             seconds = channel.sample_time if np.isfinite(channel.sample_time or np.nan) else None
-            rows = (np.arange(outline.low.size) + 0.5 * (outline.length > 1)) * outline.length
-            place = np.asarray(rows * (seconds or 1.0), dtype=np.float64)
+            low, high = find_band(channel.values, _STRETCHES)
+            width = channel.rows / low.size * (seconds or 1.0)
+            place = np.asarray((np.arange(low.size) + 0.5) * width, dtype=np.float64)
+            band(axes, place, low, high, MEASURED)
+            line(axes, place, (low + high) / 2, MEASURED, "", 1.0)
             name = show(channel.name)
             short = name if len(name) <= _TITLE else f"...{name[3 - _TITLE :]}"
-            band(axes, place, outline.low, outline.high, MEASURED)
-            line(axes, place, (outline.low + outline.high) / 2, MEASURED, "", 1.0)
             title = f"{short} [{show(channel.unit)}]" if channel.unit else short
             label(axes, "time [s]" if seconds else "row", "", title)
         return figure
@@ -139,7 +170,7 @@ class Inspection(Charted, Documented):
         said, timed = list[str](), Counter(channel.time for channel in self.channels)
         for clock in self.channels:
             if clock.is_time and clock.sample_time is not None and clock.jitter is not None:
-                stalls = clock.outline.stalls
+                stalls = clock.stalls
                 back = f"; {pluralise(stalls, 'stamp')} repeated or earlier" if stalls else ""
                 said.append(
                     f"{show(clock.name)} is the time of {pluralise(timed[clock.name] - 1, 'channel')}: a sample every "
@@ -164,133 +195,66 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     """
     path = Path(path)
     table = read_table(path, **options)
-    outlines, declared = {name: draw_outline(values) for name, values in table.columns.items()}, table.clocks
-    of_time = units.units_of("time")
-    stated = {name: unit for name in outlines if (unit := table.units.get(name) or unit_in_name(name, of_time))}
-    clocks = {
-        name: outline
-        for name, outline in outlines.items()
-        if (_TIME.fullmatch(name) or name in declared.values())
-        and (name not in stated or units.normalise_unit(stated[name]) in of_time)
-        and outline.step > 0
-        and outline.stalls <= _MOSTLY * (outline.rows - 1)
+    of_time, declared = units.units_of("time"), table.clocks
+    found = {
+        name: InspectedChannel(name, table.units.get(name) or unit_in_name(name, of_time) or None, values)
+        for name, values in table.columns.items()
     }
-    channels = []
-    for name, outline in outlines.items():
-        channel = InspectedChannel(name, stated.get(name), outline)
-        clock = name if name in clocks else declared.get(name) or _find_clock(name, outline.rows, clocks)
-        if clock is not None and clock in clocks:
-            seconds = units.unit(units.normalise_unit(stated.get(clock) or "s")).factor
-            step, jitter = clocks[clock].step, clocks[clock].jitter
-            channel = replace(channel, time=clock, sample_time=step * seconds, jitter=jitter)
-        channels.append(channel)
+    clocks = dict[str, InspectedChannel]()
+    for name, channel in found.items():
+        is_named = _TIME.fullmatch(name) or name in declared.values()
+        unit = units.normalise_unit(channel.unit or "s")
+        if not is_named or unit not in of_time or channel.stalls > _MOSTLY * (channel.rows - 1):
+            continue
+        step = float(channel.values[-1] - channel.values[0]) / max(channel.rows - 1, 1)
+        if step > 0:
+            jitter = float(np.max(np.abs(np.diff(channel.values) - step))) / step
+            clocks[name] = replace(channel, time=name, sample_time=step * units.unit(unit).factor, jitter=jitter)
+    for name, channel in found.items():
+        clock = clocks.get(name if name in clocks else declared.get(name) or _find_clock(channel, clocks) or "")
+        if clock is not None:
+            found[name] = replace(channel, time=clock.name, sample_time=clock.sample_time, jitter=clock.jitter)
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     size = sum(file.stat().st_size for file in files)
-    recognised = recognise(tuple(outlines))
-    return Inspection(path.name, format_of(path).name, size, tuple(channels), table.scalars, table.passed, recognised)
+    recognised = recognise(tuple(found))
+    return Inspection(
+        path.name, format_of(path).name, size, tuple(found.values()), table.scalars, table.passed, recognised
+    )
 
 
-def _find_clock(name: str, rows: int, clocks: Mapping[str, Outline]) -> str | None:
+def _find_clock(channel: InspectedChannel, clocks: Mapping[str, InspectedChannel]) -> str | None:
     """Find the clock of so many rows whose path begins most like a column's; None if missing or ambiguous."""
     if len(clocks) > _CLOCKS:
         return None
-    parts = _STEPS.split(name, _PARTS)
-    shared = {
-        clock: len(
-            list(takewhile(lambda pair: pair[0] == pair[1], zip(parts, _STEPS.split(clock, _PARTS), strict=False)))
-        )
-        for clock, outline in clocks.items()
-        if outline.rows == rows
-    }
-    nearest = [clock for clock, count in shared.items() if count == max(shared.values())]
+    parts, shared = _STEPS.split(channel.name, _PARTS), dict[str, int]()
+    for name, clock in clocks.items():
+        if clock.rows == channel.rows:
+            pairs = zip(parts, _STEPS.split(name, _PARTS), strict=False)
+            shared[name] = len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
+    nearest = [name for name, count in shared.items() if count == max(shared.values())]
     return nearest[0] if len(nearest) == 1 else None
 
 
 def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
-    outline = channel.outline
     name = show(channel.name)
     return (
         name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}...",
-        str(outline.rows),
+        str(channel.rows),
         show(channel.unit or "-"),
         "-" if channel.sample_time is None else f"{channel.sample_time:.6g} s",
-        number(outline.minimum),
-        number(outline.maximum),
-        str(outline.missing),
-        "time" if channel.is_time else draw_sparkline(outline),
+        number(channel.minimum),
+        number(channel.maximum),
+        str(channel.missing),
+        "time" if channel.is_time else draw_sparkline(channel.values),
     )
 
 
-def draw_sparkline(outline: Outline) -> str:
-    """Draw the extreme value of each stretch as a line of blocks."""
-    if outline.minimum is None or outline.maximum is None or not math.isfinite(outline.maximum - outline.minimum):
+def draw_sparkline(values: FloatArray) -> str:
+    """Draw the extreme value of each stretch of a signal as a line of blocks."""
+    low, high = find_band(values, _SPARKLINE)
+    bottom, top = float(np.fmin.reduce(low)), float(np.fmax.reduce(high))
+    if not math.isfinite(top - bottom):
         return ""
-    middle, span = (outline.minimum + outline.maximum) / 2, outline.maximum - outline.minimum
-    marks = []
-    for low, high in outline.stretches(_SPARKLINE):
-        if not math.isfinite(low):
-            marks.append(" ")
-            continue
-        far = high if high - middle >= middle - low else low
-        marks.append(_LEVELS[min(int((far - outline.minimum) / span * len(_LEVELS)), 7)] if span else _LEVELS[0])
-    return "".join(marks)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outline:
-    """A summarised signal.
-
-    Attributes:
-        rows: how many numbers it has, NaN included.
-        missing: how many of them are NaN.
-        minimum, maximum: of the others; None where all are missing.
-        stalls: numbers that are not larger than the one before.
-        step: mean difference between neighbours.
-        jitter: largest deviation of such a difference from the mean, as a share of it; NaN where the mean is 0.
-        low, high: smallest and largest of every stretch, shape (stretches,); NaN where all of it is missing.
-        length: numbers of a stretch; the last one may have fewer.
-    """
-
-    rows: int
-    missing: int
-    minimum: float | None
-    maximum: float | None
-    stalls: int
-    step: float
-    jitter: float
-    low: FloatArray
-    high: FloatArray
-    length: int
-
-    def stretches(self, count: int) -> list[tuple[float, float]]:
-        """Range of at most `count` stretches."""
-        count = min(count, self.low.size)
-        starts = np.arange(count) * self.low.size // count
-        low, high = np.fmin.reduceat(self.low, starts), np.fmax.reduceat(self.high, starts)
-        return list(zip(low.tolist(), high.tolist(), strict=True))
-
-
-def draw_outline(values: FloatArray) -> Outline:
-    """Summarise a signal, shape (samples,), of one number or more."""
-    with np.errstate(invalid="ignore", over="ignore"):  # infinite numbers have no difference
-        steps = np.diff(values)
-    step = float(values[-1] - values[0]) / steps.size if steps.size else 0.0
-    jitter = float(max(steps.max() - step, step - steps.min()) / step) if step else math.nan
-    length = 1
-    while values.size > _STRETCHES * length:
-        length *= 2
-    starts, missing = np.arange(0, values.size, length), int(np.count_nonzero(np.isnan(values)))
-    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
-    there = missing < values.size
-    return Outline(
-        values.size,
-        missing,
-        float(np.fmin.reduce(low)) if there else None,
-        float(np.fmax.reduce(high)) if there else None,
-        int(np.count_nonzero(~(steps > 0))),
-        step,
-        jitter,
-        low,
-        high,
-        length,
-    )
+    middle, span = (bottom + top) / 2, top - bottom or math.inf
+    far = np.where(high - middle >= middle - low, high, low)
+    return "".join(" " if np.isnan(one) else _LEVELS[min(int((one - bottom) / span * 8), 7)] for one in far)

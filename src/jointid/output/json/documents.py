@@ -228,9 +228,7 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "Recognised": keys("profile=profile.name sentence axes"),
     "LoggedAxis": keys("name channels gains"),
-    "InspectedChannel": keys(
-        "name outline.rows unit outline.minimum outline.maximum outline.missing time sample_time jitter"
-    ),
+    "InspectedChannel": keys("name rows unit minimum maximum missing time sample_time jitter"),
     "Simulation": {
         **keys("samples=torque.size sample_time explanation=outcome.value events at_limit_percent=100*at_limit"),
         "outcome": lambda simulation: simulation.outcome.name.lower(),

@@ -96,9 +96,7 @@ def read_scope(path: Path, scope: Scope, lines: Sequence[Line], decimal: str | N
     for group in scope.groups():
         numbers, first = values[: clocks[group.start].size, group.start : group.stop], names[group[1]]
         if not numbers.size or np.isnan(numbers).any():
-            raise RecordError(
-                f'{file} has a row without a number of "{first}" or its time; leave it out.'
-            )
+            raise RecordError(f'{file} has a row without a number of "{first}" or its time; leave it out.')
         # Rows that repeat the one before are the export's padding.
         numbers = numbers[np.concatenate([[True], np.any(np.diff(numbers, axis=0) != 0, axis=1)])]
         _check_step(file, numbers[:, 0], scope.cell("SampleTime[ms]", group[1]), first)
