@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import jointid as ji
 from jointid.common.errors import RecordError
-from jointid.records.checks import find_quantum, find_record_warnings
+from jointid.records.checks import find_encoder_step, find_record_warnings
 from jointid.records.clock import Cut, cut_table
 from jointid.records.columns import Column, find_wrap, unwrap, wrap_faults
 from jointid.records.drives import Drive
@@ -201,10 +201,9 @@ def test_a_rhythm_and_a_rounding_are_found() -> None:
     assert update_interval(slow(4, 1)) == 4
     assert update_interval(TORQUE) == 1
     assert update_interval(np.zeros(100)) == 1
-    assert find_quantum(np.round(MOTION / 37) * 37 * 1e-6) == pytest.approx(37e-6)
-    assert find_quantum(np.round(TORQUE, 1)) == pytest.approx(0.1)
-    assert find_quantum(TORQUE) is None
-    assert find_quantum(np.ones(5)) is None
+    for values, step in ((np.round(MOTION / 37) * 37e-6, 37e-6), (np.round(TORQUE, 1), 0.1)):
+        assert find_encoder_step(Channel(values, "m", T)) == pytest.approx(step)
+    assert find_encoder_step(Channel(TORQUE, "N", T)) is None
 
 
 def notes(**values: np.ndarray) -> tuple[str, ...]:

@@ -132,7 +132,7 @@ def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
     record = read(path, drive=Drive("kuka", axis=2), kind="revolute")
     assert record.motor_position is not None
     np.testing.assert_allclose(record.motor_position.values, 2 * ANGLE)
-    with pytest.raises(RecordError, match="without the number of the axis"):
+    with pytest.raises(RecordError, match="give the axis of the drive"):
         read(path, drive=Drive("kuka"), kind="revolute")
 
 

@@ -36,13 +36,11 @@ _FAR_OFF = 0.25  # likewise, where a soft drive follows badly: another reason is
 _SLOWEST_SAMPLE = 0.1  # s: below 10 samples a second
 _SLOW_SAMPLE = 0.02  # s: data sets of 30 Hz, and slower
 _BEYOND = 3.0  # times the range of the model's limits, that a position may travel
-_PLURAL = {"deg": "degrees"}
 _GEAR_TOLERANCE = 0.02  # likewise of a gear's ratio
 _GEAR_ROUNDING = 0.03  # likewise of the round number that a gear's ratio is taken for
 _ROUNDING = 0.01  # of a torque's rms, that its rounding may be: the EMPS axis leaves 4 % for other reasons
 _LATE = 0.9  # of the encoders' difference, that a lag may be: of motorbench it is 0.3 %, of the paper's twin 41 %
 _FEWEST_STEPS = 30.0  # of an encoder in a sample, rms, while the axis moves: with 16, rounding leaves 4 to 9 %
-_WHOLE = 1e-2  # of a step: how near to a whole number of steps counts as one
 _GRAIN = 1e-12  # of the travel: what is nearer than this is one value that was computed twice
 _MULTIPLE = 0.05  # of a step: how far a position may be from a multiple of it
 _MOSTLY = 0.95  # of the positions that are such multiples
@@ -94,14 +92,10 @@ def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
     larger = [one for one in map(unit, units_of(unit(position.unit).dimension)) if one.factor < 1]
     fitting = [one for one in larger if travel * one.factor <= room * (1 + _RATIO_TOLERANCE)]
     looks = max(fitting, key=lambda one: one.factor, default=None)
-    remedy = (
-        "check its unit, its gain and the side of its gear, or the limits of the model"
-        if looks is None
-        else f'positions look like {_PLURAL.get(looks.name, looks.name)}: give unit = "{looks.name}"'
-    )
+    hint = "" if looks is None else f', as positions in {looks.name} do: give unit = "{looks.name}", or'
     return [
         f"The position travels {travel:.3g} {position.unit} within limits of {limits[0]:.3g} to {limits[1]:.3g} "
-        f"{position.unit}: {remedy}."
+        f"{position.unit}{hint or ';'} check its unit, its gain and the side of its gear, or the limits of the model."
     ]
 
 
@@ -206,19 +200,13 @@ def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
 
 
 def _magnitude_faults(name: str, channel: Channel) -> list[str]:
-    largest = float(np.max(np.abs(channel.values), initial=0.0))
-    time = channel.sample_time
-    if largest and not _NUMBERS[0] <= largest <= _NUMBERS[1]:
-        return [
-            f"{name} is {largest:.3g} {channel.unit} at most (expected {_NUMBERS[0]:g} to {_NUMBERS[1]:g}); check its "
-            "unit and its gain, or log it again."
-        ]
-    if not _TIMES[0] <= time <= _TIMES[1]:
-        return [
-            f"{name} has a sample every {time:.3g} s (expected {_TIMES[0]:g} to {_TIMES[1]:g} s); check the time "
-            "column and its unit."
-        ]
-    return []
+    largest, time = float(np.max(np.abs(channel.values), initial=0.0)), channel.sample_time
+    if (not largest or _NUMBERS[0] <= largest <= _NUMBERS[1]) and _TIMES[0] <= time <= _TIMES[1]:
+        return []
+    return [
+        f"{name} is {largest:.3g} {channel.unit} at most, with a sample every {time:.3g} s (expected "
+        f"{_NUMBERS[0]:g} to {_NUMBERS[1]:g}, and {_TIMES[0]:g} to {_TIMES[1]:g} s); check unit, gain and time column."
+    ]
 
 
 def _size_faults(name: str, position: Channel) -> list[str]:
@@ -226,14 +214,13 @@ def _size_faults(name: str, position: Channel) -> list[str]:
         return []
     steps = np.abs(np.diff(position.values))
     speed = float(np.quantile(steps, 1 - _SHARE_OF_FAST_SAMPLES)) / position.sample_time
-    travel = float(np.ptp(position.values))
-    if speed > _FASTEST.get(position.unit, math.inf):
-        fact = f"{name} moves at {speed:.3g} {position.unit}/s (at most {_FASTEST[position.unit]:g} expected)"
-    elif travel > _LONGEST.get(position.unit, math.inf):
-        fact = f"{name} travels {travel:.3g} {position.unit} (at most {_LONGEST[position.unit]:g} expected)"
-    else:
+    travel, most = float(np.ptp(position.values)), _FASTEST.get(position.unit, math.inf)
+    if speed <= most and travel <= _LONGEST.get(position.unit, math.inf):
         return []
-    return [f"{fact}: it is not in {position.unit}; give its unit, or its gain, and check the sample time."]
+    return [
+        f"{name} moves at {speed:.3g} {position.unit}/s and travels {travel:.3g} {position.unit}: it is not in "
+        f"{position.unit}; give its unit, or its gain, and check the sample time."
+    ]
 
 
 def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:
@@ -271,35 +258,34 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, 
     x_size, y_size, product = float(np.linalg.norm(x)), float(np.linalg.norm(y)), float(x @ y)
     if not abs(product) >= _FOLLOWS * x_size * y_size > 0:
         return []
-    ratio = math.copysign(y_size / x_size, product)
-    faults = []
-    if ratio < 0:
+    ratio, faults = y_size / x_size, list[str]()
+    if product < 0:
         faults.append(f"{name} runs against {other_name}; give one of them sign = -1.")
-    if not _RATIO_BAND[0] <= abs(ratio) <= _RATIO_BAND[1]:
-        hint = _unit_hint(abs(ratio), name, other_name, channel.unit, geared=gear != 1.0)
-        if gear != 1.0 and any(abs(abs(ratio) / one - 1) < _GEAR_TOLERANCE for one in (gear, 1 / gear)):
+    if not _RATIO_BAND[0] <= ratio <= _RATIO_BAND[1]:
+        hint = _unit_hint(ratio, name, other_name, channel.unit, geared=gear != 1.0)
+        if gear != 1.0 and any(abs(ratio / one - 1) < _GEAR_TOLERANCE for one in (gear, 1 / gear)):
             hint = f", as if one of them were of the other side of the {gear:g}:1 gear; give its channel side"
-        faults.append(f"{name} is {abs(ratio):.4g} times {other_name}, and should equal it{hint}.")
+        faults.append(f"{name} is {ratio:.4g} times {other_name}, and should equal it{hint}.")
     return faults
 
 
 def _unit_hint(ratio: float, name: str, other_name: str, declared: str, *, geared: bool) -> str:
     """Suggest the unit or the undeclared gear behind the ratio of two signals."""
-    near = ""
-    for entry in map(unit, units_of(unit(declared).dimension)):
-        for suspect, factor in ((name, 1 / entry.factor), (other_name, entry.factor)):
-            if factor != 1 and abs(ratio / factor - 1) < _RATIO_TOLERANCE:
-                return f", as if {suspect} were in {entry.name} and read as {entry.si}; check both units"
-            if factor != 1 and abs(ratio / factor - 1) < _FAR_OFF:
-                near = f", as if {suspect} were in {entry.name} and read as {entry.si}, or"
-    if geared or ratio < 1 or (name, other_name) != ("motor_position", "reference"):
-        return f"{near.removesuffix(', or')}; check both units, and give the gain of the one that is off"
+    every = [
+        (abs(ratio * factor - 1), f", as if {suspect} were in {entry.name} and read as {entry.si}")
+        for entry in map(unit, units_of(unit(declared).dimension))
+        for suspect, factor in ((name, entry.factor), (other_name, 1 / entry.factor))
+        if factor != 1
+    ]
+    off, said = min(every, default=(math.inf, ""))
+    near = said if off < _FAR_OFF else ""
+    if off < _RATIO_TOLERANCE or geared or ratio < 1 or (name, other_name) != ("motor_position", "reference"):
+        return f"{near}; check both units, and give the gain of the one that is off"
     rounded = (float(f"{ratio:.{digits}g}") for digits in (1, 2, 3))
     gear = next(one for one in rounded if abs(one / ratio - 1) < _GEAR_ROUNDING)  # a following error moves the ratio
     return (
-        f"{near or ', as if'} the reference were of the load behind a gear of {gear:g}:1; give transmission.ratio = "
-        f"{gear:g} and "
-        'record.channels.reference.side = "load", or check both units'
+        f"{near + ', or' if near else ','} as if the reference were of the load behind a gear of {gear:g}:1; give "
+        f'transmission.ratio = {gear:g} and record.channels.reference.side = "load", or check both units'
     )
 
 
@@ -445,7 +431,7 @@ def hunting_warnings(record: Record) -> Iterator[str]:
 
 
 def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:
-    step = find_quantum(channel.values) if name in ("torque", "motor_position", "load_position") else None
+    step = find_encoder_step(channel) if name in ("torque", "motor_position", "load_position") else None
     if step is None:
         return
     if name == "torque":
@@ -466,36 +452,17 @@ def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:
         )
 
 
-def find_quantum(values: FloatArray) -> float | None:
-    """Return the quantisation step of values (samples,); None if not detectable."""
-    grain = float(np.ptp(values)) * _GRAIN
-    if not (math.isfinite(grain) and grain > 0):
-        return None
-    distinct = np.unique(np.round((values - values.min()) / grain))
-    gaps = np.diff(distinct)
-    step = float(gaps.min())
-    # Euclid's algorithm; a grain more or less in the step must not become a hundredth of it in the widest gap.
-    while gaps.max() <= _WHOLE * step**2:
-        rest = np.abs(gaps - np.round(gaps / step) * step)
-        if rest.max() <= _WHOLE * step:
-            return step * grain
-        step = float(rest[rest > _WHOLE * step].min())
-    return None
-
-
 def find_encoder_step(channel: Channel | None) -> float | None:
-    """Return the encoder step in a position's unit; None if not detectable.
+    """Return the step in which a channel's values come, in its unit; None if not detectable.
 
-    All positions are multiples of the step, and the smallest gap is a small multiple.
+    All values are multiples of the step, and the smallest gap is a small multiple.
     """
     if channel is None:
         return None
     values = np.sort(channel.values) - channel.values.min()
     gaps = np.diff(values)
     gaps = gaps[gaps > _GRAIN * values[-1]]
-    if not gaps.size:
-        return None
-    for parts in range(1, _PARTS + 1):
+    for parts in range(1, _PARTS + 1) if gaps.size else ():
         step = float(gaps.min()) / parts
         if np.mean(np.abs(values / step - np.round(values / step)) < _MULTIPLE) >= _MOSTLY:
             return step

@@ -83,19 +83,12 @@ class Log:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.settings.get("resample") is not None:
+        own = any(isinstance(c, Column) and (c.sample_time or c.update_time or c.time) for c in self.columns.values())
+        if own or self.settings.get("resample") is not None or self.settings.get("cut", Cut()) != Cut():
             raise RecordError(
-                "A record that is read in chunks is not resampled, because its chunks would not fit together; log it "
-                "at uniform instants, or leave resample out."
+                "A record that is read in chunks has one clock and is read whole; leave resample, start, stop and part "
+                "out, and log all channels at one rate."
             )
-        if self.settings.get("cut", Cut()) != Cut():
-            raise RecordError("A record that is read in chunks is read whole; leave start, stop and part out.")
-        for name, column in self.columns.items():
-            if isinstance(column, Column) and (column.sample_time or column.update_time or column.time):
-                raise RecordError(
-                    f"A record that is read in chunks has one clock, and {name} has one of its own; log all "
-                    "channels at one rate."
-                )
 
     @property
     def name(self) -> str:

@@ -213,15 +213,12 @@ class Profile:
         known = ", ".join(f'"{next(signal.names_on(place), signal.names[0])}"' for signal in signals) or "none"
         listed = ", ".join(f'"{name}"' for name in columns[:_LISTED]) + (", ..." if len(columns) > _LISTED else "")
         names = " ".join(name for signal in signals for name in signal.names)
-        lacking, remedy = "", "" if channel else "give another profile, or "
-        if "axis" not in place and ("{axis}" in names or "{index}" in names):
-            lacking, remedy = " without the number of the axis", "give the axis of the drive, or "
-        elif "joint" not in place and "{joint}" in names:
-            lacking, remedy = " without the name of the joint", "give the joint of the drive, or "
+        is_number = "axis" not in place and ("{axis}" in names or "{index}" in names)
+        lacking = "axis" if is_number else "joint" if "joint" not in place and "{joint}" in names else ""
         what = f" as {channel} ({known})" if channel else ""
         return (
-            f'{source} has no column that profile "{self.name}" knows{what}{lacking} (it has {listed}); {remedy}name '
-            "the column."
+            f'{source} has no column that profile "{self.name}" knows{what} (it has {listed}); '
+            f"{f'give the {lacking} of the drive, or ' if lacking else ''}name the column."
         )
 
 
