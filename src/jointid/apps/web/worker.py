@@ -21,7 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.bounds import LIBRARIES, TOO_LARGE, limit_memory, measure_memory
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.records.inspection import draw_outline
+from jointid.records.inspection import find_band
 
 _DRAWN, _LISTED = 64, 2000  # columns that are drawn, and whose names are listed
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 150, 74, 8, 10, 24
@@ -77,12 +77,13 @@ def check(draft: Draft) -> None:
 
 def draw_column(values: FloatArray) -> str:
     """Return a column as SVG, which a browser shows without running anything: a line through lows and highs."""
-    outline = draw_outline(np.where(np.isfinite(values), values, np.nan))
-    low, high, base = outline.minimum, outline.maximum, _HEIGHT - _BOTTOM
+    finite, base = values[np.isfinite(values)], _HEIGHT - _BOTTOM
     body = '<text x="320" y="80" text-anchor="middle">no numbers</text>'
-    if low is not None and high is not None:
+    if finite.size:
+        low, high = float(finite.min()), float(finite.max())
         bottom, span = (low, high - low) if high > low else (low - 0.5, 1.0)
-        ends = np.repeat(np.arange(outline.low.size), 2), np.stack([outline.low, outline.high], axis=1).ravel()
+        sides = np.stack(find_band(np.where(np.isfinite(values), values, np.nan), _WIDTH), axis=1)
+        ends = np.repeat(np.arange(len(sides)), 2), sides.ravel()
         across, up = (_LEFT + (_WIDTH - _LEFT - _RIGHT) * ends[0] / max(ends[0][-1], 1), (ends[1] - bottom) / span)
         points = [(x, base - (base - _TOP) * y) for x, y in zip(across, up, strict=True) if np.isfinite(y)]
         body = f'<polyline fill="none" stroke="{_LINE}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
@@ -92,7 +93,7 @@ def draw_column(values: FloatArray) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
         f'font-size="13" fill="#4a545e"><path d="M{_LEFT} {_TOP}V{base}H{_WIDTH - _RIGHT}" fill="none" '
         f'stroke="#8a949e"/><text x="{_LEFT}" y="{_HEIGHT - 6}">0</text><text x="{_WIDTH - _RIGHT}" '
-        f'y="{_HEIGHT - 6}" text-anchor="end">{outline.rows} rows</text>{body}</svg>'
+        f'y="{_HEIGHT - 6}" text-anchor="end">{values.size} rows</text>{body}</svg>'
     )
 
 
