@@ -17,17 +17,7 @@ from functools import partial
 from importlib.resources import files
 from typing import NamedTuple
 
-from jointid import (
-    IDIM,
-    ClosedLoop,
-    Estimate,
-    Filtering,
-    FlexibleJoint,
-    Record,
-    RigidJoint,
-    identify,
-    validate,
-)
+from jointid import IDIM, ClosedLoop, Estimate, Filtering, FlexibleJoint, Record, RigidJoint, identify, validate
 from jointid.common.document import Block, Document, Heading, Paragraph, Picture, Table
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
@@ -175,31 +165,27 @@ def report_reproduction(run: Reproduction, draw: Callable[[Validation], bytes]) 
 def _tabulate_axis(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Block]:
     mass = " with 10 kg on the load" if numbers[0] != 2 else ""
     idim, didim = numbers
-    simulated = {"simulated": (f"{100 * part.idim_simulated.filtered_error:.2f}", "-", "-", "-")}
-    residual = {"residual": (f"{100 * part.idim.fit.filtered_error:.2f}", "-", "-", "-")}
-    direct = {"simulated": (f"{100 * part.didim.fit.filtered_error:.2f}", "-", "-", "-")}
-    by_idim, by_didim = (_add_truth(_format_parameters(e), part.axis.truth) for e in (part.idim, part.didim))
+    errors = (part.idim_simulated.filtered_error, part.idim.fit.filtered_error, part.didim.fit.filtered_error)
+    simulated, residual, direct = ((f"{100 * error:.2f}", "-", "-", "-") for error in errors)
+    estimates = (part.idim, part.didim, part.best)
+    by_idim, by_didim, best = (_add_truth(_format_parameters(e), part.axis.truth) for e in estimates)
+    by_squares = "The same criterion by least squares, with the deviations of the output sensitivities"
     return [
         Heading(f"Table {idim}: IDIM{mass}"),
-        compare_table(TABLES[idim], _RUN, by_idim | _format_sums(part.idim) | simulated | residual),
+        compare_table(
+            TABLES[idim], _RUN, by_idim | _format_sums(part.idim) | {"simulated": simulated, "residual": residual}
+        ),
         Paragraph(
             f"Standard deviations {part.idim.params.basis}. Nor is the noise in the measured motions: the disturbance "
             "acts inside the loop, so IDIM's regressor is correlated with its error, and ZZ1 most of all is off."
         ),
         Heading(f"Table {didim}: DIDIM{mass}"),
-        compare_table(TABLES[didim], _RUN, by_didim | _format_sums(part.didim) | direct),
+        compare_table(TABLES[didim], _RUN, by_didim | _format_sums(part.didim) | {"simulated": direct}),
         Paragraph(
             f"{part.didim.fit.stop}; the paper counts 10 in one place and 25 in others. The deviations in this table "
             f"are {part.didim.params.basis}."
         ),
-        Table(
-            ("", "value", "2 sigma", "%", "truth"),
-            tuple(
-                (SYMBOLS.get(name, name), *cells)
-                for name, cells in _add_truth(_format_parameters(part.best), part.axis.truth).items()
-            ),
-            "The same criterion by least squares, with the deviations of the output sensitivities",
-        ),
+        Table(("", *_RUN), tuple((SYMBOLS[name], *cells) for name, cells in best.items()), by_squares),
         Paragraph(f"{part.best.fit.simulations} simulations; {part.best.fit.stop}."),
         *(Paragraph(f"{warning[0].upper()}{warning[1:]}.") for warning in part.best.checks.warnings),
     ]

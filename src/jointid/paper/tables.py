@@ -25,13 +25,9 @@ PrintedRows: TypeAlias = Mapping[str, tuple[Decimal, ...]]
 Cell: TypeAlias = tuple[str, str]
 """The column and the parameter of a printed number."""
 
-SYMBOLS: Mapping[str, str] = MappingProxyType(
-    {
-        parameter.name: parameter.symbol
-        for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic"))
-        for parameter in joint.parameters
-    }
-)
+_JOINTS = (RigidJoint("prismatic"), FlexibleJoint("prismatic"))
+
+SYMBOLS: Mapping[str, str] = MappingProxyType({p.name: p.symbol for joint in _JOINTS for p in joint.parameters})
 """The symbol of every parameter, as the tables below spell it."""
 
 _NAMES = {symbol: name for name, symbol in SYMBOLS.items()}
@@ -75,18 +71,13 @@ class PublishedTable:
 
 def _read_table(stated: dict[str, Any]) -> PublishedTable:
     rows = (line.split() for line in stated["rows"].splitlines())
-    numbers = {
-        key: Decimal(stated[key]) for key in ("frequency", "residual_percent", "simulated_percent") if key in stated
+    decimals = ("frequency", "residual_percent", "simulated_percent")
+    read = {
+        "columns": tuple(stated["columns"]),
+        "rows": MappingProxyType({_NAMES[symbol]: tuple(map(Decimal, printed)) for symbol, *printed in rows}),
+        "sums": MappingProxyType({name: Decimal(printed) for name, printed in stated.get("sums", {}).items()}),
     }
-    return PublishedTable(
-        stated["number"],
-        stated["caption"],
-        tuple(stated["columns"]),
-        MappingProxyType({_NAMES[symbol]: tuple(map(Decimal, printed)) for symbol, *printed in rows}),
-        sums=MappingProxyType({name: Decimal(printed) for name, printed in stated.get("sums", {}).items()}),
-        iterations=MappingProxyType(stated.get("iterations", {})),
-        **numbers,
-    )
+    return PublishedTable(**{**stated, **read, **{key: Decimal(stated[key]) for key in decimals if key in stated}})
 
 
 TABLES: Mapping[int, PublishedTable] = MappingProxyType(
@@ -106,9 +97,7 @@ TESTS = ((TABLES[2], TABLES[3]), (TABLES[4], TABLES[5]))
 METHODS = MappingProxyType({"IDIM": (TABLES[2], TABLES[4]), "DIDIM": (TABLES[3], TABLES[5])})
 """The first and the second test of each method."""
 
-_UNITS = {
-    p.name: joint.unit(p) for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic")) for p in joint.parameters
-}
+_UNITS = {p.name: joint.unit(p) for joint in _JOINTS for p in joint.parameters}
 
 
 def sum_sides(values: Mapping[str, float]) -> dict[str, float]:
@@ -153,9 +142,6 @@ def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
         for heading, found in columns.items()
         for name in table.rows
     }
-
-
-# Tables for reports: printed, and recomputed from print
 
 
 def format_as_print(value: Decimal) -> str:

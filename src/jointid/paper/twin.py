@@ -14,7 +14,7 @@ The paper gives the parameters (Tables 2 and 4), the kind of motion (trapezoidal
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from types import MappingProxyType
 from typing import Literal
@@ -32,7 +32,6 @@ DURATION = 24.0
 ENCODER_STEP = 5e-8  # m: 100,000 counts on a screw of 5 mm
 RESIDUAL = 0.08  # of the filtered, decimated torque
 _GAIN = 35.15065188  # N per volt, the drive chain of the EMPS benchmark
-_WIDE_OPEN = 1e3  # V: a limit that is never reached
 _OFFSET = -3.16  # N
 
 TABLE_2 = MappingProxyType({**TABLES[2].values, "offset": _OFFSET})
@@ -41,25 +40,14 @@ TABLE_2 = MappingProxyType({**TABLES[2].values, "offset": _OFFSET})
 TABLE_4 = MappingProxyType({**TABLES[4].values, "offset": _OFFSET})
 """Table 4 of the paper (IDIM, 10 kg added to the load), with the offset of the real axis."""
 
+_L19 = Cascade(
+    position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=_GAIN, limit=1e3, undeclared="none"
+)
+
 CONTROLLERS = MappingProxyType(
     {
-        "L19": Cascade(
-            position_gain=160.18,
-            velocity_gain=243.45,
-            velocity_filter=(0.5, 0.5),
-            gain=_GAIN,
-            limit=_WIDE_OPEN,
-            undeclared="none",
-        ),
-        "L30": Cascade(
-            position_gain=134.7,
-            velocity_gain=27.7e3 / _GAIN,
-            velocity_filter=(0.5, 0.5),
-            gain=_GAIN,
-            limit=_WIDE_OPEN,
-            delay=SAMPLE_TIME,
-            undeclared="none",
-        ),
+        "L19": _L19,
+        "L30": replace(_L19, position_gain=134.7, velocity_gain=27.7e3 / _GAIN, delay=SAMPLE_TIME),
     }
 )
 """The two loops: L19 of the public benchmark, L30 as the paper describes its own."""
@@ -124,16 +112,9 @@ def twin(
 
     def run(disturbance: FloatArray | None = None, torque_noise: FloatArray | None = None) -> Record:
         return simulated_record(
-            closed,
-            reference,
-            truth,
-            sample_time=SAMPLE_TIME,
-            injected=known,
-            disturbance=disturbance,
-            torque_noise=torque_noise,
-            encoder_step=ENCODER_STEP,
-            name=f"twin {loop}{' +10 kg' if added_mass else ''}",
-        )
+            closed, reference, truth, sample_time=SAMPLE_TIME, injected=known, disturbance=disturbance,
+            torque_noise=torque_noise, encoder_step=ENCODER_STEP, name=f"twin {loop}{' +10 kg' * added_mass}",
+        )  # fmt: skip
 
     clean = run()
     if noise == "none":
