@@ -256,18 +256,9 @@ def no_choice(value: object, choices: Iterable[str]) -> str:
     return f" is {format_value(value)}; expected {either(choices)}: {nearest}"
 
 
-def describe_unexpected_value(value: object, expected: str, optional: bool = False, negative: str = "") -> str:
-    """Describe an unexpected value.
-
-    Args:
-        value: the value.
-        expected: in words, such as "a positive number".
-        optional: whether it may be left out.
-        negative: the remedy for a negative number, where there is one beside correcting it.
-    """
+def describe_unexpected_value(value: object, expected: str, optional: bool = False) -> str:
+    """Describe an unexpected value; `expected` is in words, such as "a positive number"."""
     remedy = "correct it, or leave it out" if optional else "correct it"
-    if isinstance(value, int | float) and value < 0 and negative:
-        remedy = negative
-    elif isinstance(value, str) and is_number(value):
+    if isinstance(value, str) and is_number(value):
         remedy = "write it without quotes"
     return f" is {format_value(value)}; expected {expected}: {remedy}."

@@ -35,7 +35,6 @@ class Setting:
         infinite: whether its value may be infinite.
         nonzero: whether its value may not be 0.
         only: the whole numbers that are allowed, where they are few.
-        negative: the remedy for a negative number, where there is one beside correcting it.
         none: the word of the joint file for None, where leaving the key out means something else.
         expected: what is expected of a value, in words, where type and bounds do not say it.
         accept: refuses a value by raising a `JointidError`.
@@ -51,7 +50,6 @@ class Setting:
     infinite: bool = False
     nonzero: bool = False
     only: tuple[int, ...] = ()
-    negative: str = ""
     none: str = ""
     expected: str = ""
     accept: Callable[[Any], object] | None = None
@@ -134,7 +132,7 @@ class Declared:
             return None
         if self.choices:
             return messages.no_choice(value, self.choices)
-        return messages.describe_unexpected_value(value, self.expected, not self.required, self.setting.negative)
+        return messages.describe_unexpected_value(value, self.expected, not self.required)
 
     def _allows(self, value: Any) -> bool:
         if value is None:

@@ -76,7 +76,6 @@ class Transmission:
         None,
         "how far the motor goes while the load goes 1, where both move alike: 100 of a gear 100:1; this or the lead",
         above=0,
-        negative="use sign = -1 to turn the load round",
     )
     lead: float | None = setting(
         None,
@@ -84,11 +83,8 @@ class Transmission:
         "then",
         unit="m",
         above=0,
-        negative="use sign = -1 to turn the load round",
     )
-    sign: int = setting(
-        1, "-1 where motor and load count in opposite directions", only=(1, -1), negative="use gain to scale"
-    )
+    sign: int = setting(1, "-1 where motor and load count in opposite directions", only=(1, -1))
     side: Side = setting("load", "on which the joint is identified and reported, and on which its parameters are given")
 
     def __post_init__(self) -> None:

@@ -264,7 +264,6 @@ class TransmissionTable(Table):
         "then, and a plain number is in lead_unit",
         unit="m",
         above=0,
-        negative="use sign = -1 to turn the load round",
     )
     lead_unit: str = setting("m", "unit of the lead", choices=units_of("length"))
 

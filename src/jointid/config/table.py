@@ -313,7 +313,7 @@ class Reader:
         if one.choices and one.setting.accept is None:
             return self._refuse(place, messages.no_choice(raw, one.choices), "value")
         expected, optional = one.expected + beside, not (beside or one.required)
-        rest = messages.describe_unexpected_value(raw, expected, optional, one.setting.negative)
+        rest = messages.describe_unexpected_value(raw, expected, optional)
         return self._refuse(place, rest, "value")
 
     def require(self) -> None:

@@ -46,10 +46,8 @@ class Column:
         'unit of gain x column; without it the one in the column\'s name, as in "pos [mm]", if the gain is 1; or else '
         "the SI unit of the joint's kind, and for an injected signal that of the torque",
     )
-    gain: float = setting(
-        1.0, "what takes the column to the unit", above=0, negative="use sign = -1 to turn the channel round"
-    )
-    sign: int = setting(1, "-1 turns the channel round", only=(1, -1), negative="use gain to scale")
+    gain: float = setting(1.0, "what takes the column to the unit", above=0)
+    sign: int = setting(1, "-1 turns the channel round", only=(1, -1))
     timing: Timing | None = setting(
         None,
         "whether a value stands for its instant, for the time from it to the next, or for the mean since the last; "

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.errors import MethodError
-from jointid.common.settings import Setting, add_settings_to_docstring, declare, setting
+from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.models.controllers.sampled import (
     INJECTED,
     INPUTS,
@@ -49,21 +49,20 @@ _ANTI_WINDUP = (
 )
 
 
-def _gain(help: str, unit: str) -> Mapping[str, Setting]:  # noqa: A002
-    """Declare a loop gain, which no sign reverses."""
-    remedy = "turn the torque or the positions round, with sign = -1 on their channels"
-    return declare(help, unit=unit, at_least=0, negative=remedy)
-
-
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cascade(DiagramController):
     """A position loop around a velocity loop: P-P, or P-PI with `integral_gain`."""
 
-    position_gain: float = field(metadata=_gain("position gain", "1/s"))
-    velocity_gain: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
+    position_gain: float = field(metadata=declare("position gain", unit="1/s", at_least=0))
+    velocity_gain: float = field(
+        metadata=declare("velocity gain", unit="controller units per m/s or rad/s", at_least=0)
+    )
     integral_gain: float = field(
-        default=0.0, metadata=_gain("integral gain of the velocity loop, the inverse of its integral time", "1/s")
+        default=0.0,
+        metadata=declare(
+            "integral gain of the velocity loop, the inverse of its integral time", unit="1/s", at_least=0
+        ),
     )
     anti_windup: AntiWindup = setting("hold", _ANTI_WINDUP)
     velocity_feedforward: float = setting(
@@ -143,8 +142,10 @@ class PD(DiagramController):
     (damping on the position only).
     """
 
-    position_gain: float = field(metadata=_gain("position gain", "controller units per m or rad"))
-    derivative_gain: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
+    position_gain: float = field(metadata=declare("position gain", unit="controller units per m or rad", at_least=0))
+    derivative_gain: float = field(
+        metadata=declare("velocity gain", unit="controller units per m/s or rad/s", at_least=0)
+    )
     reference_velocity: Literal["difference", "channel", "none"] = setting(
         "difference", "whether the reference's velocity is its difference, a channel of its own, or not used"
     )
@@ -178,7 +179,9 @@ class PD(DiagramController):
 class PID(PD):
     """``u = kp e + ki (sum of T e) + kd (reference velocity - velocity)`` (the module's equations)."""
 
-    integral_gain: float = field(metadata=_gain("integral gain", "controller units per m s or rad s"))
+    integral_gain: float = field(
+        metadata=declare("integral gain", unit="controller units per m s or rad s", at_least=0)
+    )
     anti_windup: AntiWindup = setting("hold", _ANTI_WINDUP)
 
     def law(self, sample_time: float) -> SampledLaw:

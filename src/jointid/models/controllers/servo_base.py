@@ -226,12 +226,7 @@ class Controller(Protocol):
 class ServoController:
     """Common settings of laws; all but the ratio refer to the law's side."""
 
-    gain: float = setting(
-        1.0,
-        "torque per controller unit: what takes the output to N, N m, A or V",
-        above=0,
-        negative="turn the torque round, with sign = -1 on its channel",
-    )
+    gain: float = setting(1.0, "torque per controller unit: what takes the output to N, N m, A or V", above=0)
     limit: float = setting(math.inf, "limit of the output, both ways", unit="controller units", above=0, infinite=True)
     period: float | None = setting(None, "period of the controller; without it that of the log", unit="s", above=0)
     delay: float = setting(
