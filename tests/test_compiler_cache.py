@@ -1,4 +1,4 @@
-"""The stamp of a compiled kernel, and a cache that is damaged."""
+"""A kernel whose sources change is compiled again, and so is one whose cache is damaged or torn by a full disk."""
 
 from __future__ import annotations
 
@@ -6,106 +6,106 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
-from jointid.common.compiler_cache import _stamp
+KERNEL = """
+from jointid.common.compiled import compile_kernel
+from stamped.helper import Outer, scaled
 
-SOURCE = '''
-from __future__ import annotations
+@compile_kernel
+def kernel(x, outer):
+    return scaled(x) + outer.inner.a
+"""
+HELPER = """
 from typing import NamedTuple
-from jointid.common.compiled import compile_kernel, inline_kernel
+from jointid.common.compiled import inline_kernel
+from stamped.tuples import Inner
 
 FACTOR = 2.0
-
-@inline_kernel
-def scaled(x):
-    """Scale a number."""
-    return FACTOR * x
-
-class Inner(NamedTuple):
-    a: float
-    b: float
 
 class Outer(NamedTuple):
     inner: Inner
 
-@compile_kernel
-def kernel(x, outer: Outer | None = None):
-    """Do it."""
-    return scaled(x) + 1.0
+@inline_kernel
+def scaled(x):
+    return FACTOR * x
+"""
+TUPLES = """
+from typing import NamedTuple
 
-def other(x):
-    return x
-'''
-
-
-def stamp_of(source: str, options: dict[str, Any] | None = None) -> str:
-    sys.modules["stamped"] = module = ModuleType("stamped")
-    names: dict[str, Any] = vars(module)
-    names |= {"compile_kernel": lambda function: function, "inline_kernel": lambda function: function}
-    exec(source.replace("from jointid.common.compiled import compile_kernel, inline_kernel", ""), names)
-    return _stamp(names["kernel"], options or {})
-
-
-@pytest.mark.parametrize(
-    ("was", "becomes", "another"),
-    [
-        ("+ 1.0", "+ 1.5", True),
-        ("FACTOR * x", "FACTOR + x", True),
-        ("FACTOR = 2.0", "FACTOR = 3.0", True),
-        ("    a: float\n    b: float", "    b: float\n    a: float", True),
-        ("Scale a number", "Multiply", False),
-        ("def other(x):\n    return x", "def other(x):\n    return -x", False),
-        ("FACTOR = 2.0", "\n\nFACTOR = 2.0", False),
-    ],
-)
-def test_a_stamp_changes_with_what_is_compiled_and_with_nothing_else(was: str, becomes: str, another: bool) -> None:
-    assert was in SOURCE
-    assert (stamp_of(SOURCE) != stamp_of(SOURCE.replace(was, becomes))) is another
-    assert stamp_of(SOURCE) != stamp_of(SOURCE, {"fastmath": True})
-
-
-FULL = """
-import sys, warnings
-from jointid.common import compiler_cache
+class Inner(NamedTuple):
+    a: float
+    b: float
+"""
+PROGRAM = """
+import errno, sys
+from numba.core.caching import IndexDataCacheFile
 def refuse(*_):
-    raise OSError(28, "full")
+    raise OSError(errno.ENOSPC, "full")
 if sys.argv[1:]:
-    compiler_cache._CheckedFile._save_data = refuse
-warnings.simplefilter("ignore")
-from cached import kernel
-print(kernel(1.0))
+    IndexDataCacheFile._save_data = refuse
+from stamped.kernel import kernel
+from stamped.helper import Outer
+from stamped.tuples import Inner
+print(kernel(1.0, Outer(Inner(a=1.0, b=5.0))), sum(kernel.stats.cache_misses.values()))
 """
 
 
+class Package:
+    """A package of a kernel, a helper that it calls, and the tuples that it takes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "stamped"
+        self.folder.mkdir()
+        self.environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "cache")}
+        for name, text in (("__init__", ""), ("kernel", KERNEL), ("helper", HELPER), ("tuples", TUPLES)):
+            (self.folder / f"{name}.py").write_text(text)
+
+    def edit(self, name: str, was: str, becomes: str) -> None:
+        path = self.folder / f"{name}.py"
+        assert was in path.read_text()
+        path.write_text(path.read_text().replace(was, becomes))
+
+    def run(self, *full: str) -> tuple[float, int, str]:
+        """Return the result, how many kernels were compiled, and warnings."""
+        command = [sys.executable, "-B", "-c", PROGRAM, *full]
+        ran = subprocess.run(command, env=self.environment, capture_output=True, text=True, check=True)
+        result, compiled = ran.stdout.split()
+        return float(result), int(compiled), ran.stderr
+
+
 @pytest.mark.slow
-def test_former_code_never_runs_under_a_new_stamp(tmp_path: Path) -> None:
-    """A disk that fills after the index is written leaves the data of the former code beside it."""
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+def test_a_kernel_is_compiled_again_after_any_change_and_only_then(tmp_path: Path) -> None:
+    package = Package(tmp_path)
+    assert [package.run()[:2] for _ in "ab"] == [(3.0, 1), (3.0, 0)]
+    package.edit("helper", "FACTOR = 2.0", "FACTOR = 3.0")
+    assert [package.run()[:2] for _ in "ab"] == [(4.0, 1), (4.0, 0)]
+    package.edit("tuples", "a: float\n    b: float", "b: float\n    a: float")
+    assert [package.run()[:2] for _ in "ab"] == [(4.0, 1), (4.0, 0)]
+    package.edit("tuples", "\nclass", "\n\n\nclass")
+    assert package.run()[:2] == (4.0, 0)
+    assert len(list(tmp_path.rglob("*.nbc"))) == 1, "those of former sources are removed"
 
-    def run(source: str, *full: str) -> str:
-        (tmp_path / "cached.py").write_text(source)
-        command = [sys.executable, "-B", "-c", FULL, *full]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
 
-    assert run(SOURCE) == "3.0\n"
-    edited = SOURCE.replace("+ 1.0", "+ 100.0")
-    assert run(edited, "full") == "102.0\n"
-    assert run(edited) == "102.0\n"
+@pytest.mark.slow
+def test_a_full_disk_leaves_nothing_of_former_code(tmp_path: Path) -> None:
+    """The index is written before the data, which then may be those of the former code."""
+    package = Package(tmp_path)
+    package.run()
+    package.edit("kernel", "+ outer", "+ 100.0 + outer")
+    result, _, said = package.run("full")
+    assert result == 103.0 and "cannot be written" in said
+    assert [package.run()[:2] for _ in "ab"] == [(103.0, 1), (103.0, 0)]
 
 
 @pytest.mark.slow
 def test_a_damaged_cache_is_compiled_again(tmp_path: Path) -> None:
-    (tmp_path / "cached.py").write_text(SOURCE)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    command = [sys.executable, "-c", "from cached import kernel; print(kernel(1.0), kernel.stats.cache_misses)"]
-    shown = [subprocess.run(command, env=environment, capture_output=True, text=True, check=True)]
+    package = Package(tmp_path)
+    package.run()
     for ending in ("nbi", "nbc"):
         for path in tmp_path.rglob(f"*.{ending}"):
             path.write_bytes(path.read_bytes()[:-20])
-        shown += [subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in "ab"]
-    assert {one.stdout[:3] for one in shown} == {"3.0"}
-    assert ["is damaged" in one.stderr for one in shown] == [False, True, False, True, False]
+        found = [package.run() for _ in "ab"]
+        assert [one[:2] for one in found] == [(3.0, 1), (3.0, 0)]
+        assert ["is damaged" in one[2] for one in found] == [True, False]

@@ -32,8 +32,8 @@ def compile_kernel(function: F) -> F:
     kernel: Any = _njit(function)
     if kernel is not function:  # Numba may be configured not to compile
         try:
-            kernel._cache = KernelCache(function, kernel.targetoptions)
-        except RuntimeError:  # there is no such folder
+            kernel._cache = KernelCache(function)
+        except (RuntimeError, OSError):  # there is no such folder, or there are no files of sources
             warn("The compiler's cache has no folder, so that every start compiles again; name one by NUMBA_CACHE_DIR.")
     return cast("F", kernel)
 
