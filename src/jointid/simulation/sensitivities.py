@@ -239,11 +239,13 @@ def _plant_seeds(out: ClosedLoopRun, names: Sequence[str]) -> Seeds:
     from jointid.simulation.kernels.variation import Seeds
 
     assert out.plant is not None
-    masses, springs, places = (np.zeros((*one.shape, LANES)) for one in out.plant)
+    rows = 3, 2, len(out.plant.places)
+    seeds = Seeds(*(np.zeros((n, one.shape[1], LANES)) for n, one in zip(rows, out.plant, strict=True)))
     for j, name in enumerate(names):
         if name in out.values:
-            masses[:, :, j], springs[:, :, j], places[:, :, j] = seeds_of(out.loop.joint, out.values, name)
-    return Seeds(masses, springs, places)
+            for seed, moved in zip(seeds, seeds_of(out.loop.joint, out.values, name), strict=True):
+                seed[: len(moved), :, j] = moved
+    return seeds
 
 
 def taped_rows(samples: int) -> int:

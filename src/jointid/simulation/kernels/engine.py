@@ -90,29 +90,29 @@ def _accelerate(
     grip: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the accelerations, what pushes each mass beside what holds it, and what can hold it in its direction."""
-    n = masses.shape[0]
+    n, carried, spring = masses.shape[0], -torque, 0.0
     for i in range(n):
-        push[i] = -masses[i, OFFSET]
-    push[0] += torque
-    carried, spring = torque, 0.0
-    for j in range(places.shape[0]):
-        i = int(places[j, WHERE])
-        phase = places[j, WAVE] * q[i]
-        push[i] -= places[j, COS] * math.cos(phase) + places[j, SIN] * math.sin(phase) + places[j, RATE] * q[i]
-    for i in range(n):
+        force = -masses[i, OFFSET] - carried
+        for j in range(places.shape[0]):
+            if places[j, WHERE] == i:
+                phase = places[j, WAVE] * q[i]
+                force -= places[j, COS] * math.cos(phase) + places[j, SIN] * math.sin(phase) + places[j, RATE] * q[i]
         if i + 1 < n:
             e = q[i + 1] - q[i]
             spring = (springs[i, STIFFNESS] + springs[i, CUBIC] * e * e) * e + springs[i, DAMPING] * (v[i + 1] - v[i])
             spring += springs[i, SLIPS] * w[n + i]
-            push[i] += spring
-            push[i + 1] -= spring
-        back = modes[i] < 0.0 or (modes[i] == 0.0 and push[i] < 0.0)
-        grip[i] = masses[i, COULOMB_BACK if back else COULOMB] + masses[i, COULOMB_DRIFT] * time
-        grip[i] += masses[i, PER_TORQUE] * abs(carried)
-        carried = spring
-        viscous = masses[i, VISCOUS_BACK if back else VISCOUS] + masses[i, VISCOUS_DRIFT] * time
-        held = grip[i] * (w[i] if masses[i, WINDING] > 0.0 else modes[i])
-        a[i] = (push[i] - viscous * v[i] - held) * mobility[i] if modes[i] != 0.0 else 0.0
+            force += spring
+        mode = modes[i]
+        back = mode < 0.0 or (mode == 0.0 and force < 0.0)
+        most = (
+            (masses[i, COULOMB_BACK] if back else masses[i, COULOMB])
+            + masses[i, COULOMB_DRIFT] * time
+            + masses[i, PER_TORQUE] * abs(carried)
+        )
+        viscous = (masses[i, VISCOUS_BACK] if back else masses[i, VISCOUS]) + masses[i, VISCOUS_DRIFT] * time
+        held = most * (w[i] if masses[i, WINDING] > 0.0 else mode)
+        push[i], grip[i], carried = force, most, spring
+        a[i] = (force - viscous * v[i] - held) * mobility[i] if mode != 0.0 else 0.0
 
 
 @inline_kernel
