@@ -18,7 +18,6 @@ import pytest
 
 import jointid
 from jointid.apps.cli import main
-from jointid.apps.cli.app import _GONE
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Message
 from jointid.config import File, load
@@ -420,6 +419,7 @@ def test_an_interrupted_search_is_written_and_said(
         ("identify", "nothing.toml"),
         ("identify",),
         ("identfy", EMPS),
+        ("doctor",),
         ("identify", EMPS, "--recrod", "x.mat"),
         ("identify", EMPS, "--method", "magic"),
         ("identify", EMPS, "--set", "method.estimator=ols"),
@@ -607,12 +607,6 @@ def test_a_report_is_written_whatever_ends_its_tuning(
     loop = SimpleNamespace(controller=SimpleNamespace(limit=1.0))
     estimate = SimpleNamespace(settings=SimpleNamespace(loop=loop))
     assert tune_to_limit(estimate, Drive()) == words  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("gone", _GONE)
-def test_a_command_that_went_says_what_to_use_instead(gone: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(*gone.split(), "joint.toml") == 2
-    assert f"jointid {gone} is no longer a command" in capsys.readouterr().err
 
 
 def test_versions_are_those_of_what_computes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,9 +40,7 @@ def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
     assert all(abs(value - true) < 2 * interval for value, interval, true in found.values())
     value, interval, true = found["K1"]
     assert true == 2560.0 and interval < 0.01 * value
-    (place / "robot.toml").write_text("# changed", encoding="utf-8")
-    assert run("demo", "--robot", place, "-q") == 2
-    assert "is there, and is not, or is no longer, what the demo writes" in capsys.readouterr().err
+    assert run("demo", "--robot", place, "-q") == 2, "it holds files"
 
 
 def test_a_fleet_is_made_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -208,8 +208,6 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("tune",),
         ("diagnose", "--laws"),
         ("validate",),
-        ("report", "--no-profiles", "--html", "page.html"),
-        ("report", "--no-tuning", "--html", "page.html"),
         ("report", "--held-out", "nope.csv", "--html", "page.html"),
     ],
 )

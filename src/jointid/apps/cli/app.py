@@ -15,12 +15,12 @@ import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import metadata
 from typing import Any, NoReturn
 
-from cyclopts import App, CycloptsError, Group, UnknownOptionError
+from cyclopts import App, CycloptsError, Group
 
 from jointid import __version__
 from jointid.apps.cli import console
@@ -34,30 +34,12 @@ from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import reproduce, simulate
-from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import remove_rooms
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 _MOMENT = 0.02  # s until an interrupt that a callback has swallowed is sent again
 _SIGNALLED = 128  # added to a signal's number it is the exit code
-
-_GONE = {
-    "examine": "jointid diagnose says it of the record, and of loop, log and joint",
-    "doctor": "jointid --version lists the versions, jointid inspect the channels of a record",
-    "data inspect": "jointid inspect lists what is in a file",
-    "data convert": "jointid.write in Python writes a record as CSV, MAT, NPY or Parquet",
-    "advise": "jointid design plans the next test, and predicts its intervals",
-    "diagnose methods": "give --method to jointid identify for each",
-    "diagnose springs": "give --laws to jointid diagnose",
-    "diagnose friction": "give --laws to jointid diagnose",
-    "diagnose intervals": "jointid.intervals in Python follows the criterion",
-    "campaign run": "jointid campaign FILE runs what is missing, and reports",
-    "campaign work": "jointid campaign FILE --dask ADDRESS has the workers of a cluster",
-    "campaign status": "the file of the results has a line for each case that is done",
-    "campaign report": "jointid campaign FILE runs what is missing, and reports",
-    "campaign export": "pandas.read_json(PATH, lines=True) reads the file of the results",
-}
-"""What to use instead of a command that is no longer there."""
 
 _ENDING = "Exit codes and --debug: docs/commands.md"
 
@@ -81,52 +63,17 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 
-_START, _IDENTIFY, _ASK, _USE, _MANY = (
-    Group(name, sort_key=place)
-    for place, name in enumerate(("Start", "Identify", "Ask what the result is worth", "Use the result", "Many"))
-)
-_EXAMPLES: dict[str, dict[Callable[..., Any], str]] = {
-    "": {
-        demo: "jointid demo",
-        serve: "jointid serve --open",
-        reproduce: "jointid reproduce",
-    },
-    "jointid demo": {
-        inspect: "jointid inspect record.csv",
-        identify: "jointid identify joint.toml",
-        learn_controller: "jointid learn-controller joint.toml --write learned.toml",
-        report: "jointid report joint.toml --html report.html",
-        diagnose: "jointid diagnose joint.toml",
-        validate: "jointid validate joint.toml --estimate estimate.json",
-        compare: "jointid compare estimate.json estimate.json",
-        tune: "jointid tune joint.toml",
-        design: "jointid design joint.toml --out next-test",
-        simulate: "jointid simulate joint.toml --estimate estimate.json --out run.csv",
-        export: "jointid export joint.toml --estimate estimate.json --out joint.urdf",
-    },
-    "jointid demo --fleet": {campaign: "jointid campaign campaign.toml"},
-    "the drive of a robot": {payload: "jointid payload robot.toml --without empty.csv --with loaded.csv"},
+_GROUPS: Mapping[str, tuple[Callable[..., Any], ...]] = {
+    "Start": (demo, inspect, serve, reproduce),
+    "Identify": (identify, learn_controller, report, payload),
+    "Ask what the result is worth": (diagnose, validate, compare),
+    "Use the result": (tune, design, simulate, export),
+    "Many": (campaign,),
 }
-"""An example of each command, by what writes the folder that it runs in."""
-
-
-def _ending(command: Callable[..., Any]) -> str:
-    """Return the last lines of a command's help."""
-    where = next(where for where, each in _EXAMPLES.items() if command in each)
-    folder = f", in the folder that {where} writes" if where else ""
-    return f"Example{folder}:\n  {_EXAMPLES[where][command]}\n{_ENDING}"
-
-
-_GROUPED: tuple[tuple[Group, tuple[Callable[..., Any], ...]], ...] = (
-    (_START, (demo, inspect, serve, reproduce)),
-    (_IDENTIFY, (identify, learn_controller, report, payload)),
-    (_ASK, (diagnose, validate, compare)),
-    (_USE, (tune, design, simulate, export)),
-    (_MANY, (campaign,)),
-)
-for _group, _commands in _GROUPED:
-    for _place, _command in enumerate(_commands):
-        app.command(_command, group=_group, sort_key=_place, help_epilogue=_ending(_command))
+for _place, (_name, _commands) in enumerate(_GROUPS.items()):
+    _group = Group(_name, sort_key=_place)
+    for _order, _command in enumerate(_commands):
+        app.command(_command, group=_group, sort_key=_order, help_epilogue=_ENDING)
 
 
 def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoReturn:
@@ -190,7 +137,6 @@ def _prepare_outputs() -> None:
 
 def _run(words: list[str], debug: bool) -> int:
     try:
-        _refuse_deleted_command(words)
         code: int | None = app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except KeyboardInterrupt:
         return _end_interrupted(debug)
@@ -203,24 +149,12 @@ def _run(words: list[str], debug: bool) -> int:
     return code or 0
 
 
-def _refuse_deleted_command(words: list[str]) -> None:
-    """Refuse a command that this program no longer has.
-
-    Raises:
-        MethodError: the words begin with one.
-    """
-    for gone, instead in _GONE.items():
-        if words[: gone.count(" ") + 1] == gone.split():
-            raise MethodError(f"jointid {gone} is no longer a command: {instead}.")
-
-
 def _explain(error: Exception) -> int:
     """Print an error, and return the exit code."""
     if isinstance(error, JointidError):
         return _say(str(error), USERS_MISTAKE)
     if isinstance(error, CycloptsError):
-        setting = _setting(error) if isinstance(error, UnknownOptionError) else ""
-        return _say(f"{error} {setting}See jointid --help.", USERS_MISTAKE)
+        return _say(f"{error} A setting of the joint file is given by --set. See jointid --help.", USERS_MISTAKE)
     if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # of any path that is opened
         return _explain(RecordError(f"{error.filename} is longer than the name of a file may be; name another file."))
     return _say(
@@ -256,15 +190,6 @@ def _show_warning(
         tell(f"Warning: {message}")
     elif debug:
         tell(warnings.formatwarning(message, category, filename, lineno).rstrip())
-
-
-def _setting(error: UnknownOptionError) -> str:
-    """Return the sentence on an option that is a key of [method], if the command has --set to reach it; else ""."""
-    from jointid.config.schema import MethodTable
-
-    key = (error.token.keyword or "").removeprefix("--").partition("=")[0].replace("-", "_")
-    known = key in MethodTable.declared() and any("--set" in argument.names for argument in error.argument_collection)
-    return f"It is a setting of the joint file: give --set method.{key}=VALUE. " if known else ""
 
 
 def _say(message: str, code: int) -> int:

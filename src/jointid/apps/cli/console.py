@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import IO, TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from cyclopts import Parameter
 
@@ -31,8 +32,6 @@ Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 """Keys of the joint file that are changed before it is checked; every setting can be reached."""
-
-FilteringName = Literal["default", "published", "as-printed"]
 
 details = False
 """Whether each step of a search is printed, too: with --debug."""
@@ -70,57 +69,69 @@ def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Inputs:
-    """The options of a command that identifies as a joint file says.
+class Options:
+    """The options that most commands have.
 
     Attributes:
-        record: the record, instead of the one the joint file names.
+        records: the record, instead of the one the joint file names; given several times, or with [[records]] in the
+            joint file and none here, identify takes all of them in one fit.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         axis: of a robot file the name of one joint, which is taken alone, as if no other joint moved.
+        json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
 
-    record: Path | None = None
+    records: Annotated[tuple[Path, ...], Parameter(name="--record", negative=())] = ()
     changes: Changes = ()
     axis: str | None = None
+    json: Path | None = None
     quiet: Quiet = False
+
+    @property
+    def record(self) -> Path | None:
+        """The record that is named.
+
+        Raises:
+            MethodError: several are.
+        """
+        if len(self.records) > 1:
+            raise MethodError(f"This takes one record; received {len(self.records)} times --record: name one.")
+        return self.records[0] if self.records else None
 
     @property
     def progress(self) -> Progress:
         """The listener to progress."""
         return listen(self.quiet)
 
-    def load(self, joint: Path, *outputs: Path | None, estimate: Path | None = None, **choices: str | None) -> File:
+    def load(
+        self, joint: Path, *outputs: Path | None, estimate: Path | None = None, what: str = "", **choices: str | None
+    ) -> File:
         """Load the joint file or robot file with its changes, as an estimate says; see `jointid.config.load`.
+
+        Args:
+            joint: the file.
+            outputs: what the command writes, beside the JSON.
+            estimate: file of an estimate, whose choices hold.
+            what: the work, if it is for a joint; the beginning of the sentence.
+            choices: method, filtering and friction.
 
         Raises:
             JointFileError: it cannot be loaded.
+            MethodError: it is a robot file, and the work is for a joint.
             RecordError: an output is refused, see `spare`, or the estimate is none.
         """
-        from jointid.config import load
+        from jointid.config import load, load_joint
 
-        spare(outputs, joint, self.record, estimate)
+        spare((self.json, *outputs), joint, *self.records, estimate)
         if estimate is not None:
             from jointid.output.json import read_choices
 
             choices |= read_choices(estimate)
-        file = load(joint, self.changes, axis=self.axis, **choices)
-        spare(outputs, *file.inputs(self.record))
-        return file.of_record(self.record)
-
-    def load_joint(self, joint: Path, *outputs: Path | None, what: str, **choices: str | None) -> File:
-        """Load the joint file with its changes.
-
-        Raises:
-            MethodError: it is a robot file, and `what` is for a joint.
-            RecordError: an output is refused, see `spare`.
-        """
-        from jointid.config import load_joint
-
-        spare(outputs, joint, self.record)
-        file = load_joint(joint, self.changes, what=what, axis=self.axis, **choices)
-        spare(outputs, *file.inputs(self.record))
-        return file.of_record(self.record)
+        read: Callable[..., File] = partial(load_joint, what=what) if what else load
+        file = read(joint, self.changes, axis=self.axis, **choices)
+        for record in self.records or (None,):
+            spare((self.json, *outputs), *file.inputs(record))
+        return file.of_record(self.records[0]) if len(self.records) == 1 else file
 
     def identify(
         self, file: File, *, checks: bool = True, judged: bool = False, whole: bool = False
@@ -136,12 +147,12 @@ class Inputs:
         Raises:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
-        from jointid import Estimate, Record
+        from jointid import Estimate
         from jointid.estimation.identify import LARGEST, plan_windows
         from jointid.estimation.result.parts import IN_WINDOWS
 
         record = file.record(self.record, judged=judged)
-        if isinstance(record, Record):  # the engine of a robot is another
+        if file.robot is None:  # the engine of a robot is another
             ready(self.progress)
         asked: dict[str, Any] = {"windows": False} if whole else {}
         if whole and plan_windows(record, file.setup, file.method, LARGEST):
@@ -159,18 +170,6 @@ class Inputs:
             elif suspicions.latest:
                 show(f"Not identified yet. Known so far: {suspicions.latest}")
             raise
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Options(Inputs):
-    """Those, and where the answer goes; most commands have them.
-
-    Attributes:
-        json: also write the answer as JSON to this file.
-    """
-
-    json: Path | None = None
 
 
 DEFAULTS = Options()
@@ -283,24 +282,24 @@ def ready(listener: Progress, *, derivatives: bool = True) -> None:
 
 
 @contextlib.contextmanager
-def fresh_folder(folder: Path, option: str = "") -> Iterator[None]:
-    """Make a folder, and take it away again if it was not there and nothing has come into it in the end.
+def fresh_folder(folder: Path) -> Iterator[None]:
+    """Make a folder, and take away one that is new after an exception.
 
     Raises:
         RecordError: see `make_folder`.
     """
     is_new = not folder.exists()
-    make_folder(folder, option)
+    make_folder(folder)
     try:
         yield
-    finally:
+    except BaseException:
         if is_new:
-            with contextlib.suppress(OSError):  # it is not empty
-                folder.rmdir()
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
-def make_folder(folder: Path, option: str = "", mode: int = 0o777) -> None:
-    """Make a folder, unless it is there; the mode says who may reach a new one, the option how to name another.
+def make_folder(folder: Path, mode: int = 0o777) -> None:
+    """Make a folder, unless it is there; the mode says who may reach a new one.
 
     Raises:
         RecordError: it cannot be made.
@@ -308,5 +307,4 @@ def make_folder(folder: Path, option: str = "", mode: int = 0o777) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=mode)
     except OSError as error:
-        by = f" by {option}" if option else ""
-        raise RecordError(f"{folder} cannot be made a folder ({error.strerror}); name another one{by}.") from None
+        raise RecordError(f"{folder} cannot be made a folder ({error.strerror}); name another one.") from None

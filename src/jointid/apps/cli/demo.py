@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from jointid.apps.cli.console import Flag, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.common.document import Document
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import require_room, write_whole
-from jointid.common.messages import Progress, Work
 
 if TYPE_CHECKING:
-    from jointid import Estimate, Record, Robot
+    from jointid import Record, Robot
     from jointid.simulation.robots import RobotLoop
-
-_Made: TypeAlias = "tuple[str, Sequence[str], Estimate | None, Mapping[str, float]]"
-"""What a demo says of itself, what to do next, its estimate, and the truth of its parameters."""
-
-_ROBOT = ("robot.toml", "robot.xml")
-_ANSWER = ("record.csv", "estimate.json", "torque.png")
 
 CAMPAIGN = """\
 # Every record of every axis, identified as the joint file says: jointid campaign campaign.toml
@@ -58,8 +50,7 @@ def demo(
     `jointid identify FOLDER/joint.toml` to see what follows.
 
     Args:
-        folder: where to write, made if it is not there; without it jointid-demo, jointid-demo-robot or
-            jointid-demo-fleet.
+        folder: where to write, new or empty; without it jointid-demo, jointid-demo-robot or jointid-demo-fleet.
         robot: a robot of two joints instead, one of them flexible, from torques alone.
         fleet: the records of four axes over nine days instead, of which the stiffness of one falls.
         details: also the progress of the search, and the whole answer with its checks.
@@ -68,59 +59,70 @@ def demo(
     """
     if robot and fleet:
         raise MethodError("A demo is of a robot or of a fleet; leave out --robot or --fleet.")
-    kind, make = ("-robot", _make_robot) if robot else ("-fleet", _make_fleet) if fleet else ("", _make_axis)
-    folder = folder or Path(f"jointid-demo{kind}")
+    folder = folder or Path("jointid-demo-robot" if robot else "jointid-demo-fleet" if fleet else "jointid-demo")
     require_room(folder)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise RecordError(f"{folder} holds files, which a demo might replace; name another folder.")
     listener = listen(quiet)
-    work = Work(listener, "simulating and identifying", 2, "steps")
-    options = Options(quiet=quiet or not details)
-    said, steps, estimate, truth = make(folder, seed, options, listener, work)
-    work.reach(work.total)
-    if details and estimate is not None:
-        show(estimate, details=True)
-        show()
-    from jointid.estimation.result.summary import parameters_table
+    with fresh_folder(folder):
+        if fleet:
+            listener("simulating 8 s of four axes on each of nine days")
+            ready(listener)
+            _write_fleet(folder, seed)
+            show("The stiffness of axis-001 falls by a tenth one day; 5 % of files are spoiled.\n")
+            show(f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs")
+            show(f"See what changed, which takes minutes: jointid campaign {folder / 'campaign.toml'}")
+            return
+        listener("simulating 8 s of a robot of two joints" if robot else "simulating 24 s of the paper's flexible axis")
+        truth = _write_robot(folder, seed) if robot else _write_axis(folder, seed)
+        listener("identifying it from motor torque and reference alone")
+        _identify(folder, truth, Options(quiet=quiet or not details), details=details)
 
-    show(Document(said, () if estimate is None else (parameters_table(estimate, truth=truth),)).text())
-    show()
-    for line in steps:
-        show(line)
 
-
-def _make_axis(folder: Path, seed: int, options: Options, listener: Progress, work: Work) -> _Made:
+def _write_axis(folder: Path, seed: int) -> Mapping[str, float]:
+    """Write the record and joint file of the twin, and return its truth."""
     from jointid import twin, write
     from jointid.paper.twin import JOINT_FILE
 
-    with _fresh(folder, {"joint.toml": JOINT_FILE}, _ANSWER):
-        options.progress("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
-        ready(listener)
-        axis = twin(seed=seed)
+    axis = twin(seed=seed)
     write(axis.record, folder / "record.csv")
-    work.add()
-    options.progress("identifying it from motor force and reference alone")
-    return _identify(folder, ("joint.toml",), options, lambda _: axis.truth)
+    write_whole(folder / "joint.toml", JOINT_FILE)
+    return axis.truth
 
 
-def _make_robot(folder: Path, seed: int, options: Options, listener: Progress, work: Work) -> _Made:
+def _write_robot(folder: Path, seed: int) -> Robot:
+    """Write the record, file and model of a robot, and return it."""
     from jointid.config import load
 
-    del listener  # the engine of a robot is compiled with its first simulation
-    texts = {name: files("jointid.apps.cli").joinpath("demo_robot", name).read_text("utf-8") for name in _ROBOT}
-    with _fresh(folder, texts, _ANSWER):
-        file = load(folder / "robot.toml")
-        options.progress("simulating 8 s of a robot of two joints, with 2 % of noise on each torque")
-        robot, records = _simulate_robot(file.loop, seed)
+    for name in ("robot.toml", "robot.xml"):
+        write_whole(folder / name, files("jointid.apps.cli").joinpath("demo_robot", name).read_text("utf-8"))
+    file = load(folder / "robot.toml")
+    robot, records = _simulate_robot(file.loop, seed)
     file.write(records, folder / "record.csv")
-    work.add()
-    options.progress("identifying it from motor torques and references alone")
+    return robot
 
-    def truth(estimate: Estimate) -> dict[str, float]:
-        assert estimate.robot is not None
-        values = estimate.robot.parameters_of(robot)
+
+def _identify(folder: Path, truth: Any, options: Options, *, details: bool) -> None:
+    """Identify as the demo's file says, write answer and figure, and show them beside the truth."""
+    from jointid import figures
+    from jointid.estimation.result.summary import parameters_table
+    from jointid.output import json as answers
+
+    (file,) = folder.glob("*.toml")
+    _, estimate = options.identify(options.load(file))
+    answers.write(answers.to_dict(estimate), folder / "estimate.json")
+    figures.save(figures.torque(estimate), folder / "torque.png")
+    if estimate.robot is not None:
+        values = estimate.robot.parameters_of(truth)
         assert values is not None
-        return dict(zip(estimate.robot.names, values.tolist(), strict=True))
-
-    return _identify(folder, _ROBOT, options, truth)
+        truth = dict(zip(estimate.robot.names, values.tolist(), strict=True))
+    if details:
+        show(estimate, details=True)
+        show()
+    show(Document(str(estimate.answer), (parameters_table(estimate, truth=truth),)).text())
+    show(f"\nWritten to {folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
+    show(f"All of it on one page: jointid report {file} --html report.html")
+    show(f"Change the {file.stem} file, then: jointid identify {file}")
 
 
 def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ...]]:
@@ -150,32 +152,19 @@ def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ..
     return robot, tuple(logged)
 
 
-def _make_fleet(folder: Path, seed: int, options: Options, listener: Progress, work: Work) -> _Made:
-    from jointid.paper.twin import JOINT_FILE
-
-    joint = JOINT_FILE.replace("record.csv", f"logs/axis-001/{FIRST_DAY}.npy")
-    with _fresh(folder, {"campaign.toml": CAMPAIGN, "joint.toml": joint}, ("fleet.csv", "logs")):
-        options.progress("simulating 8 s of four axes on each of nine days")
-        ready(listener)
-    work.add()
-    _write_fleet(folder, seed)
-    steps = (
-        f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs",
-        f"See what changed, which takes minutes: jointid campaign {folder / 'campaign.toml'}",
-    )
-    return "The stiffness of axis-001 falls by a tenth one day; 5 % of files are spoiled.", steps, None, {}
-
-
 def _write_fleet(folder: Path, seed: int) -> None:
-    """Write the records of a fleet, and its table: the twin's axis with parameters that scatter from day to day.
+    """Write the records of a fleet and its files: the twin's axis with parameters that scatter from day to day.
 
     The stiffness of the first joint falls, from a day between a third and two thirds on.
     """
     import numpy as np
 
     import jointid as ji
-    from jointid.paper.twin import CONTROLLERS, TABLE_2
+    from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2
 
+    joint = JOINT_FILE.replace("record.csv", f"logs/axis-001/{FIRST_DAY}.npy")
+    for file, text in {"campaign.toml": CAMPAIGN, "joint.toml": joint}.items():
+        write_whole(folder / file, text)
     loop = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, 1e-3, duration=8.0)
     pulses = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
@@ -202,47 +191,3 @@ def _write_fleet(folder: Path, seed: int) -> None:
                 content = path.read_bytes()
                 ways = (content[: len(content) // 3], b"", b"the drive could not be reached\n")
                 path.write_bytes(ways[int(draw.integers(3))])
-
-
-@contextmanager
-def _fresh(folder: Path, texts: Mapping[str, str], others: Sequence[str]) -> Iterator[None]:
-    """Make a folder with the demo's texts, and remove them after an exception.
-
-    Raises:
-        RecordError: it holds files of others by the names that the demo writes.
-    """
-    with fresh_folder(folder):
-        own = all((folder / name).is_file() and (folder / name).read_text("utf-8") == texts[name] for name in texts)
-        there = [name for name in (*texts, *others) if (folder / name).exists()]
-        if there and not own:
-            raise RecordError(
-                f"{folder / there[0]} is there, and is not, or is no longer, what the demo writes; it would be "
-                "replaced: name another folder."
-            )
-        for name, text in texts.items():
-            write_whole(folder / name, text)
-        try:
-            yield
-        except BaseException:
-            for name in () if own else texts:
-                (folder / name).unlink()
-            raise
-
-
-def _identify(
-    folder: Path, texts: Sequence[str], options: Options, truth: Callable[[Estimate], Mapping[str, float]]
-) -> _Made:
-    """Identify as the first of the demo's texts says, and write answer and figure."""
-    from jointid import figures
-    from jointid.output import json as answers
-
-    file = folder / texts[0]
-    _, estimate = options.identify(options.load(file))
-    answers.write(answers.to_dict(estimate), folder / "estimate.json")
-    figures.save(figures.torque(estimate), folder / "torque.png")
-    steps = (
-        f"Written to {folder}: record.csv, {', '.join(texts)}, estimate.json, torque.png",
-        f"All of it on one page: jointid report {file} --html report.html",
-        f"Change the {file.stem} file, then: jointid identify {file}",
-    )
-    return str(estimate.answer), steps, estimate, truth(estimate)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready
-from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
     from jointid import Record
@@ -36,9 +36,9 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
     """
     from jointid.config import require_joint
 
-    file = options.load(joint, options.json)
+    file = options.load(joint)
     if file.robot is None and file.loop is not None:
-        file = options.load_joint(joint, what="A diagnosis", method="didim")
+        file = options.load(joint, method="didim")
     if laws and require_joint(file, "A comparison of laws").loop is None:
         raise MethodError("Laws are compared in the closed loop; declare the [controller].")
     several = options.record is None and file.only_lists
@@ -74,23 +74,18 @@ def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Ex
         progress=options.progress, **declared,
     )  # fmt: skip
     try:
-        if laws:
-            found = replace(found, laws=_compare_laws(file, record, options))
-    except JointidError:
+        found = replace(found, laws=_compare_laws(file, record, options)) if laws else found
+    finally:
         deliver(found, options.json)
-        raise
-    deliver(found, options.json)
     return found
 
 
 def _compare_laws(file: File, record: Record, options: Options) -> tuple[LawComparison, ...]:
     """Compare the laws of friction, and of a flexible joint those of its spring before."""
-    from jointid import DIDIM, compare
+    from jointid import compare
 
-    loop, method = file.loop, file.method
-    assert loop is not None and isinstance(method, DIDIM)
     known: dict[str, Any] = {
-        "filtering": file.filtering, "parameters": file.parameters, "didim": method, "progress": options.progress,
+        "filtering": file.filtering, "parameters": file.parameters, "didim": file.method, "progress": options.progress,
     }  # fmt: skip
-    frictions = compare(record, loop, "frictions", **known)
-    return (frictions,) if loop.joint.model == "rigid" else (compare(record, loop, "springs", **known), frictions)
+    kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
+    return tuple(compare(record, file.loop, kind, **known) for kind in kinds[file.joint.model == "rigid" :])

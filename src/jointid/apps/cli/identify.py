@@ -3,45 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import (
-    DEFAULTS,
-    Changes,
-    FilteringName,
-    Flag,
-    Options,
-    Quiet,
-    deliver,
-    ready,
-    show,
-    spare,
-)
+from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, Quiet, deliver, ready, show, spare
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.registry import MethodName
-
-if TYPE_CHECKING:
-    from jointid.config import File
 
 
 def identify(
     joint: Path,
     /,
     *,
-    record: Annotated[list[Path] | None, Parameter(negative=())] = None,
+    options: Options = DEFAULTS,
     window: float | None = None,
-    settling: float | None = None,
-    changes: Changes = (),
-    axis: str | None = None,
     method: MethodName | None = None,
-    filtering: FilteringName | None = None,
+    filtering: Literal["default", "published", "as-printed"] | None = None,
     friction: str | None = None,
-    json: Path | None = None,
     figure: Path | None = None,
     details: Flag = False,
-    quiet: Quiet = False,
 ) -> None:
     """Identify a joint or a robot from its record.
 
@@ -49,56 +30,35 @@ def identify(
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
-        record: the record, instead of the one the joint file names; given several times, or with [[records]] in the
-            joint file and none here, all of them are identified in one fit; those of a joint are held against each
-            other.
+        options: those that most commands have.
         window: seconds of a window; the record, of a format that is read in chunks, is a log too long for memory: it is
             identified in windows, and tested for drift.
-        settling: seconds before and after each window that are simulated and not fitted; without it measured.
-        changes: a key of the joint file and its value, as method.frequency=30; may be given several times; whatever
-            has no option here, as method.estimator or method.harmonics, is set so.
-        axis: of a robot file the name of one joint, which is identified alone, as if no other joint moved.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
             too if the joint is flexible; drive_side reads torque and motor position, and no controller.
         filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
             which aliases at 1 kHz and warns of it; default is the program's own.
         friction: the friction law, symmetric (the same in both directions) or another that joint.friction may name.
-        json: also write the answer as JSON to this file.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.
-        quiet: say nothing of the progress.
     """
     from jointid import Windowing, figures
-    from jointid.config import require_joint
     from jointid.estimation.result.parts import IN_WINDOWS
 
-    records = record or []
     figures.require_format(figure)
-    spare((json, figure), *records)
-    first = records[0] if records else None
-    one = first if len(records) == 1 else None
-    options = Options(record=one, changes=changes, axis=axis, json=json, quiet=quiet)
-    file: File = options.load(joint, json, figure, method=method, filtering=filtering, friction=friction)
-    if figure is not None and len(records) > 1:
-        require_joint(file, "--figure of several records")
-    if window is not None or settling is not None:
-        if len(records) > 1:
-            raise MethodError(
-                f"A log is one record; received {len(records)} with --window: name one, or leave --window out."
-            )
+    several = len(options.records) > 1
+    what = "A log in windows" if window is not None else "--figure of several records" if several and figure else ""
+    file = options.load(joint, figure, what=what, method=method, filtering=filtering, friction=friction)
+    if window is not None:
         if figure is not None:
             raise MethodError(IN_WINDOWS)
         ready(options.progress)
-        log = require_joint(file, "A log in windows")
-        estimate = log.identify_log(
-            first, Windowing(Windowing().length if window is None else window, settling), options.progress
-        )
-    elif len(records) > 1 or (file.runs and not records):
+        estimate = file.identify_log(options.record, Windowing(window), options.progress)
+    elif several or (file.runs and not options.records):
         ready(options.progress)
-        estimate = file.identify_together(records, options.progress)
+        estimate = file.identify_together(options.records, options.progress)
     else:
         estimate = options.identify(file, whole=figure is not None)[1]
-    deliver(estimate, json, (figure, figures.torque), details=details)
+    deliver(estimate, options.json, (figure, figures.torque), details=details)
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 
@@ -170,7 +130,7 @@ def tune(
 
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch)
     figures.require_format(figure)
-    file = options.load_joint(joint, options.json, figure, what="Tuning", method="didim")
+    file = options.load(joint, figure, what="Tuning", method="didim")
     _, estimate = options.identify(file)
     tuned = run(estimate, settings, drive=file.drive, shown=file.declared_numbers, progress=options.progress)
     deliver(tuned, options.json, (figure, lambda one: one.plot()))
@@ -206,13 +166,13 @@ def payload(
     from jointid.output.json import load_estimate
 
     spare((json,), without, with_)
-    options = Options(changes=changes, quiet=quiet)
+    options = Options(changes=changes, json=json, quiet=quiet)
     if (without is None) == (estimate is None):
         raise MethodError(
             "A payload is weighed against the robot without it; expected either --without RECORD or --estimate FILE, "
             f"of identify --json, and received {'neither' if without is None else 'both'}."
         )
-    file = options.load(robot, json, estimate=estimate)
+    file = options.load(robot, estimate=estimate)
     if file.robot is None:
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
     if file.parameters:

@@ -59,26 +59,25 @@ def design(
     from jointid.output.test_layout import lay_out
 
     figures.require_format(figure)
-    outputs = [options.json, figure]
+    outputs = [figure]
     if out is not None:
         require_room(out)
         outputs += [out / "test.csv"] if out.is_dir() else []  # the only one that may be a record
-    spare(outputs, motion)
+    spare((options.json, *outputs), motion)
     file = options.load(joint, *outputs)
     asked: dict[str, Any] = {
         "goal": goal, "duration": duration, "search_time": search_time, "injection": injection,
-        "progress": options.progress, "within": within,
+        "progress": options.progress, "within": within, "limits": file.limits,
     }  # fmt: skip
     if file.robot is None:
-        file = options.load_joint(joint, what="Planning", method="didim")
+        file = options.load(joint, *outputs, method="didim")
         _require_goal(file, goal)
-        asked |= {"limits": file.limits, "motion": None if motion is None else _read(motion, file)}
-        options = replace(options, record=_choose_record(file, options.record))
-        file = file.of_record(options.record)
-        record, estimate = options.identify(file, checks=False, whole=True)
+        asked["motion"] = None if motion is None else _read(motion, file)
+        record = _choose_record(file, options.record)
+        options = replace(options, records=() if record is None else (record,))
+        record, estimate = options.identify(file.of_record(record), checks=False, whole=True)
         found = run(estimate, record, **asked)
     else:
-        asked |= {"limits": file.limits}
         found = _plan_robot(file, options, asked, None if motion is None else file.driving(motion))
     found = lay_out(file, found)
     deliver(found, options.json, (figure, lambda one: one.plot()))
@@ -135,19 +134,15 @@ def _read(motion: Path, file: File) -> Record:
     from jointid import Column, inspect, read
     from jointid.common.parameters import POSITION_UNIT
 
-    joint, known = file.joint, {one.name for one in inspect(motion).channels}
     try:
-        found: Record = file.driving(motion)
-    except RecordError as error:
-        if not {"t", "reference"} <= known <= {"t", "reference", "injected"}:
-            raise RecordError(
-                f"{error} It was read as a past record, as the joint file says; a test of your own has the columns t, "
-                "reference and, if a signal is added, injected, and no others."
-            ) from None
+        past: Record = file.driving(motion)
+    except RecordError:
+        if not {"t", "reference"} <= {one.name for one in inspect(motion).channels} <= {"t", "reference", "injected"}:
+            raise
     else:
-        return found
+        return past
     columns = {
-        "reference": Column("reference", POSITION_UNIT[joint.kind]),
-        "injected": Column("injected", joint.force_unit, optional=True),
+        "reference": Column("reference", POSITION_UNIT[file.joint.kind]),
+        "injected": Column("injected", file.joint.force_unit, optional=True),
     }
-    return read(motion, columns, time="t", kind=joint.kind)
+    return read(motion, columns, time="t", kind=file.joint.kind)

@@ -7,16 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from jointid.apps.cli.console import (
-    DEFAULTS,
-    Changes,
-    Flag,
-    Options,
-    deliver,
-    ready,
-    show,
-    spare,
-)
+from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, deliver, ready, show, spare
 from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
@@ -61,14 +52,9 @@ def report(
 
     require_page(html)
     spare((html, options.json), held_out)
-    file = options.load(joint, html, options.json, estimate=estimate)
+    file = options.load(joint, html, estimate=estimate)
     asked = {"axis": options.axis, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
-    if file.robot is not None:
-        _refuse_options(
-            "The report of a robot has neither profiles nor tuning",
-            {"--no-profiles": no_profiles, "--no-tuning": no_tuning},
-        )
     unseen = None if held_out is None else file.record(held_out)
     system: Literal["joint", "robot"] = "joint" if file.robot is None else "robot"
     records = file.source.files_of(file.record_path(options.record), joint.parent)
@@ -125,10 +111,9 @@ def validate(
     from jointid import figures
     from jointid import validate as run
 
-    outputs = options.json, figure, residuals
     for picture in (figure, residuals):
         figures.require_format(picture)
-    file = options.load(joint, *outputs, estimate=estimate)
+    file = options.load(joint, figure, residuals, estimate=estimate)
     if estimate is None and options.record is None:
         raise MethodError(
             "An estimate is held against a record that it has not seen; expected --estimate FILE, of identify --json, "

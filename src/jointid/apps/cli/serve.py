@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import secrets
 import socket
-import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import make_folder, show, tell
+from jointid.apps.cli.console import make_folder, show
 from jointid.common.errors import JointidError, extra
 from jointid.common.files import require_room
 
@@ -40,21 +38,16 @@ def serve(
 
     def announce(address: str) -> None:
         show(f"The page is at {address} (Ctrl-C stops it); records and answers are kept in {folder}.")
-        # Whether other users may list the folder or reach its files, where the system tells.
-        if os.name == "posix" and folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-            tell(
-                f"Warning: other users of this machine may read {folder}, and so the records and answers in it; leave "
-                "it to its owner alone (chmod 700), or name another folder by --folder."
-            )
         if open_:
             import webbrowser
 
             # Others on the machine see how a browser is started, and must not see the token there.
             path = folder.absolute() / "open.html"
             path.unlink(missing_ok=True)
-            text = f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url={address}">\n'
-            with open(path, "x", encoding="utf-8", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
-                file.write(text)
+            path.touch(0o600)
+            path.write_text(
+                f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n', encoding="utf-8"
+            )
             webbrowser.open(path.as_uri())
 
     run_page(folder, port, announce)
@@ -74,26 +67,15 @@ def run_page(folder: Path, port: int, announce: Callable[[str], None]) -> None:
     from jointid.apps.web.application import build_application, run
 
     require_room(folder)
-    make_folder(folder, "--folder", mode=0o700)
+    make_folder(folder, mode=0o700)
     token = secrets.token_urlsafe(_TOKEN)
-    with _listen(port) as listening:
+    with socket.socket() as listening:
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind((_HOST, port))
+            listening.listen()
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise JointidError(f"Port {port} cannot be listened at ({reason}); choose another --port.") from None
         announce(f"http://{_HOST}:{listening.getsockname()[1]}/{token}/")
         run(build_application(folder, token), listening)
-
-
-def _listen(port: int) -> socket.socket:
-    """Return a socket of this machine that listens there.
-
-    Raises:
-        JointidError: it cannot.
-    """
-    listening = socket.socket()
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind((_HOST, port))
-    except (OSError, OverflowError) as error:
-        listening.close()
-        reason = getattr(error, "strerror", None) or error
-        raise JointidError(f"Port {port} cannot be listened at ({reason}); choose another --port.") from None
-    listening.listen()
-    return listening

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jointid.apps.cli.console import DEFAULTS, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.common.errors import MethodError
@@ -12,6 +12,7 @@ from jointid.common.files import require_room
 from jointid.common.text import in_words, interval
 
 if TYPE_CHECKING:
+    from jointid import Estimate
     from jointid.config import File
 
 
@@ -36,78 +37,66 @@ def simulate(
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
     """
-    file = options.load(joint, options.json, out, estimate=estimate)
-    if file.robot is None:
-        _simulate_joint(file, estimate, out, options)
-    else:
-        _simulate_robot(file, estimate, out, options)
+    from jointid.output.json import load_estimate, write
+
+    file = options.load(joint, out, estimate=estimate)
+    found = None if estimate is None else load_estimate(estimate, file)
+    simulation, logged, answer = (_simulate_joint if file.robot is None else _simulate_robot)(file, found, options)
+    peaks = abs(simulation.torque).reshape(len(simulation.torque), -1).max(axis=0)
+    of_each = (
+        f"{axis.name or ''} {peak:.5g} {axis.joint.force_unit}" for axis, peak in zip(file.axes, peaks, strict=True)
+    )
+    show(
+        f"{len(simulation.torque)} samples of {simulation.sample_time:g} s, {simulation.events} reversals, stops and "
+        f"starts; peak torque: {', '.join(map(str.lstrip, of_each))}"
+    )
+    if out is not None:
+        file.write(logged, out)
+        show(f"Written: {out}")
+    if options.json is not None:
+        write(answer, options.json)
 
 
-def _simulate_joint(file: File, estimate: Path | None, out: Path | None, options: Options) -> None:
+def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> tuple[Any, Any, Any]:
+    """Return the simulation of a joint, what its drive would log, and its document."""
     from jointid import simulate as run
     from jointid.models.disturbances import EncoderOffset
-    from jointid.output import json as answers
+    from jointid.output.json import simulation_answer
     from jointid.simulation.simulated import require_success
+    from jointid.simulation.synthesis import as_record
 
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
-    logged = replace(file.driving(options.record), begin=0.0)
-    if estimate is None:
-        values = file.axis.values()
-    else:
-        identified = answers.load_estimate(estimate, file).identified
-        values = identified.values
-        if any(not isinstance(effect, EncoderOffset) for effect in identified.effects):
-            options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
+    driven = replace(file.driving(options.record), begin=0.0)
+    values = file.axis.values() if estimate is None else estimate.identified.values
+    if estimate is not None and any(not isinstance(one, EncoderOffset) for one in estimate.identified.effects):
+        options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
     ready(options.progress, derivatives=False)
-    simulation = require_success(run(file.loop, logged, values))
-    peak = float(abs(simulation.torque).max())
-    if file.joint.transmission is not None:
-        show(f"transmission: {file.joint.transmission}")
-    show(
-        f"{simulation.torque.size} samples of {simulation.sample_time:g} s: peak torque {peak:.5g}, "
-        f"{simulation.events} reversals, stops and starts, {100 * simulation.at_limit:.2f} % of the time at the limit"
-    )
-    if out is not None:
-        from jointid.simulation.synthesis import as_record
-
-        file.write(as_record(logged, simulation, file.joint.force_unit), out)
-    if options.json is not None:
-        answer = answers.simulation_answer(simulation, file.joint, values, logged)
-        answers.write(answer, options.json)
+    found = require_success(run(file.loop, driven, values))
+    show(f"{100 * found.at_limit:.2f} % of the time at the limit")
+    return found, as_record(driven, found, file.joint.force_unit), simulation_answer(found, file.joint, values, driven)
 
 
-def _simulate_robot(file: File, estimate: Path | None, out: Path | None, options: Options) -> None:
+def _simulate_robot(file: File, estimate: Estimate | None, options: Options) -> tuple[Any, Any, Any]:
+    """Return the simulation of a robot, what its drives would log, and its document."""
     from jointid import simulate as run
-    from jointid.output.json import documents, load_estimate, write
+    from jointid.output.json.documents import robot_simulation_answer
     from jointid.simulation.robots import tracking_errors
     from jointid.simulation.simulated import require_success
 
-    loop, records = file.loop, file.driving(options.record)
+    loop, driven = file.loop, file.driving(options.record)
     robot = loop.robot
     if estimate is not None:
-        loop = replace(loop, robot=load_estimate(estimate, file).require_robot().robot())
-    found = require_success(run(loop, records), f"The simulation of {robot.name}")
-    peaks = ", ".join(
-        f"{name} {peak:.4g} {robot.torque_unit(k)}"
-        for k, (name, peak) in enumerate(zip(robot.names, abs(found.torque).max(axis=0), strict=True))
-    )
-    show(
-        f"{len(found.torque)} samples of {found.sample_time:g} s, {found.events} reversals, stops and starts; peak "
-        f"torques: {peaks}"
-    )
-    astray = tracking_errors(records, found)
+        loop = replace(loop, robot=estimate.require_robot().robot())
+    found = require_success(run(loop, driven), f"The simulation of {robot.name}")
+    astray = tracking_errors(driven, found)
     for k, off in astray.items():
         show(
             f"{robot.names[k]} does not follow its reference: it gets {off:.3g} {robot.position_unit(k)} off it; check "
             "its controller's gains and limit, and its signs."
         )
-    if out is not None:
-        file.write(found.records(records), out)
-        show(f"Written: {out}")
-    if options.json is not None:
-        write(documents.robot_simulation_answer(robot, found, astray), options.json)
+    return found, found.records(driven), robot_simulation_answer(robot, found, astray)
 
 
 def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet: Quiet = False) -> None:
@@ -127,7 +116,7 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     from jointid.paper.reproduce import reproduce as run
 
     require_room(out)
-    with fresh_folder(out, "--out"):
+    with fresh_folder(out):
         ready(listen(quiet))
         found = run(seed, listen(quiet))
         written = save(report_reproduction(found, lambda answer: png(torque_chart(answer), 100)), out, "reproduction")
