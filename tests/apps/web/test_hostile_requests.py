@@ -22,175 +22,66 @@ FORM = "application/x-www-form-urlencoded"
 HOST = "127.0.0.1"
 SCRIPT = "<script>alert(1)</script>"
 PATHS = (
-    "/../../etc/passwd",
-    "/%2e%2e/%2e%2e/etc/passwd",
-    "/..%2f..%2fsecret.txt",
-    "/static/../worker.py",
-    "/static/..%2fworker.py",
-    "/static/%2e%2e/%2e%2e/secret.txt",
-    "/static//etc/passwd",
-    "/static/page.js%00.html",
-    "/static/%ff%fe",
-    "/static/" + "a" * 5000,
-    "/runs/1/../../secret.txt",
-    "/runs/1/%2e%2e%2f%2e%2e%2fsecret.txt",
-    "/runs/-1",
-    "/runs/1e3",
-    "/runs/%00",
-    "/runs/999999999",
-    "/runs/0x1/cancel",
-    "/runs/1/_run.json",
-    "/runs/1/answer.json%00",
-    "/plot/-1.svg",
-    "/plot/999999999.svg",
-    "/plot/..svg",
-    "/joint?imported=" + quote(SCRIPT),
-    "/joint?imported=" + "%00" * 50,
-    "/" + "%2F" * 500,
-    "/\\..\\..\\secret.txt",
-    "/;/..;/..;/secret.txt",
-    "//evil.example/",
+    "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/..%2f..%2fsecret.txt", "/static/../worker.py",
+    "/static/%2e%2e/%2e%2e/secret.txt", "/static//etc/passwd", "/static/page.js%00.html", "/static/" + "a" * 5000,
+    "/runs/1/%2e%2e%2f%2e%2e%2fsecret.txt", "/runs/-1", "/runs/%00", "/runs/999999999", "/runs/0x1/cancel",
+    "/runs/1/_run.json", "/runs/1/answer.json%00", "/plot/-1.svg", "/plot/999999999.svg", "/plot/..svg",
+    "/joint?imported=" + quote(SCRIPT), "/" + "%2F" * 500, "/\\..\\..\\secret.txt", "//evil.example/",
     "/?" + "a=" * 2000,
-    "/%E2%80%AE",
-    "/record.json",
-    "/draft/..%2f",
-    "/channels/%0d%0aX: 1",
-)
+    "/%E2%80%AE", "/draft/..%2f", "/channels/%0d%0aX: 1",
+)  # fmt: skip
 METHODS = (
     "PUT",
     "DELETE",
-    "PATCH",
     "OPTIONS",
     "TRACE",
     "CONNECT",
-    "PROPFIND",
     "get",
     "A" * 300,
     "G\x00T",
     "\u00e9".encode().decode("latin-1"),
 )
 HEADERS = (
-    "content-length: -1",
-    "content-length: 99999999999999999999",
-    "content-length: 1e9",
-    "content-length: 1\r\ncontent-length: 2",
-    "transfer-encoding: gzip, chunked",
-    "transfer-encoding: chunked\r\ncontent-length: 4",
-    "range: bytes=0-" + "9" * 40,
-    "range: bytes=" + "0-1," * 500,
-    "if-none-match: " + "x" * 4000,
-    "if-modified-since: never",
-    "last-event-id: \xb2",
-    "accept: \xff\xfe",
-    "expect: 100-continue",
-    "connection: upgrade\r\nupgrade: websocket",
-    "connection: upgrade\r\nupgrade: h2c",
-    "cookie: " + "a=b; " * 900,
-    "x-forwarded-host: evil.example",
-    "origin: https://evil.example",
-    "sec-fetch-site: cross-site",
-    "referer: https://evil.example/",
-    "content-type: multipart/form-data",
-    "content-type: multipart/form-data; boundary=",
-    "content-type: " + "a" * 5000,
-    "x: " + "y" * 60000,
-    *(f"x-{i}: y" for i in (1,)),
-    "\r\n".join(f"x-{i}: y" for i in range(150)),
-    "no colon",
-    ": empty",
-)
+    "content-length: -1", "content-length: 99999999999999999999", "content-length: 1e9",
+    "content-length: 1\r\ncontent-length: 2", "transfer-encoding: gzip, chunked",
+    "transfer-encoding: chunked\r\ncontent-length: 4", "range: bytes=0-" + "9" * 40, "range: bytes=" + "0-1," * 500,
+    "if-none-match: " + "x" * 4000, "accept: \xff\xfe", "expect: 100-continue",
+    "connection: upgrade\r\nupgrade: websocket", "cookie: " + "a=b; " * 900, "x-forwarded-host: evil.example",
+    "origin: https://evil.example", "sec-fetch-site: cross-site", "content-type: multipart/form-data",
+    "content-type: multipart/form-data; boundary=", "content-type: " + "a" * 5000, "x: " + "y" * 60000,
+    "\r\n".join(f"x-{i}: y" for i in range(150)), "no colon", ": empty",
+)  # fmt: skip
 NAMES = (
-    "../../secret.csv",
-    "..\\..\\secret.csv",
-    "/etc/passwd.csv",
-    "a\x00b.csv",
-    "a\r\nX-Injected: 1\r\n\r\n.csv",
-    f"{SCRIPT}.csv",
-    ".csv",
-    "..",
-    "CON.csv",
-    "a" * 5000 + ".csv",
-    "\u202egpj.csv",
-    "a.csv/",
-    "a.csv\x7f",
-    "'; drop table x; --.csv",
-    f"$(touch {EXECUTED.name}).csv",
-    f"`touch {EXECUTED.name}`.csv",
-    "%2e%2e%2fx.csv",
-    "runs",
-    "record.json",
-    "draft.json.csv",
-    "\udcff.csv",
-)
+    "../../secret.csv", "..\\..\\secret.csv", "/etc/passwd.csv", "a\x00b.csv", "a\r\nX-Injected: 1\r\n\r\n.csv",
+    f"{SCRIPT}.csv", ".csv", "..", "CON.csv", "a" * 5000 + ".csv", "\u202egpj.csv", "a.csv/",
+    f"$(touch {EXECUTED.name}).csv", f"`touch {EXECUTED.name}`.csv", "%2e%2e%2fx.csv", "_run.json", "\udcff.csv",
+)  # fmt: skip
 CONTENTS = (
-    b"",
-    b"\x00" * 1000,
-    b"\xff\xfe" + b"1,2\n" * 50,
-    b"," * 5000,
-    b'"' * 5000,
-    b"1" * 20000,
+    b"", b"\x00" * 1000, b"\xff\xfe" + b"1,2\n" * 50, b"," * 5000, b'"' * 5000, b"1" * 20000,
     b"\x89HDF\r\n\x1a\n" + b"\xff" * 500,
-)
+)  # fmt: skip
 JOINT_FILES = (
-    b"a" + b".a" * 6000 + b" = 1",
-    b"[" * 19000,
-    b"a = " + b"[" * 9000,
-    b"a = {" * 3000,
-    b"\xff\xfe",
-    b"\x00" * 500,
-    b'kind = "',
-    b"x = 1e999999",
-    b"x = " + b"9" * 19000,
-    b'[joint]\nkind = ""',
-    b"[controller]\nlaw = []",
-    b"controller = 3",
-    b"[controller]\ntorque_filters = 3\nlaw = 'pd'",
-    b"record = 3",
-    b"[[records]]\nfile = '/etc/passwd'",
-    b"[record]\nfile = '/etc/passwd'",
-    b'[joint]\nname = "<script>"',
+    b"a" + b".a" * 6000 + b" = 1", b"[" * 19000, b"a = " + b"[" * 9000, b"a = {" * 3000, b"\xff\xfe", b"\x00" * 500,
+    b'kind = "', b"x = 1e999999", b"x = " + b"9" * 19000, b'[joint]\nkind = ""', b"[controller]\nlaw = []",
+    b"controller = 3", b"record = 3", b"[[records]]\nfile = '/etc/passwd'", b'[joint]\nname = "<script>"',
     b"x = 1979-05-27",
-)
+)  # fmt: skip
+_FILE = b'--x\r\nContent-Disposition: form-data; name="file"; filename="%s"'
 BODIES = (
-    b"rubbish",
-    b"--x",
-    b"--x--\r\n",
-    b"--x\r\n\r\n",
-    b"--x\r\nContent-Disposition: form-data\r\n\r\n1\r\n--x--\r\n",
-    b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n1,2\n',
-    b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\nContent-Type: '
-    + b"a" * 9000
-    + b"\r\n\r\n1\r\n--x--\r\n",
+    b"rubbish", b"--x", b"--x--\r\n", b"--x\r\n\r\n", b"--x\r\nContent-Disposition: form-data\r\n\r\n1\r\n--x--\r\n",
+    _FILE % b"a.csv" + b"\r\n\r\n1,2\n",
+    _FILE % b"a.csv" + b"\r\nContent-Type: " + b"a" * 9000 + b"\r\n\r\n1\r\n--x--\r\n",
     b'--x\r\nContent-Disposition: form-data; name="file"\r\n\r\n' + b"1" * 5000 + b"\r\n--x--\r\n",
     b"--x\r\n" + b"A: b\r\n" * 3000 + b"\r\n1\r\n--x--\r\n",
     b"".join(b'--x\r\nContent-Disposition: form-data; name="f%d"\r\n\r\n1\r\n' % i for i in range(2000)) + b"--x--\r\n",
-    b"".join(
-        b'--x\r\nContent-Disposition: form-data; name="file"; filename="%d.csv"\r\n\r\n1\r\n' % i for i in range(5)
-    )
-    + b"--x--\r\n",
-    b"--y\r\n\r\n--x--\r\n" * 100,
-)
+    b"".join(_FILE % b"%d.csv" % i + b"\r\n\r\n1\r\n" for i in range(60)) + b"--x--\r\n",
+)  # fmt: skip
 ENTRIES = (
-    "joint.kind=",
-    "joint.kind=x",
-    "joint.kind=%00",
-    "controller.law=",
-    "controller.law=learn",
-    "controller.velocity_filter.kind=",
-    "extra=%5Bjoint%5D%0Akind%3D%22%22",
-    "extra=" + quote("[controller]\nlaw = []"),
-    "extra=" + quote("a" + ".a" * 30000 + " = 1"),
-    "extra=" + quote("[[" * 40000),
-    "extra=" + "%ff" * 500,
-    "__class__=1",
-    "record.file=/etc/passwd",
-    "=" * 5000,
-    "&" * 50000,
-    "controller.position_gain=" + "9" * 100000,
-    "controller.position_gain=1e999",
-    "record.delimiter=%00",
-    "record.delimiter=" + "%22" * 40,
-)
+    "joint.kind=x", "joint.kind=%00", "controller.law=learn", "extra=%5Bjoint%5D%0Akind%3D%22%22",
+    "extra=" + quote("[controller]\nlaw = []"), "extra=" + quote("a" + ".a" * 30000 + " = 1"),
+    "extra=" + quote("[[" * 40000), "extra=" + "%ff" * 500, "__class__=1", "record.file=/etc/passwd", "=" * 5000,
+    "&" * 50000, "controller.position_gain=" + "9" * 100000, "controller.position_gain=1e999", "record.delimiter=%00",
+)  # fmt: skip
 
 
 def request(method: str, path: str, *headers: str, body: bytes = b"", host: str = HOST, kind: str = "") -> bytes:
@@ -268,7 +159,7 @@ def test_no_request_brings_the_page_down_or_has_it_tell_what_it_should_not(
     (folder.parent / "secret.txt").write_text(SECRET)
     assert served.ask("POST", "/record", parts(log), MULTIPART)[0] == 303
     sent = list(attacks())
-    assert len(sent) > 300
+    assert len(sent) > 200
     sent = draw_some(sent, "hostile")
     with ThreadPoolExecutor(8) as attackers:
         answers = list(attackers.map(served.send, sent))

@@ -8,11 +8,11 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from jointid.apps.web.form import list_records
@@ -151,12 +151,8 @@ class Folder:
     @contextlib.contextmanager
     def receiving(self) -> Iterator[Draft]:
         """Yield a folder for files that come in; it goes at the end, unless `replace` took it."""
-        fresh = self.path / f"upload-{secrets.token_hex(6)}"
-        fresh.mkdir()
-        try:
-            yield Draft(fresh)
-        finally:
-            shutil.rmtree(fresh, ignore_errors=True)
+        with TemporaryDirectory(prefix="upload-", dir=self.path, ignore_cleanup_errors=True) as fresh:
+            yield Draft(Path(fresh))
 
     def replace(self, fresh: Draft) -> None:
         """Put a folder with files that were sent in the place of those before."""

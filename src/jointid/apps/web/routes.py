@@ -9,9 +9,9 @@ import asyncio
 import re
 import shutil
 import zipfile
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from python_multipart.exceptions import FormParserError
 from starlette.concurrency import run_in_threadpool
@@ -84,7 +84,7 @@ class Page:
         now, columns = self.folder.now, self.folder.now.json("_columns.json")
         tables = {} if now.robot else now.tables
         texts = ({form.EXTRA: now.text} if now.robot else form.show(tables)) | dict(entries or {})
-        if step == "record" or not (columns and now.records):
+        if step not in ("channels", "joint") or not (columns and now.records):
             made, template, sections = 1, "record", [form.Section("Read a text file in another way", form.TEXT, True)]
         elif now.robot:
             made, template, sections = 3, "form", [form.Section("The robot file", (form.FURTHER,))]
@@ -98,37 +98,28 @@ class Page:
         )  # fmt: skip
 
 
-_Action: TypeAlias = Callable[[Page, Request], Awaitable[Response]]
-_Endpoint: TypeAlias = Callable[[Request], Awaitable[Response]]
+def _page(request: Request) -> Page:
+    page: Page = request.app.state.page
+    return page
 
 
-def _of_step(step: str) -> Callable[[_Action], _Endpoint]:
-    """Return the decorator of what a step's form asks for: where it is refused, the form is shown with the reasons."""
-
-    def decorate(action: _Action) -> _Endpoint:
-        async def answer(request: Request) -> Response:
-            page: Page = request.app.state.page
-            try:
-                return await action(page, request)
-            except (JointidError, OSError) as error:
-                if isinstance(error, OSError) and not is_full(error):
-                    raise
-                return page.show(step, error, getattr(request.state, "entries", None))
-
-        return answer
-
-    return decorate
+async def show_step(request: Request) -> Response:
+    """Show the step that the address names."""
+    return _page(request).show(_step(request))
 
 
-def _show(step: str) -> _Endpoint:
-    async def answer(request: Request) -> Response:
-        page: Page = request.app.state.page
-        return page.show(step)
-
-    return answer
+def _step(request: Request) -> str:
+    return request.url.path.rpartition("/")[2]
 
 
-async def _save(page: Page, request: Request) -> None:
+async def refuse(request: Request, error: Exception) -> Response:
+    """Show the form of a step that is refused, with the reasons beside its fields."""
+    if isinstance(error, OSError) and not is_full(error):
+        raise error
+    return _page(request).show(_step(request), error, getattr(request.state, "entries", None))
+
+
+async def _save(request: Request) -> Draft:
     """Set the entries of a form in the joint file; of a robot its text is the whole file.
 
     Raises:
@@ -136,16 +127,17 @@ async def _save(page: Page, request: Request) -> None:
     """
     entries, _ = await _receive(request, _FORM, None)
     request.state.entries = dict(entries)
-    now = page.folder.now
+    now = _page(request).folder.now
     if not now.robot:
         now.write(form.write(form.enter(now.tables, entries, now.records)))
     elif form.EXTRA in request.state.entries:
         now.write(request.state.entries[form.EXTRA].replace("\r\n", "\n"), now.file)
+    return now
 
 
-@_of_step("record")
-async def take_record(page: Page, request: Request) -> Response:
+async def take_record(request: Request) -> Response:
     """Take records in place of those before, with the joint file, or the robot file and its model, that came along."""
+    page = _page(request)
     with page.folder.receiving() as fresh:
         entries, names = await _receive(request, page.limits.upload, fresh.path)
         files = [name for name in names if name.lower().endswith(".toml")]
@@ -187,21 +179,19 @@ async def _keep(
         page.folder.replace(fresh)
 
 
-@_of_step("record")
-async def make_example(page: Page, request: Request) -> Response:
+async def make_example(request: Request) -> Response:
     """Simulate the example, with every field filled in."""
+    page = _page(request)
     with page.folder.receiving() as fresh:
         await page.jobs.read(fresh.path, "example")
         await _keep(page, fresh, ["example.csv"], fresh.tables, [])
     return page.redirect("/channels")
 
 
-@_of_step("channels")
-async def check_channels(page: Page, request: Request) -> Response:
+async def check_channels(request: Request) -> Response:
     """Check step 2 by reading the record as it says."""
-    await _save(page, request)
+    page, now = _page(request), await _save(request)
     async with page.files:
-        now = page.folder.now
         if now.records:
             text = form.write(form.make_reading_tables(now.tables))
             await run_in_threadpool(loads, text, now.path)
@@ -210,12 +200,10 @@ async def check_channels(page: Page, request: Request) -> Response:
     return page.redirect("/joint")
 
 
-@_of_step("joint")
-async def identify(page: Page, request: Request) -> Response:
+async def identify(request: Request) -> Response:
     """Check everything, and start the identification, in a folder of its own that holds all it takes."""
-    await _save(page, request)
+    page, now = _page(request), await _save(request)
     async with page.files:
-        now = page.folder.now
         if not now.records:
             return page.redirect("/")
         tables = parse_toml(now.text)
@@ -234,17 +222,13 @@ async def identify(page: Page, request: Request) -> Response:
 
 async def save_draft(request: Request) -> Response:
     """Keep the entries of a form at each change, and show its step as they make it."""
-    return await _of_step(request.path_params["step"])(_save_and_show)(request)
-
-
-async def _save_and_show(page: Page, request: Request) -> Response:
-    await _save(page, request)
-    return page.show(request.path_params["step"])
+    await _save(request)
+    return await show_step(request)
 
 
 async def draw_column(request: Request) -> Response:
     """Send the plot of a column."""
-    now, name = request.app.state.page.folder.now, f"_plot-{request.path_params['column']}.svg"
+    now, name = _page(request).folder.now, f"_plot-{request.path_params['column']}.svg"
     if not re.fullmatch(r"_plot-[0-9]{1,9}\.svg", name) or not now.has(name):
         raise HTTPException(404)
     return FileResponse(now.path / name)
@@ -280,7 +264,7 @@ async def send_file(request: Request) -> Response:
 
 
 def _find_run(request: Request) -> tuple[Page, Draft]:
-    page: Page = request.app.state.page
+    page = _page(request)
     run = page.folder.run(request.path_params["number"])
     if run is None:
         raise HTTPException(404)
@@ -342,25 +326,25 @@ def _bound(request: Request, bound: int) -> Request:
     return Request(request.scope, receive)
 
 
-async def _explain(request: Request, error: Exception) -> Response:
+async def explain(request: Request, error: Exception) -> Response:
     """Show that there is no such page, or what failed."""
-    page: Page = request.app.state.page
     if isinstance(error, HTTPException):
-        return page.render("message", 404, title="Not found", sentence="There is nothing at this address.")
+        values = {"title": "Not found", "sentence": "There is nothing at this address."}
+        return _page(request).render("message", 404, **values)
     said = f"This is a fault of ours ({type(error).__name__}: {error}); please report it. Your data is kept."
-    return page.render("message", 500, title="The page failed", sentence=said)
+    return _page(request).render("message", 500, title="The page failed", sentence=said)
 
 
-HANDLERS = {404: _explain, 405: _explain, 500: _explain}
+HANDLERS = {JointidError: refuse, OSError: refuse, 404: explain, 405: explain, 500: explain}
 
 ROUTES = [
-    Route("/", _show("record")),
+    Route("/", show_step),
     Route("/record", take_record, methods=["POST"]),
     Route("/example", make_example, methods=["POST"]),
-    Route("/channels", _show("channels"), methods=["GET"]),
+    Route("/channels", show_step, methods=["GET"]),
     Route("/channels", check_channels, methods=["POST"]),
     Route("/plot/{column}.svg", draw_column),
-    Route("/joint", _show("joint"), methods=["GET"]),
+    Route("/joint", show_step, methods=["GET"]),
     Route("/joint", identify, methods=["POST"]),
     Route("/draft/{step}", save_draft, methods=["POST"]),
     Route("/runs/{number}", show_run),
