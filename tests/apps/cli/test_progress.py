@@ -65,14 +65,6 @@ def test_work_of_unknown_length_tells_what_is_done_and_how_fast() -> None:
     drawn = Drawn()
     assert list(follow("abc", drawn, "passing over the log", math.inf, "windows")) == ["a", "b", "c"]
     assert drawn.drawn[-1] == ("passing over the log", math.inf, math.inf, "windows")
-    out = io.StringIO()
-    bars = Bars(Console(file=out, force_terminal=True, width=80))
-    for done in (0, 3):
-        bars.draw("passing over the log", done, math.inf, "windows")
-    bars._progress.refresh()
-    assert "3 windows" in out.getvalue()
-    bars.draw("passing over the log", math.inf, math.inf, "windows")
-    assert not bars._progress.live.is_started
 
 
 def test_the_first_pass_over_a_log_is_drawn_too() -> None:
@@ -90,18 +82,18 @@ def test_the_first_pass_over_a_log_is_drawn_too() -> None:
 def test_bars_show_rate_and_time_left_and_leave_nothing_behind() -> None:
     file = io.StringIO()
     bars = Bars(Console(file=file, force_terminal=True, width=110))
+    bars("a stage [of a file]")
+    bars.clear()
     bars.draw("bootstrapping", 0, 40, "draws")
     bars.draw("bootstrapping", 12, 40, "draws")
     bars("a sentence [of a file]")
-    bars._progress.refresh()
-    shown = file.getvalue()
-    assert "bootstrapping" in shown and "12 of 40 draws" in shown and "left" in shown
-    assert "a sentence [of a file]" in shown
+    bars.draw("passing over the log", 3, math.inf, "windows")
     bars.draw("bootstrapping", 40, 40, "draws")
-    assert not bars._progress.live.is_started
-    bars.draw("profiling", 1, 3, "quantities")
-    bars.clear()
-    assert not bars._progress.live.is_started and not bars._progress.tasks
+    bars.draw("passing over the log", math.inf, math.inf, "windows")
+    shown = file.getvalue()
+    for text in ("a stage [of a file]", "bootstrapping: 12 of 40 draws", "a sentence [of a file]", "3 windows"):
+        assert text in shown
+    assert shown.endswith("\x1b[2K"), "the line is erased"
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import sys
+import time
 
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.panel import Panel
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
-from rich.table import Column
 from rich.table import Table as Grid
 from rich.text import Text
 
 from jointid.common.document import Block, Code, Document, Facts, Heading, Listing, Paragraph, Picture, Table, Verdicts
-from jointid.common.messages import Detail, describe_pace, describe_time
+from jointid.common.messages import Detail, describe_pace
 from jointid.common.text import printable
 
-_STAGE, _BESIDE = "", 30  # the key of a stage, and the characters of its bar and time
+_BESIDE = 10  # characters of a line that are not the stage's
 _MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow"), "noted": ("noted", "cyan")}
 
 
@@ -65,7 +63,7 @@ def _text(text: str, style: str = "") -> Text:
 
 
 class Bars:
-    """Draws on the standard error one line that is rewritten: the stage, or a bar for each piece of work.
+    """Draws on the standard error one line that is rewritten: the stage, or how far a piece of work is.
 
     What is done leaves nothing there, but for a sentence that is longer than a line.
 
@@ -74,62 +72,31 @@ class Bars:
     """
 
     def __init__(self, console: Console | None = None) -> None:
-        columns = TextColumn("{task.description}", markup=False, table_column=_whole()), BarColumn(20), _Pace(_whole())
-        self._progress = Progress(
-            *columns,
-            console=console or Console(file=sys.stderr),
-            transient=True,
-            redirect_stdout=False,
-            redirect_stderr=False,
-        )
-        self._tasks: dict[str, TaskID] = {}
+        self._console = console or Console(file=sys.stderr)
+        self._status = self._console.status("")
+        self._began: dict[str, float] = {}
 
     def __call__(self, message: str) -> None:
-        """Rewrite the line of the stage; print a sentence that is long, or beside bars, above them."""
+        """Rewrite the line; print a sentence that is long, or beside a piece of work, above it."""
         stage = printable(message.brief if isinstance(message, Detail) else message)
-        if len(stage) > self._progress.console.width - _BESIDE or (stage and self._tasks.keys() - {_STAGE}):
-            self._progress.console.print(Text(stage), soft_wrap=True)
-        elif stage and not (_STAGE in self._tasks and self._progress.tasks[-1].description == stage):
-            self._remove(_STAGE)
-            self._add(_STAGE, stage, math.inf, "")
+        if stage and (self._began or len(stage) > self._console.width - _BESIDE):
+            self._console.print(Text(stage), soft_wrap=True)
+        elif stage:
+            self._draw(stage)
 
     def draw(self, what: str, done: float, total: float, unit: str) -> None:
         """Draw how far a piece of work is."""
-        if what not in self._tasks and done < total:
-            self._remove(_STAGE)
-            self._add(what, printable(what), total, unit)
-        if what in self._tasks:
-            if done < total:
-                self._progress.update(self._tasks[what], completed=done)
-            else:
-                self._remove(what)
-                if not self._tasks:
-                    self._progress.stop()
+        if done < total:
+            began = self._began.setdefault(what, time.monotonic())
+            self._draw(f"{printable(what)}: {describe_pace(done, total, unit, time.monotonic() - began)}")
+        elif self._began.pop(what, None) is not None and not self._began:
+            self._status.stop()
 
-    def _add(self, key: str, text: str, total: float, unit: str) -> None:
-        self._progress.start()
-        self._tasks[key] = self._progress.add_task(text, total=total if math.isfinite(total) else None, unit=unit)
-
-    def _remove(self, key: str) -> None:
-        if key in self._tasks:
-            self._progress.remove_task(self._tasks.pop(key))
+    def _draw(self, line: str) -> None:
+        self._status.update(Text(line))
+        self._status.start()
 
     def clear(self) -> None:
-        """Take all bars off."""
-        for key in list(self._tasks):
-            self._remove(key)
-        self._progress.stop()
-
-
-def _whole() -> Column:
-    return Column(no_wrap=True)
-
-
-class _Pace(ProgressColumn):
-    """How much is done, the rate, and the time left; of a stage how long it has gone on."""
-
-    def render(self, task: Task) -> Text:
-        if not task.fields["unit"]:
-            return Text(describe_time(task.elapsed or 0.0))
-        total = math.inf if task.total is None else task.total
-        return Text(describe_pace(task.completed, total, task.fields["unit"], task.elapsed or 0.0))
+        """Take the line off."""
+        self._began.clear()
+        self._status.stop()
