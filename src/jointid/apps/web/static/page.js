@@ -15,8 +15,8 @@ async function read(address, options) {
   return new DOMParser().parseFromString(await answer.text(), "text/html");
 }
 
-// The draft is kept at each change. A choice decides which fields count, so that the form is shown anew, with the focus
-// and the open parts where they were; one whose answer comes after the next change is passed over.
+// The draft is kept at each change. A choice decides which fields count, so that the form is shown anew, with the focus,
+// the selection and the open parts where they were; one whose answer comes after the next change is passed over.
 let edits = 0, chosen = false, timer = 0, unkept = null;
 
 async function keep(form, leaving = false) {
@@ -37,6 +37,7 @@ async function keep(form, leaving = false) {
   if (same) {
     same.value = focus.value;
     same.focus({ preventScroll: true });
+    same.setSelectionRange?.(focus.selectionStart, focus.selectionEnd);
   }
 }
 
