@@ -86,6 +86,7 @@ def test_windows_say_what_the_whole_says() -> None:
         assert abs(parts[name].value - truth) <= 3.5 * std, name
         assert 0.4 <= parts[name].stderr / std <= 2.5, name
     assert parts.fit.filtered_error == pytest.approx(whole.fit.filtered_error, rel=0.02)
+    assert parts.checks.repeatable is not None
 
 
 @pytest.mark.slow
