@@ -10,9 +10,8 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, get_args, get_origin
 
 from jointid.common.settings import Declared
+from jointid.config.declaration import JOINT_FILE, list_keys, table_of, table_of_items
 from jointid.config.quantities import list_units
-from jointid.config.schema import FileTable
-from jointid.config.table import list_keys, table_of, table_of_items
 
 _UNIT = re.compile(r"\s*\[([^\]]*)\]$")
 _CHANNELS_KEY = re.compile(r"record\.channels\.\w+\.\w+$")
@@ -52,7 +51,7 @@ class Key:
 def page() -> str:
     """Return the page."""
     parts, each = [HEAD], list(_keys())
-    for name, table in FileTable.declared().items():
+    for name, table in JOINT_FILE.keys.items():
         keys = _merged([key for key in each if key.place.startswith(f"{name}.")])
         if name == "record":
             keys = _of_any_channel(keys)
@@ -67,7 +66,7 @@ def page() -> str:
 
 def _keys() -> Iterator[Key]:
     """Yield every key; one of several laws comes once for each."""
-    for key in list_keys(FileTable):
+    for key in list_keys():
         one = key.declared
         said = "its value, by its name" if one.name == "<name>" else one.setting.description
         unit = _UNIT.search(said)
@@ -116,7 +115,7 @@ def _values(one: Declared) -> str:
     if one.choices or one.setting.only:
         return _choice(one.choices or one.setting.only)
     if (table := table_of(one.type)) is not None:
-        return f"{_values(table.declared()[table.shorthand])} or table" if table.shorthand else "table"
+        return f"{_values(table.keys[table.shorthand])} or table" if table.shorthand else "table"
     if get_origin(one.type) is tuple:
         item = "table" if table_of_items(one.type) else _values(replace(one, type=get_args(one.type)[0]))
         return f"list of {re.sub(r'number|list|table|text', lambda word: f'{word[0]}s', item, count=1)}"

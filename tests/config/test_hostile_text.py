@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from jointid.common.errors import JointFileError
 from jointid.config import dumps, file_of, load, load_to_learn, loads
+from jointid.config.declaration import list_keys
 from jointid.config.robot_model import load_robot
-from jointid.config.schema import FileTable
-from jointid.config.table import list_keys
 from jointid.models.controllers import StateSpaceController
 from tests.joint_files import EXAMPLE, in_our_words
 
@@ -68,7 +67,7 @@ def test_any_value_at_any_key_is_read_or_refused(data: st.DataObject) -> None:
 
 
 TABLES = ("joint", "record", "controller", "filtering", "method", "parameters", "records", "together", "other")
-KEYS = sorted({key.place for key in list_keys(FileTable) if "." in key.place})
+KEYS = sorted({key.place for key in list_keys() if "." in key.place})
 
 
 def read_or_refused(text: str) -> None:

@@ -157,7 +157,7 @@ REFUSED = [
         "joints.1.parameters.inertia.start contradiction",
     ),
     ("viscous = 3.0", "spring = { damping = 1.0 }", "joints.1.spring.stiffness contradiction"),
-    ("viscous = 3.0", "limits = { lower = 1.0, upper = -1.0 }", "joints.1.limits.upper contradiction"),
+    ("viscous = 3.0", "limits = { lower = 1.0, upper = -1.0 }", "joints.1.limits contradiction"),
 ]
 
 

@@ -106,7 +106,7 @@ UNFIT = [
         "controller.velocity_gain unit",
     ),
     ([("[controller]", '[limits]\nstroke = "20 mm"\n[controller]')], "limits.stroke unit"),
-    ([("[controller]", "[limits]\nhighest = 0.05\n[controller]")], "limits.highest contradiction"),
+    ([("[controller]", "[limits]\nhighest = 0.05\n[controller]")], "limits contradiction"),
     ([("[controller]", "[limits]\nwindup = 0.01\n[controller]")], "limits.windup contradiction"),
     ([("[controller]", '[limits]\nrms_torque = "5 A"\n[controller]')], "limits.rms_torque unit"),
     ([("[controller]", '[drive]\ntorque_constant = 3.0\n[controller]')], "drive.torque_constant unknown"),

@@ -14,8 +14,8 @@ import itertools
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,10 @@ import tomlkit
 from jointid import __version__
 from jointid.common.errors import JointFileError
 from jointid.common.files import files_of
-from jointid.common.settings import setting
+from jointid.common.settings import declare, setting
 from jointid.common.text import join, pluralise
 from jointid.config import loads
-from jointid.config.table import Reader, Table, part, required
+from jointid.config.declaration import key_error, read_as
 from jointid.config.toml import apply_changes, parse_toml, read_text
 
 _NAMED, _FAULTS = 5, 20  # names in a sentence, and faults that are listed at once
@@ -82,33 +82,35 @@ def sha256_of(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-class FleetTable(Table):
+@dataclass(frozen=True, slots=True)
+class FleetTable:
     """The table [fleet]."""
 
-    joint: str = required("path of the joint file")
-    records: str = required("path of the records")
+    joint: str = setting(MISSING, "path of the joint file")
+    records: str = setting(MISSING, "path of the records")
     table: str | None = setting(None, "path of a table of joints")
 
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield unknown placeholders."""
-        for key, known in (("joint", ["{joint}"]), ("records", [*_PLACEHOLDERS])):
-            for name in re.findall(r"\{\w*\}", self.given[key]):
+    def __post_init__(self) -> None:
+        for key, path, known in (("joint", self.joint, ["{joint}"]), ("records", self.records, [*_PLACEHOLDERS])):
+            for name in re.findall(r"\{\w*\}", path):
                 if name not in known:
-                    yield key, f" has {name} in it; expected {join(known)}: correct it."
+                    raise key_error(key, f" has {name} in it; expected {join(known)}: correct it.")
 
 
-class CampaignTable(Table):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignTable:
     """The tables of a campaign file."""
 
     name: str | None = setting(None, "what reports call the campaign")
-    fleet: FleetTable = required("joints, and the records that were logged of them")
-    sweep: Mapping[str, tuple[Any, ...]] = part(dict, "keys of the joint file, each with a list of values")
+    fleet: FleetTable = setting(MISSING, "joints, and the records that were logged of them")
+    sweep: Mapping[str, tuple[Any, ...]] = field(
+        default_factory=dict, metadata=declare("keys of the joint file, each with a list of values")
+    )
 
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield swept keys without a value."""
+    def __post_init__(self) -> None:
         for key, values in self.sweep.items():
             if not values:
-                yield "sweep", f".{key} is an empty list; expected one or more values: correct it."
+                raise key_error("sweep", f".{key} is an empty list; expected one or more values: correct it.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +129,7 @@ class Campaign:
 def load_campaign(path: Path) -> Campaign:
     """Load and validate a campaign file, without the records."""
     path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
-    reader = Reader()
-    file = reader.read(CampaignTable, parse_toml(read_text(path)))
-    reader.require()
+    file: CampaignTable = read_as(CampaignTable, parse_toml(read_text(path)))
     runs, left_out = _list_fleet(file.fleet, path.parent)
     own = {one.partition("=")[0] for one in runs[0].settings}
     if both := [key for key in file.sweep if key in own]:

@@ -9,19 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from jointid.common import units
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.parameters import TORQUE_UNIT
-from jointid.common.settings import settings_of
 from jointid.common.transmission import SIDES
 from jointid.common.units import Kind
-from jointid.config.quantities import OUTPUTS, Stated, in_controller_units, list_units, misfit, output_of
-from jointid.config.rules import torque_unit
-from jointid.config.schema import TIMES, FileTable, LawTable
-from jointid.config.table import fault_at
-from jointid.models.controllers import LAWS, Cascade, Controller, ServoController, declared_unit, numbers_of
+from jointid.config.declaration import TIMES, fault_at, keys_of
+from jointid.config.quantities import OUTPUTS, in_controller_units, is_quantity, list_units, misfit, output_of
+from jointid.config.rules import Said, torque_unit
+from jointid.models.controllers import Cascade, Controller, ServoController, declared_unit, numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
 from jointid.records.drives import Drive, load_profile, profile_names
@@ -30,146 +28,151 @@ _AGREES = 1e-3  # of a gain: one that is written with four digits is the torque 
 _TIMES = {gain: time for time, (gain, _) in TIMES.items()}
 
 
-def unit_faults(file: FileTable) -> Iterator[Fault]:
+def with_constant(drive: Drive, constant: float | None, text: object) -> Drive:
+    """Return a drive with a torque constant, which its unit says to be per A or V; a plain number is per A."""
+    if constant is None:
+        return drive
+    return replace(drive, torque_per_volt=constant) if _per(text) == "V" else replace(drive, torque_constant=constant)
+
+
+def _per(text: object) -> str:
+    return "V" if isinstance(text, str) and "V" in text else "A"
+
+
+def texts_with_units(raw: Any, before: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the texts of numbers that are given with a unit, each after the path of its key."""
+    if isinstance(raw, str) and is_quantity(raw):
+        yield before, raw
+    below = raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list) else ()
+    for key, value in below:
+        yield from texts_with_units(value, f"{before}.{key}" if before else str(key))
+
+
+def unit_faults(said: Said) -> Iterator[Fault]:
     """Yield numbers of joint and controller in units of another motion or output."""
-    joint, law = file.joint, file.controller
-    if file.is_wrong("joint") or file.is_wrong("transmission"):
-        return
-    if isinstance(joint.torque_constant, Stated):
-        declared = "N/A or N/V" if file.kind_of_side("motor", joint.kind) == "prismatic" else "N m/A or N m/V"
-        if fault := misfit(joint.torque_constant.text, declared):
-            yield file.fault(("joint", "torque_constant"), fault, "unit")
+    constant = said.raw["joint"].get("torque_constant")
+    if isinstance(constant, str):
+        declared = "N/A or N/V" if said.kind_of("motor") == "prismatic" else "N m/A or N m/V"
+        if fault := misfit(constant, declared):
+            yield said.fault(("joint", "torque_constant"), fault, "unit")
             return
-    yield from _channel_faults(file)
-    if law is None:
-        return
-    faults = list(_misfits(file, law, file.kind_of_side(law.side, joint.kind)))
+    yield from _channel_faults(said, constant)
+    faults = list(_misfits(said))
     yield from faults
-    if not faults and file.drive_of_joint is not None:
+    if not faults:
         try:
-            controller_gain(file)
+            controller_gain(said)
         except JointFileError as error:
             yield from error.faults
 
 
-def _channel_faults(file: FileTable) -> Iterator[Fault]:
+def _channel_faults(said: Said, constant: object) -> Iterator[Fault]:
     """Yield contradictions between the torque constant and the torque's channel."""
-    torque, drive, per = file.channels.get("torque"), file.drive_of_joint, file.joint.torque_per
-    if torque is None or drive is None or file.joint.torque_constant is None:
+    torque, per, unit = said.columns.get("torque"), _per(constant), torque_unit(said)
+    if torque is None or constant is None:
         return
-    place, said = ("record", "channels", "torque"), torque_unit(file, file.joint.kind)
-    if said in ("A", "V") and said != per:
-        rest = f" is in {said}, but joint.torque_constant is per {per}; expected both in one unit: give the constant "
-        yield file.fault(place, f'{rest}of what is logged, as torque_constant = "0.72 N m/{said}".', "unit")
-    constant = drive.torque_constant or drive.torque_per_volt or 1.0
-    if torque.gain != 1.0 and torque.unit in TORQUE_UNIT.values() and abs(torque.gain / constant - 1) > _AGREES:
-        rest = f" is {torque.gain:g} to {torque.unit}, but joint.torque_constant is {constant:g}; expected the same: "
-        yield file.fault((*place, "gain"), f'{rest}leave gain out and give unit = "{per}", or correct the wrong one.')
+    place = ("record", "channels", "torque")
+    if unit in ("A", "V") and unit != per:
+        rest = f" is in {unit}, but joint.torque_constant is per {per}; expected both in one unit: give the constant "
+        yield said.fault(place, f'{rest}of what is logged, as torque_constant = "0.72 N m/{unit}".', "unit")
+    known = said.drive.torque_constant or said.drive.torque_per_volt or 1.0
+    if torque.gain != 1.0 and torque.unit in TORQUE_UNIT.values() and abs(torque.gain / known - 1) > _AGREES:
+        rest = f" is {torque.gain:g} to {torque.unit}, but joint.torque_constant is {known:g}; expected the same: "
+        yield said.fault((*place, "gain"), f'{rest}leave gain out and give unit = "{per}", or correct the wrong one.')
 
 
-def _misfits(file: FileTable, law: LawTable, kind: Kind) -> Iterator[Fault]:
+def _misfits(said: Said) -> Iterator[Fault]:
     """Yield numbers in units of the other kind of motion, and those of two outputs."""
-    outputs: dict[str, str] = {}
-    for name, number, declared in _numbers(law):
-        if fault := misfit(number.text, declared, kind):
-            yield file.fault(("controller", name), fault, "unit")
-        elif output := output_of(number.text, declared, kind):
-            outputs.setdefault(output, f'{name} = "{number.text}"')
+    outputs, kind = dict[str, str](), said.kind_of(said.law_side)
+    for name, text, declared in _numbers(said):
+        if fault := misfit(text, declared, kind):
+            yield said.fault(("controller", name), fault, "unit")
+        elif output := output_of(text, declared, kind):
+            outputs.setdefault(output, f'{name} = "{text}"')
     if len(outputs) > 1:
         rest = f" has {' and '.join(outputs.values())}: outputs in {' and '.join(outputs)}; take them to one unit."
-        yield file.fault(("controller",), rest, "unit")
+        yield said.fault(("controller",), rest, "unit")
 
 
-def _numbers(law: LawTable) -> Iterator[tuple[str, Stated, str]]:
-    """Yield a law's numbers that have a unit: their key, themselves, and what their declaration says."""
-    made: Any = LAWS[law.law]  # mypy does not take a type for something with a hash
-    for one in settings_of(made):
-        number = getattr(law, one.name, None)
-        if isinstance(number, Stated):
-            yield one.name, number, one.setting.unit
+def _numbers(said: Said) -> Iterator[tuple[str, str, str]]:
+    """Yield a law's numbers that have a unit: their key, their text, and the unit of their declaration."""
+    given, kind = said.raw.get("controller", {}), None if said.law is None else type(said.law)
+    for one in keys_of(kind).values() if kind is not None else ():
+        if one.type is float and isinstance(given.get(one.name), str):
+            yield one.name, given[one.name], one.setting.unit
 
 
-class _Output(NamedTuple):
-    """Output unit of a controller, with the key and text of the number that states it."""
-
-    unit: str
-    key: str
-    text: str
-
-    def refuse(self, file: FileTable, rest: str) -> JointFileError:
-        """Return the error of that number."""
-        return JointFileError(file.fault(("controller", self.key), f' = "{self.text}" is {rest}', "unit"))
-
-
-def controller_gain(file: FileTable) -> float:
+def controller_gain(said: Said) -> float:
     """Return the gain from the controller's output to torque on its side.
 
     Raises:
         JointFileError: it is not known, or is given twice and differs.
     """
-    law, drive = file.controller, file.drive_of_joint or Drive()
-    assert law is not None
-    given: float | None = law.gain if "gain" in law.given else None
-    kind, through = file.kind_of_side(law.side, file.joint.kind), _through(file, law)
-    found = ((output_of(number.text, said, kind), name, number.text) for name, number, said in _numbers(law))
-    output = next((_Output(unit, name, text) for unit, name, text in found if unit), None)
-    if output is None:
-        constant = drive.torque_constant or drive.torque_per_volt
+    law, drive = said.law, said.drive
+    if law is None:
+        return 1.0
+    given: float | None = getattr(law, "gain", 1.0) if "gain" in said.raw["controller"] else None
+    through = 1.0 if said.gear is None or said.law_side == "motor" else abs(said.gear.motor_per_load)
+    kind = said.kind_of(said.law_side)
+    found = ((output_of(text, declared, kind), name, text) for name, text, declared in _numbers(said))
+    unit, name, text = next((one for one in found if one[0]), (None, "", ""))
+    constant = drive.torque_constant or drive.torque_per_volt
+    if unit is None:
         known = None if constant is None else constant * through
-        speaks_torque = given is not None and (given == 1.0 or _is_share(file, drive, given / through))
+        speaks_torque = given is not None and (given == 1.0 or _is_share(said, given / through))
     else:
-        known, speaks_torque = _torque_per_output(file, drive, output, through, given is not None), False
+        try:
+            known, speaks_torque = _torque_per_output(said, unit, through, given is not None), False
+        except units.UnitError as error:
+            raise JointFileError(said.fault(("controller", name), f' = "{text}" is {error}.', "unit")) from None
     if given is None:
         return 1.0 if known is None else known
     if known is None or speaks_torque or abs(given / known - 1) <= _AGREES:
         return given
-    source = "joint.torque_constant" if output is None else f'controller.{output.key} = "{output.text}"'
+    source = f'controller.{name} = "{text}"' if name else "joint.torque_constant"
     rest = f" is {given:g}, but {source} makes it {known:.6g}; expected the same, or gain = 1 and plain numbers of a "
     raise JointFileError(
-        file.fault(("controller", "gain"), f"{rest}controller that speaks N or N m: leave the wrong one out.")
+        said.fault(("controller", "gain"), f"{rest}controller that speaks N or N m: leave the wrong one out.")
     )
 
 
-def _torque_per_output(
-    file: FileTable, drive: Drive, output: _Output, through: float, gain_is_given: bool
-) -> float | None:
-    """Return the torque per unit of the output; None where only the given gain defines it."""
-    torque, constants = torque_unit(file, file.joint.kind), {"A": drive.torque_constant, "V": drive.torque_per_volt}
-    if output.unit in constants:
-        constant = constants[output.unit]
+def _torque_per_output(said: Said, unit: str, through: float, gain_is_given: bool) -> float | None:
+    """Return the torque per unit of the output; None where only the given gain defines it.
+
+    Raises:
+        UnitError: nothing takes the output to a torque; the end of the sentence.
+    """
+    torque = torque_unit(said)
+    constants = {"A": said.drive.torque_constant, "V": said.drive.torque_per_volt}
+    if unit in constants:
+        constant = constants[unit]
         if constant is not None:
             return constant * through
-        if not any(constants.values()) and (torque == output.unit or gain_is_given):
-            return through if torque == output.unit else None
-        rest = f"an output in {output.unit}; expected what takes it to a torque: give the joint "
-        raise output.refuse(file, f'{rest}torque_constant = "0.72 N m/{output.unit}".')
+        if not any(constants.values()) and (torque == unit or gain_is_given):
+            return through if torque == unit else None
+        raise units.UnitError(
+            f"an output in {unit}; expected what takes it to a torque: give the joint torque_constant = "
+            f'"0.72 N m/{unit}"'
+        )
     if torque in ("A", "V"):
-        rest = f"a torque or a share of it, but the torque's channel is in {torque}; expected what takes it to a torque"
-        raise output.refuse(file, f': {rest}: give the joint torque_constant = "0.72 N m/{torque}".')
-    try:
-        return _share(file, drive) * through if output.unit == "%" else 1.0
-    except units.UnitError as error:
-        raise output.refuse(file, f"{error}.") from None
+        raise units.UnitError(
+            f"a torque or a share of it, but the torque's channel is in {torque}; expected what takes it to a torque: "
+            f'give the joint torque_constant = "0.72 N m/{torque}"'
+        )
+    return _share(said) * through if unit == "%" else 1.0
 
 
-def _share(file: FileTable, drive: Drive) -> float:
+def _share(said: Said) -> float:
     """Return the torque of 1 % of the rated torque, on the motor's side."""
-    return drive.resolve_unit(units.unit("%"), file.kind_of_side("motor", file.joint.kind)).factor
+    return said.drive.resolve_unit(units.unit("%"), said.kind_of("motor")).factor
 
 
-def _is_share(file: FileTable, drive: Drive, gain: float) -> bool:
+def _is_share(said: Said, gain: float) -> bool:
     """Return True for the gain of a controller that gives out a share of the rated torque."""
     try:
-        return abs(gain / _share(file, drive) - 1) <= _AGREES
+        return abs(gain / _share(said) - 1) <= _AGREES
     except units.UnitError:
         return False
-
-
-def _through(file: FileTable, law: LawTable) -> float:
-    """Return the factor from motor torque to the controller's side."""
-    if file.transmission is None or law.side == "motor":
-        return 1.0
-    return abs(file.transmission.transmission(file.joint.kind).motor_per_load)
 
 
 # Numbers of a controller as the drive shows them

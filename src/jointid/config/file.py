@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
@@ -17,9 +17,8 @@ from jointid.common.errors import Fault, JointFileError, JointidError, MethodErr
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.units import Kind
-from jointid.config.axis_units import controller_gain, drive_numbers, unit_faults
-from jointid.config.rules import change_parameter, choose_method, find_contradictions, needed_channels, torque_unit
-from jointid.config.schema import FileTable, add_gains_of_times
+from jointid.config.axis_units import drive_numbers
+from jointid.config.declaration import FeedForward
 from jointid.config.source import Run, Source, Together
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -46,8 +45,6 @@ from jointid.records.writing import columns_to_write, write_columns
 
 if TYPE_CHECKING:
     from jointid.controller_id.learned_controller import LearnedController
-
-FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -704,59 +701,6 @@ class File:
         under = self._under(run)
         source = replace(self.source, file=file, files=(), offsets=())
         return replace(under, axes=(replace(under.axis, source=source),), runs=(run,))
-
-
-def axis_of(file: FileTable, faults: Sequence[str] = ()) -> Axis:
-    """Build an axis from checked tables.
-
-    Args:
-        file: the tables, without those that are wrong.
-        faults: of the tables that are wrong.
-
-    Raises:
-        JointFileError: with these faults, and those between the tables.
-    """
-    if faults := [*faults, *unit_faults(file), *find_contradictions(file)]:
-        raise JointFileError(faults)
-    transmission = file.transmission.transmission(file.joint.kind) if file.transmission else None
-    joint = file.joint.joint(torque_unit(file, file.joint.kind), transmission, file.gravity, file.ripple)
-    known = {parameter.name: parameter for parameter in joint.parameters}
-    law = file.controller
-    controller = law.refer(transmission, controller_gain(file)) if law else None
-    return Axis(
-        name=file.joint.name,
-        joint=joint,
-        columns=file.record.channels.build(),
-        controller=controller,
-        drive=file.joint.drive(file.drive.build()),
-        source=file.record.build(),
-        parameters={name: change_parameter(known[name], table) for name, table in file.parameters.items()},
-        limits=file.limits.build(),
-        needed=needed_channels(_method_name(file, joint), controller, joint.model),
-        said=add_gains_of_times(law.given) if law else (),
-        quantities=dict(law.quantities()) if law else {},
-    )
-
-
-def joint_file_of(file: FileTable, path: Path, faults: Sequence[str] = ()) -> File:
-    """Build a joint file from checked tables; see `axis_of`."""
-    axis = axis_of(file, faults)
-    return File(
-        axes=(axis,),
-        method=file.method.method(_method_name(file, axis.joint)),
-        filtering=file.filtering.build(),
-        parameters=axis.parameters,
-        name=axis.name,
-        runs=tuple(table.build() for table in file.records),
-        together=file.together.build(),
-        path=path,
-    )
-
-
-def _method_name(file: FileTable, joint: Joint) -> str:
-    method = choose_method(file, file.method.name, joint.model)
-    assert method is not None
-    return method
 
 
 def name_axes(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:

@@ -16,9 +16,10 @@ import tomlkit
 from jointid.common.errors import JointFileError, MethodError
 from jointid.common.settings import settings_of
 from jointid.config.axis_units import keys_of_controller, table_at, translate_gains
-from jointid.config.file import File, joint_file_of
+from jointid.config.building import joint_file, robot_method, said_of_joint
+from jointid.config.declaration import TIMES, read_tables
+from jointid.config.file import File
 from jointid.config.rules import choose_method
-from jointid.config.schema import FileTable, add_gains_of_times
 from jointid.config.toml import apply_changes, parse_toml, read_text
 from jointid.models.controllers import LAWS
 
@@ -126,7 +127,8 @@ def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = (), axi
     law = said.get("law", "cascade")
     kind: Any = LAWS.get(law) if isinstance(law, str) else None  # mypy does not take a type for something with a hash
     required = [one for one in settings_of(kind) if one.required] if kind else []
-    known = add_gains_of_times(keys_of_controller(tables))
+    written = keys_of_controller(tables)
+    known = written | {TIMES[key][0] for key in written if key in TIMES}
     stand_ins = [f"controller.{one.name}=1.0" for one in required if one.type is float and one.name not in known]
     law_said = ["controller.law=cascade"] if law == "cascade" else []
     file = file_of(apply_changes(raw, [*law_said, *stand_ins, *changes]), path)
@@ -187,14 +189,15 @@ def file_of(tables: Mapping[str, Any], path: Path = Path("joint.toml"), axis: st
     """
     if crowded := list(_size_faults(tables)):  # each of so many would be a sentence
         raise JointFileError(crowded)
-    if "robot" in tables:
-        from jointid.config.robot_file import read_robot_file
+    raw = translate_gains(tables)
+    said = read_tables(raw)
+    if said.robot is not None:
+        from jointid.config.robot_file import robot_file
 
-        return read_robot_file(tables, path, axis)
+        return replace(robot_file(said, raw, path, axis), tables=tables)
     if axis is not None:
         raise MethodError(f"{path} is a joint file, which has no axis {axis}; leave --axis out.")
-    said, faults = FileTable.read(translate_gains(tables))
-    return replace(joint_file_of(said, path, faults), tables=tables)
+    return replace(joint_file(said_of_joint(said, raw), path), tables=tables)
 
 
 def _size_faults(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:
@@ -231,13 +234,13 @@ def _with_method_of_axis(
 
 
 def _method_name(tables: Mapping[str, Any]) -> str | None:
-    """Return the file's method, or the default one."""
-    if "robot" in tables:
-        from jointid.config.robot_file import read_robot_tables
-
-        return read_robot_tables(tables).method_name
-    file, _ = FileTable.read(tables)
-    return choose_method(file, file.method.name, file.model or "rigid")
+    """Return the file's method, or the default one; None of a file with faults."""
+    try:
+        raw = translate_gains(tables)
+        said = read_tables(raw)
+        return choose_method(said_of_joint(said, raw)) if said.robot is None else robot_method(said)
+    except JointFileError:
+        return None
 
 
 def dumps(file: File) -> str:

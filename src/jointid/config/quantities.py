@@ -17,22 +17,6 @@ OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "r
 """Output units of a controller, by the motion of its side."""
 
 
-class Stated(float):
-    """A number with the words it was given in; its value is what a plain number there would be.
-
-    Attributes:
-        text: as the file has it.
-    """
-
-    text: str
-
-    def __new__(cls, value: float, text: str) -> Stated:
-        """Return the number."""
-        made = super().__new__(cls, value)
-        made.text = text
-        return made
-
-
 @lru_cache(maxsize=256)
 def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
     """List the units of a declaration; "N m s/rad" and others for controller units per rad/s.
@@ -103,7 +87,7 @@ def _either(known: tuple[str, ...]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def to_si(text: str, declared: str) -> Stated:
+def to_si(text: str, declared: str) -> float:
     """Return the SI value of a text that is no `misfit`."""
     said = units.parse_quantity(text)
-    return Stated(next(v for unit in list_units(declared) if (v := said.matching(unit)) is not None), text)
+    return float(next(v for unit in list_units(declared) if (v := said.matching(unit)) is not None))
