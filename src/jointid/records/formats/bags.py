@@ -39,7 +39,7 @@ _WIDEST_ARRAY, _WIDEST_TOPIC = 256, 1000  # columns of an array without names (a
 _TOPICS = 2000  # of a file; the library compares each with all
 _DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before counts from some beginning
 _SQLITE = b"SQLite format 3\0"
-_HIDDEN = (2, 3)  # how a table says that a column is generated
+_COMPUTED = re.compile(r"\bAS\b", re.IGNORECASE)  # of a column that is generated, and of a table by a query
 _DIGITS = re.compile(r"(\d+)")
 
 Value: TypeAlias = Any
@@ -98,9 +98,7 @@ def list_files(path: Path) -> list[Path]:
         return [path]
     found = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
     if not found:
-        packed = any(file.name.endswith(".zstd") for file in path.iterdir())
-        remedy = "unpack its .zstd files first" if packed else "name the folder of a bag, or a file"
-        raise RecordError(f"{path.name} is a folder without an .mcap or .db3 file; {remedy}.")
+        raise RecordError(f"{path.name} is a folder without an .mcap or .db3 file; unpack .zstd files, or name a file.")
     return sorted(found, key=lambda file: [int(p) if p.isdigit() else p for p in _DIGITS.split(file.name)])
 
 
@@ -257,7 +255,7 @@ def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
     with file.open("rb") as raw:
         is_database = raw.read(len(_SQLITE)) == _SQLITE
     if is_database:
-        _require_plain_tables(file)
+        _require_plain(file)
     # The library puts the path of a database into an address as it is.
     place = Path(quote(str(file.absolute()), safe="/:\\")) if is_database else file
     storage = Reader.STORAGE_PLUGINS[".db3" if is_database else ".mcap"](place)
@@ -265,33 +263,30 @@ def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
     with closing(storage):
         every: list[Any] = list(storage.connections)
         links = [link for link in every if link.ext.serialization_format == "cdr"]
-        _require_few_topics(file, len(links))
+        if len(links) > _TOPICS:
+            raise RecordError(
+                f"{file.name} has {len(links)} topics; record only those of the joint (at most {_TOPICS})."
+            )
         asked = {link.id: (link.msgtype, str(link.msgdef.data) * (link.msgdef.format.name == "MSG")) for link in links}
         known = {one: message_types(*one) for one in set(asked.values())}
         for link, time, data in storage.messages(links):
             yield link.topic, link.msgtype, known[asked[link.id]], time, data
 
 
-def _require_few_topics(file: Path, count: int) -> None:
-    if count > _TOPICS:
-        raise RecordError(
-            f"{file.name} has {count} topics (at most {_TOPICS} are read); record only the topics of the joint."
-        )
-
-
-def _require_plain_tables(file: Path) -> None:
-    """Refuse a database with computed tables or too many topics."""
+def _require_plain(file: Path) -> None:
+    """Refuse a database with computed tables, which could be of any size, or with too many topics."""
     place = f"file:{quote(str(file.absolute()), safe='/:')}?mode=ro&immutable=1"
     with closing(sqlite3.connect(place, uri=True)) as base:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**26)
-        for kind, name in base.execute("SELECT type, name FROM sqlite_master"):
-            described = base.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,)) if kind == "table" else ()
-            if kind in ("view", "trigger") or any(hidden in _HIDDEN for (hidden,) in described):
-                raise RecordError(
-                    f"{file.name} has a {kind} {name!r} whose content is computed, which no bag has; record it again."
-                )
-        (count,) = base.execute("SELECT count(*) FROM (SELECT 1 FROM topics LIMIT 1000000)").fetchone()
-        _require_few_topics(file, count)
+        for kind, made in base.execute("SELECT type, sql FROM sqlite_master WHERE sql IS NOT NULL"):
+            if kind not in ("table", "index") or _COMPUTED.search(made):
+                raise RecordError(f"{file.name} has a {kind} with computed content, which no bag has; record it again.")
+        _require_few_topics(file, len(base.execute("SELECT 1 FROM topics LIMIT 10000").fetchall()))
+
+
+def _require_few_topics(file: Path, count: int) -> None:
+    if count > _TOPICS:
+        raise RecordError(f"{file.name} has more than {_TOPICS} topics; record only those of the joint.")
 
 
 def message_types(name: str, text: str) -> Types:
