@@ -30,7 +30,7 @@ def answer_of(result: Any) -> dict[str, Any]:
     if hasattr(result, "numbers"):  # of a learned controller
         numbers = {one.name: [number(one.value), number(one.std)] for one in result.numbers}
         return {"values": numbers, "trust": str(result.structure)}
-    return {"values": {one.name: [float(one.outline.rows), None] for one in result.channels}}
+    return {"values": {one.name: [float(one.rows), None] for one in result.channels}}
 
 
 def first_cause(estimate: ji.Estimate) -> str:
