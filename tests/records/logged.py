@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import shutil
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -110,54 +112,66 @@ def tdms(path: Path) -> None:
             writer.write_segment([RootObject({"kp": 2.5, "operator": "nobody"}), position, torque])
 
 
-def bag(path: Path) -> None:
-    """Write a bag's folder, or the one file in it, with joint states and a reference that comes less often."""
-    import shutil
-
+def write_bag(
+    folder: Path,
+    topics: Mapping[str, tuple[str, Iterable[tuple[int, Any]]]],
+    definitions: Mapping[str, str] | None = None,
+    plugin: str = "MCAP",
+) -> Path:
+    """Write a bag: by topic the type, and instants in ns with messages, or functions of the types that make them."""
     from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    state, header, time = (
-        store.types[f"{package}/msg/{name}"]
-        for package, name in (("sensor_msgs", "JointState"), ("std_msgs", "Header"), ("builtin_interfaces", "Time"))
-    )
-    folder = path.with_suffix("") if path.suffix else path
-    storage = StoragePlugin.SQLITE3 if path.suffix == ".db3" else StoragePlugin.MCAP
-    begin = 1_700_000_000_000_000_000
-    with Writer(folder, version=9, storage_plugin=storage) as writer:
-        states = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
-        goal = writer.add_connection("/goal", "std_msgs/msg/Float64", typestore=store)
-        for row in range(ROWS):
-            stamp = begin + row * 1_000_000
-            message = state(
-                header=header(stamp=time(*divmod(stamp, 10**9)), frame_id="base"),
-                name=["elbow", "wrist"],
-                position=np.array([POSITION[row], 0.0]),
-                velocity=np.empty(0),
-                effort=np.array([TORQUE[row], np.nan]),
-            )
-            writer.write(states, stamp + 400_000, store.serialize_cdr(message, "sensor_msgs/msg/JointState"))
-            if row % 10 == 0:
-                number = store.types["std_msgs/msg/Float64"](data=float(row))
-                writer.write(goal, stamp + 500_000, store.serialize_cdr(number, "std_msgs/msg/Float64"))
-    if path.suffix:
-        (made,) = folder.glob(f"*{path.suffix}")
-        shutil.move(made, path)
-        shutil.rmtree(folder)
+    for name, text in (definitions or {}).items():
+        store.register(get_types_from_msg(text, name))
+    with Writer(folder, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
+        for topic, (kind, messages) in topics.items():
+            link = writer.add_connection(topic, kind, typestore=store)
+            for stamp, message in messages:
+                made = message(store.types) if inspect.isfunction(message) else message
+                writer.write(link, stamp, store.serialize_cdr(made, kind))
+    return folder
+
+
+def stamped(types: Any, nanoseconds: int) -> Any:
+    """Return a header of this instant."""
+    return types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9)), "é")
+
+
+def bag(path: Path) -> None:
+    """Write the one file of a bag, with joint states and a reference that comes less often."""
+    begin, none = 1_700_000_000_000_000_000, np.empty(0)
+
+    def state(row: int) -> Callable[[Any], Any]:
+        position, effort = np.array([POSITION[row], 0.0]), np.array([TORQUE[row], np.nan])
+        return lambda types: types["sensor_msgs/msg/JointState"](
+            stamped(types, begin + row * 1_000_000), ["elbow", "wrist"], position, none, effort
+        )
+
+    def goal(row: int) -> Callable[[Any], Any]:
+        return lambda types: types["std_msgs/msg/Float64"](data=float(row))
+
+    states = [(begin + row * 1_000_000 + 400_000, state(row)) for row in range(ROWS)]
+    goals = [(begin + row * 1_000_000 + 500_000, goal(row)) for row in range(0, ROWS, 10)]
+    topics = {"/joint_states": ("sensor_msgs/msg/JointState", states), "/goal": ("std_msgs/msg/Float64", goals)}
+    folder = write_bag(path.with_suffix(""), topics, plugin="SQLITE3" if path.suffix == ".db3" else "MCAP")
+    (made,) = folder.glob(f"*{path.suffix}")
+    shutil.move(made, path)
+    shutil.rmtree(folder)
 
 
 def topics(folder: Path, numbers: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> None:
     """Write a bag's folder with topics of numbers, each with its stamps in seconds."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
 
-    store, kind = get_typestore(Stores.ROS2_HUMBLE), "std_msgs/msg/Float64"
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for topic, (stamps, values) in numbers.items():
-            link = writer.add_connection(topic, kind, typestore=store)
-            for stamp, value in zip(np.round(1e9 * stamps).astype(int).tolist(), values.tolist(), strict=True):
-                writer.write(link, stamp, store.serialize_cdr(store.types[kind](data=value), kind))
+    def number(value: float) -> Callable[[Any], Any]:
+        return lambda types: types["std_msgs/msg/Float64"](data=value)
+
+    made = {}
+    for topic, (stamps, values) in numbers.items():
+        instants = np.round(1e9 * stamps).astype(int).tolist()
+        made[topic] = "std_msgs/msg/Float64", list(zip(instants, map(number, values.tolist()), strict=True))
+    write_bag(folder, made)
 
 
 JOINT_STATES = ("/joint_states/time", "/joint_states/elbow/position", "/joint_states/elbow/effort")

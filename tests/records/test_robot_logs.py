@@ -19,6 +19,7 @@ from jointid.records.checks import find_record_warnings
 from jointid.records.formats import read_table
 from jointid.records.recognition import recognise
 from jointid.records.record import Record
+from tests.records.logged import stamped, write_bag
 
 T = 0.005
 TIME = np.arange(240) * T
@@ -115,64 +116,36 @@ def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
 # -------------------------------------------
 
 KP, KD = 40.0, 1.5
+CONTROLLER_TYPE = "control_msgs/msg/JointTrajectoryControllerState"
 CONTROLLER_STATE = (
     "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint reference\n"
     "trajectory_msgs/JointTrajectoryPoint feedback\ntrajectory_msgs/JointTrajectoryPoint desired\n"
 )
 
 
-def bag(path: Path, definitions: dict[str, str], topics: dict[str, str], rows: Any) -> Path:
-    """Write a bag; `rows` yields topic, instant in ns and a function of the types that makes the message."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in definitions.items():
-        store.register(get_types_from_msg(text, name))
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        links = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
-        for topic, stamp, make in rows:
-            writer.write(links[topic], stamp, store.serialize_cdr(make(store.types), topics[topic]))
-    return path
-
-
 def ros2(path: Path) -> Path:
     """Write joint states, and the state of a joint trajectory controller with its older fields beside the newer."""
-
-    def stamped(types: Any, t: float) -> Any:
-        nanoseconds = 1_700_000_000 * 10**9 + round(t * 1e9)
-        stamp = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
-        return types["std_msgs/msg/Header"](stamp, "base")
+    stamps = (1_700_000_000 * 10**9 + np.round(TIME * 1e9).astype(np.int64)).tolist()
 
     def joints(row: int) -> Any:
         return lambda types: types["sensor_msgs/msg/JointState"](
-            stamped(types, TIME[row]), list(JOINTS), MOTION[row].copy(), np.zeros(2), TORQUE[row].copy()
+            stamped(types, stamps[row]), list(JOINTS), MOTION[row].copy(), np.zeros(2), TORQUE[row].copy()
         )
 
     def state(row: int) -> Any:
         def make(types: Any) -> Any:
-            def point(positions: Any) -> Any:
-                none, zero = np.empty(0), types["builtin_interfaces/msg/Duration"](0, 0)
-                return types["trajectory_msgs/msg/JointTrajectoryPoint"](positions.copy(), none, none, none, zero)
-
-            points = [point(one[row]) for one in (COMMAND, MOTION, COMMAND)]
-            return types["control_msgs/msg/JointTrajectoryControllerState"](
-                stamped(types, TIME[row]), list(JOINTS), *points
-            )
+            none, zero = np.empty(0), types["builtin_interfaces/msg/Duration"](0, 0)
+            point = types["trajectory_msgs/msg/JointTrajectoryPoint"]
+            points = [point(one[row].copy(), none, none, none, zero) for one in (COMMAND, MOTION, COMMAND)]
+            return types[CONTROLLER_TYPE](stamped(types, stamps[row]), list(JOINTS), *points)
 
         return make
 
-    stamps = 1_700_000_000 * 10**9 + np.round(TIME * 1e9).astype(np.int64)
-    topics = {
-        "/joint_states": "sensor_msgs/msg/JointState",
-        "/leg/controller_state": "control_msgs/msg/JointTrajectoryControllerState",
+    made = {
+        "/joint_states": ("sensor_msgs/msg/JointState", [(at, joints(row)) for row, at in enumerate(stamps)]),
+        "/leg/controller_state": (CONTROLLER_TYPE, [(at, state(row)) for row, at in enumerate(stamps)]),
     }
-    rows = (
-        (topic, int(stamps[row]), make(row))
-        for row in range(TIME.size)
-        for topic, make in (("/joint_states", joints), ("/leg/controller_state", state))
-    )
-    return bag(path, {"control_msgs/msg/JointTrajectoryControllerState": CONTROLLER_STATE}, topics, rows)
+    return write_bag(path, made, {CONTROLLER_TYPE: CONTROLLER_STATE})
 
 
 def table(path: Path, columns: dict[str, Any]) -> Path:

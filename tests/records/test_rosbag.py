@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from jointid.common.errors import RecordError
 from jointid.records.formats import read_table
 from jointid.records.formats.bags import decode_message, message_types
-from tests.records.logged import bag
+from tests.records.logged import bag, stamped, write_bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
@@ -32,17 +32,8 @@ float32[2] pair
 GAIN = "float64 position_gain\nint16 step"
 
 
-def write_bag(folder: Path, topics: dict[str, tuple[str, list[tuple[int, Any]]]], store: Any = STORE) -> Path:
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for topic, (kind, messages) in topics.items():
-            link = writer.add_connection(topic, kind, typestore=store)
-            for stamp, message in messages:
-                writer.write(link, stamp, store.serialize_cdr(message, kind))
-    return folder
-
-
 def header(stamp: int) -> Any:
-    return T["std_msgs/msg/Header"](stamp=T["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)), frame_id="é")
+    return stamped(T, stamp)
 
 
 def state(stamp: int, **fields: Any) -> Any:
@@ -114,9 +105,8 @@ def test_messages_are_read_by_the_definition_in_the_bag(plugin: StoragePlugin, t
         gains=[gain(position_gain=1.5, step=-3), gain(position_gain=2.5, step=4)],
         raw=np.arange(5, dtype=np.uint8), on=True, pair=np.array([0.5, 0.25], dtype=np.float32),
     )  # fmt: skip
-    with Writer(tmp_path / "bag", version=9, storage_plugin=plugin) as writer:
-        link = writer.add_connection("/c", "control_like/msg/State", typestore=store)
-        writer.write(link, 1, store.serialize_cdr(message, "control_like/msg/State"))
+    definitions = {"control_like/msg/Gain": GAIN, "control_like/msg/State": DEFINED}
+    write_bag(tmp_path / "bag", {"/c": ("control_like/msg/State", [(1, message)])}, definitions, plugin.name)
     found = {name: values.item() for name, values in read_table(tmp_path / "bag").columns.items()}
     assert found == {
         "/c/time": 1, "/c/desired/a/positions": 1, "/c/desired/b/positions": 2, "/c/desired/velocities[0]": 9,
