@@ -115,6 +115,8 @@ def test_residual_and_frequencies() -> None:
     flexible = amended(ESTIMATE, params={"rows": rows})
     assert flexible.frequencies["free_free"] == pytest.approx((8e5 * 105 / 70 / 35) ** 0.5 / (2 * np.pi))
     assert amended(ESTIMATE, params={"rows": rows[:2]}).frequencies == {}
+    held = (*rows[:2], replace(rows[2], at_bound=8e5))
+    assert amended(ESTIMATE, params={"rows": held}).frequencies == {}
 
 
 def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:

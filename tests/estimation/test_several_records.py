@@ -136,6 +136,18 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
             assert together(found, name, second) == pytest.approx(together(last, other, its_other), abs=0.05)
 
 
+def test_what_the_method_frees_is_free_for_several_records() -> None:
+    late, declared = (replace(RIGID, controller=replace(CONTROLLER, delay=delay)) for delay in (3e-3, 1e-3))
+    truth = {"inertia": 95.0, "viscous": 80.0, "coulomb": 20.0, "offset": -3.0}
+    records = [
+        simulated_record(late, BRIEF, truth, sample_time=1e-3, torque_noise=random.standard_normal(BRIEF.size))
+        for random in map(np.random.default_rng, (1, 2))
+    ]
+    found = identify(records, declared, DIDIM(free=("delay",)))
+    assert found["delay"].value == pytest.approx(3e-3, rel=1e-2)
+    assert found["viscous"].value == pytest.approx(80.0, rel=1e-2)
+
+
 def test_a_torque_constant_from_a_known_mass() -> None:
     """A torque in ampere: the joint comes in kilograms, and the drive's gain in newtons per ampere."""
     joint = RigidJoint("prismatic", torque_unit="A")

@@ -11,7 +11,6 @@ import pytest
 from jointid.common.document import typeset
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import INITIAL
-from jointid.estimation.result.answer import frequencies_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import show_value
 from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
@@ -47,7 +46,7 @@ def test_every_value_is_in_the_drawing_and_none_is_cut(kind: str) -> None:
 
 def test_the_sentence_has_resonance_and_antiresonance() -> None:
     estimate = reports.flexible().estimate
-    found = frequencies_of(estimate)
+    found = estimate.frequencies
     stiffness, motor, load = (estimate.values[name] for name in ("stiffness", "motor_inertia", "load_inertia"))
     assert found["motor_locked"] == pytest.approx((stiffness / load) ** 0.5 / 6.283185307)
     assert found["free_free"] == pytest.approx((stiffness / load + stiffness / motor) ** 0.5 / 6.283185307)

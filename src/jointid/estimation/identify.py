@@ -195,6 +195,8 @@ def fit(
                 "Several records are identified by simulating their loop; give a ClosedLoop, with the controller."
             )
         settings = several or SeveralRecords()
+        if windows is None and isinstance(method, DIDIM):
+            settings = replace(settings, free=tuple(dict.fromkeys((*settings.free, *method.free))))
         layout = RecordLayout.of(len(record), model, settings)
 
         def fit_together(each: Sequence[Record]) -> FitResult:

@@ -301,7 +301,7 @@ class LoopWindows:
             values={name: own[name] for name in names},
             initial=initial_of(own),
             level=math.sqrt(square / max(rows, 1)),
-            repeatable=solved.repeatable,
+            repeatable=replace(solved.repeatable, rms=solved.problem.sigma[number, 0] * solved.repeatable.rms),
             sample_time=model.problem.sample_time,
             filtering=model.problem.filtering,
             rows=int(rows),

@@ -323,7 +323,7 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
 def _agree(end: tuple[float, float], best: tuple[float, float], size: float) -> bool:
     """Test whether two ends, cost and frequency, are one; `size` is the norm of the torque."""
     (cost, frequency), (least, mode) = end, best
-    return abs(frequency / mode - 1) < _TOGETHER and cost < (1 + _AS_GOOD) * least + _REST * size
+    return abs(frequency - mode) <= _TOGETHER * mode and cost < (1 + _AS_GOOD) * least + _REST * size
 
 
 def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: History) -> FloatArray | None:

@@ -104,7 +104,7 @@ def answer_of(estimate: EstimateParts) -> Answer:
         return Answer(_undetermined_message(estimate, asked), _refusal_message(estimate))
     assert asked.value is not None
     shown = _with_pieces(estimate, asked, _with_unit(asked) + (", at its bound" if asked.at_bound is not None else ""))
-    mode = frequencies_of(estimate).get("free_free")
+    mode = estimate.frequencies.get("free_free")
     words = f"{_in_words(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
     return Answer(Message(Found.VALUE, words, _values(asked, mode)), _trust(estimate, asked))
 
@@ -156,16 +156,6 @@ def _values(asked: EstimatedParameter | None, mode: float | None) -> dict[str, A
         "mode_hz": mode,
         "lower_bound": None,
     }
-
-
-def frequencies_of(estimate: EstimateParts) -> dict[str, float]:
-    """Return the frequencies of a flexible joint, Hz, as `FlexibleJoint.frequencies` names them; else none."""
-    needed = ("motor_inertia", "load_inertia", "stiffness")
-    values = estimate.values
-    held = any(p.at_bound is not None for p in estimate.params.rows if p.name in needed)
-    if held or not all(values.get(name, 0.0) > 0 for name in needed):
-        return {}
-    return FlexibleJoint.frequencies(values)
 
 
 def _refusal_message(estimate: EstimateParts) -> Message:

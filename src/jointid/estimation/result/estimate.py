@@ -17,7 +17,7 @@ from jointid.common.errors import MethodError, RecordError, extra
 from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.parts import EstimateParts
 from jointid.models.disturbances import Effect
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.position_forces import Motion
 from jointid.records.signals.filtering import Filtering
 
@@ -108,12 +108,6 @@ class Estimate(EstimateParts, Documented):
     def residual(self) -> FloatArray:
         """Measured less predicted torque, raw, (samples,); empty for a log that is too long for memory."""
         return self.fit.measured - self.fit.predicted
-
-    @property
-    def frequencies(self) -> dict[str, float]:
-        """Frequencies of a flexible joint by name, Hz, see `FlexibleJoint.frequencies`; none without its stiffness."""
-        known = {"motor_inertia", "load_inertia", "stiffness"} <= self.values.keys() and self.values["stiffness"] > 0
-        return FlexibleJoint.frequencies(self.values) if known else {}
 
     def __repr__(self) -> str:
         """Return model, method and answer: one line, or two."""

@@ -17,7 +17,7 @@ from jointid.common.transmission import SIDES, OtherSide, Side
 from jointid.estimation.result.agreement import Agreement, DriftTest
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.disturbances import Effect
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import EncoderLag
 from jointid.records.record import Resampled, Timing
@@ -487,6 +487,13 @@ class EstimateParts:
     def values(self) -> dict[str, float]:
         """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
         return {p.name: p.value for p in self.params.rows if p.of_joint and p.value is not None}
+
+    @property
+    def frequencies(self) -> dict[str, float]:
+        """Frequencies of a flexible joint, Hz, as `FlexibleJoint.frequencies` names them; none at a bound."""
+        found = [p for p in self.params.rows if p.name in ("motor_inertia", "load_inertia", "stiffness")]
+        known = len(found) == 3 and all((p.value or 0.0) > 0 and p.at_bound is None for p in found)
+        return FlexibleJoint.frequencies(self.values) if known else {}
 
     @property
     def other(self) -> OtherSide | None:

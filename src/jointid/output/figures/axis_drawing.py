@@ -12,7 +12,6 @@ from jointid.common.document import typeset
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import INITIAL
-from jointid.estimation.result.answer import frequencies_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, show_value
 from jointid.estimation.result.summary import field_symbol
@@ -30,7 +29,7 @@ _RESONANCES = {"free_free": "Resonance", "motor_locked": "antiresonance", "secon
 
 def resonance_sentence(estimate: Estimate) -> str:
     """State resonance and antiresonance as the motor sees them; empty for a joint without a spring."""
-    frequencies = frequencies_of(estimate)
+    frequencies = estimate.frequencies
     named = [(words, frequencies[name]) for name, words in _RESONANCES.items() if name in frequencies]
     stated = ", ".join(f"{words} {number(hertz, 3)} Hz" for words, hertz in named)
     return f"{stated}, from motor torque to motor position." if stated else ""
