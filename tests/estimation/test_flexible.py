@@ -223,3 +223,8 @@ def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | DIDIM) -> None
         true_change = after.truth[name] - before.truth[name]
         spread = float(np.hypot(first[name].stderr or 0.0, second[name].stderr or 0.0))
         assert abs(second.values[name] - value - true_change) <= 3 * spread, name
+
+
+def test_two_ends_without_a_spring_agree() -> None:
+    assert stiffness_search._agree((1.0, 0.0), (1.0, 0.0), 10.0)
+    assert not stiffness_search._agree((1.0, 5.0), (1.0, 0.0), 10.0)

@@ -12,7 +12,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.estimation.identify import LARGEST, limit_of, memory_of, plan_windows
+from jointid.estimation.identify import memory_of, plan_windows
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.records.chunks import cut
 from jointid.records.record import Channel, Record
@@ -59,26 +59,22 @@ def assert_same(parts: ji.Estimate, whole: ji.Estimate, apart: float = 0.5, rati
             assert 1 / ratio <= part.stderr / one.stderr <= ratio, part.name
 
 
-def limit(
-    monkeypatch: pytest.MonkeyPatch, record: object, model: object, method: Any = None, share: float = 1.01
-) -> None:
-    most = LARGEST // limit_of(record, model, method) * memory_of(record, model, method)
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", most // share)
+def limit(monkeypatch: pytest.MonkeyPatch, record: object, model: object, share: float = 1.01) -> None:
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", memory_of(record, model) // share)
 
 
 def test_idim_of_a_joint_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     record, said = rigid(30.0), list[str]()
     whole = ji.identify(record, LOOP.joint, IDIM)
     assert whole.data.windows is None
-    limit(monkeypatch, record, LOOP.joint, IDIM, 4.0)
+    limit(monkeypatch, record, LOOP.joint, 4.0)
     found = ji.identify(record, LOOP.joint, IDIM, progress=said.append)
     assert_same(found, whole)
     assert "motion was measured under control" in " ".join(found.checks.warnings)
     assert found.params.basis.endswith("for the bias by which a force in the loop may move them")
-    assert any("30000 samples of the record would take up to 0.0 GB of memory" in one for one in said)
+    assert any("30000 samples of the record are identified in windows" in one for one in said)
     other = ji.identify(record, LOOP, ji.IDIM("iv"))
     assert other.data.windows is None
-    assert any("needs all rows at once" in one for one in other.checks.warnings)
 
 
 def test_a_friction_at_its_bound_in_the_first_window_is_free_in_all() -> None:
@@ -155,7 +151,7 @@ def test_several_records_go_in_windows_by_themselves(monkeypatch: pytest.MonkeyP
     assert second.level / first.level == pytest.approx(2.0, rel=0.1)
     assert second.repeatable.rms == pytest.approx(2.0 * first.repeatable.rms, rel=0.1)
     assert found.checks.agreement is not None and not found.checks.agreement.differs
-    assert any("40000 samples of the records would take up to" in one for one in said)
+    assert any("40000 samples of the records are identified in windows" in one for one in said)
     assert "2 records agree" in str(found) and "windows" in str(found)
     assert found.settings.weighting == "each record's rows by the level of its residual"
     assert len(ji.to_dict(found)["records"]) == 2
@@ -183,14 +179,12 @@ def test_idim_of_a_robot_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPat
     assert_same(found, whole)
     assert "is stated" not in str(found) and not found.fit.simulations
     assert found.fit.axis_errors == pytest.approx(whole.fit.axis_errors, rel=0.05)
-    assert any("20000 samples of the record would take up to" in one for one in said)
+    assert any("20000 samples of the record are identified in windows" in one for one in said)
     assert "in windows" in str(found) and ji.to_dict(found)["model"] == "robot"
     windows = found.data.windows
     assert windows is not None and ji.to_dict(found)["log"]["windows"] == windows.count
     parts = re.match(r"from leaving out each of (\d+) parts of (\d+) windows", found.params.basis)
     assert parts is not None and int(parts[1]) > int(parts[2]) == windows.count
-    assert all(axis.explained for axis in ji.diagnose(found, log).axes)  # at once, which the memory still allows
-    monkeypatch.setattr("jointid.diagnostics.diagnose.LARGEST", memory_of(log, arm) - 1)
     for use in (ji.diagnose, ji.Report.of):
         with pytest.raises(MethodError, match="in windows, whose torque it does not keep; identify a part"):
             use(found, log)
@@ -205,7 +199,7 @@ def test_a_part_of_a_robot_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [one for one in found.checks.verdicts if one.subject is Subject.REPEATABLE]
     assert found.checks.diagnosis is not None
     other = ji.identify(log, arm, ji.IDIM("ols"), checks=False)
-    assert other.data.windows is None and any("IDIM by ols needs all" in one for one in other.checks.warnings)
+    assert other.data.windows is None
 
 
 @pytest.mark.slow

@@ -31,8 +31,8 @@ from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.undeclared import widen_for_undeclared
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
-from jointid.estimation.identify import LARGEST, memory_of, plan_windows
 from jointid.estimation.identify import fit as fit_records
+from jointid.estimation.identify import plan_windows
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -140,7 +140,7 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    planned = plan_windows(record, model, method) if windows is None else None
+    planned = plan_windows(record, model, method, several) if windows is None else None
     if windows is False and not isinstance(record, Record | Sequence):
         raise MethodError(
             "A log that is read in chunks is identified in windows; received windows=False: read the record whole, or "
@@ -161,21 +161,17 @@ def identify(
 
     progress = Suspicions(progress, screen)
     fit_one = partial(fit_records, filtering=filtering, parameters=parameters, progress=progress)
-    simulated = checks and isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None) and windows is None
     if said:
         progress(said)
-    elif isinstance(record, Record) and simulated and (needed := memory_of(record, model, method)) > LARGEST:
-        progress(f"this takes up to {needed / 1e9:.1f} GB of memory; a part by start and stop takes less")
     try:
         fit = fit_one(record, model, method, several=several, windows=windows)
     except (MethodError, RecordError) as error:
         if planned is None:
             raise
-        planned, part = None, record
-        screen.cache_clear()
-        said = f"the record is identified at once and not in windows: {str(error).partition(';')[0].removesuffix('.')}"
-        progress(said)
-        fit = fit_one(record, model, method, several=several)
+        remedy = "identify a part of it, or all of it at once, which takes much memory (windows=False)"
+        raise type(error)(
+            f"The record is long and goes in windows, and {str(error).removesuffix('.')}: {remedy}."
+        ) from error
     if said:
         fit = replace(fit, after=(*fit.after, said))
     part_of_joint = isinstance(part, Record) and planned is not None and isinstance(model, ClosedLoop)

@@ -39,41 +39,20 @@ from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 
-LARGEST = 2**32
-"""Bytes that the identification of one record and its checks may take at once; a longer record goes in windows."""
+LARGEST = 2**30
+"""Bytes that the identification of a record may take at once; a longer record goes in windows."""
 
-_PER_SAMPLE = 7000  # bytes of a joint by simulation, where the checks search for a cause; without a misfit 1000
-_BY_FIT = 1000  # the same without checks, of each of several records
-_BY_IDIM = 500  # of a joint by its inverse model
-_ROBOT_COLUMNS = 30  # bytes of a robot's rows, for each joint, each equation and each of its parameters
-_OF_JOINT = 14  # parameters of a joint of a robot
+_OF_JOINT, _OF_ROBOT = 1700, 420  # bytes of a sample of a joint, and of a robot of one; checks take four times as much
+_PARTS, _CHECKED = 3, 0.375  # windows in what may be taken at once; of a window of a joint, which is checked
 _ROBOTS = Robot | RobotLoop | RobotDriveSide
 
 
-def memory_of(record: object, model: object = None, method: Method | None = None) -> int:
-    """Return the bytes that the identification of a record, or of several, and its checks may take."""
-    samples = [len(channel) for one in _flat(record) for _, channel in one.items()]
+def memory_of(record: object, model: object = None) -> int:
+    """Return the bytes that the identification of a record, or of several, may take at once."""
+    samples = [max((len(channel) for _, channel in one.items()), default=0) for one in _flat(record)]
     if isinstance(model, _ROBOTS):
-        joints = len(model if isinstance(model, Robot) else model.robot)
-        logs = len(_flat(record)) // joints
-        return _ROBOT_COLUMNS * _OF_JOINT * joints**2 * max(samples, default=0) * max(logs, 1)
-    if isinstance(record, Sequence):
-        return _BY_FIT * sum(max((len(channel) for _, channel in one.items()), default=0) for one in _flat(record))
-    each = _PER_SAMPLE if _is_joint_by_simulation(record, model, method) else _BY_IDIM
-    return each * max(samples, default=0)
-
-
-def _is_joint_by_simulation(record: object, model: object, method: Method | None) -> bool:
-    return isinstance(record, Record) and isinstance(model, ClosedLoop | None) and isinstance(method, DIDIM | None)
-
-
-def limit_of(record: object, model: object, method: Method | None) -> int:
-    """Return the bytes that the identification of a record may take at once.
-
-    It is `LARGEST` for a joint by simulation, which takes what is stated only if its checks search for a cause. All
-    others take it always: a quarter.
-    """
-    return LARGEST if _is_joint_by_simulation(record, model, method) else LARGEST // 4
+        return _OF_ROBOT * len(model if isinstance(model, Robot) else model.robot) * sum(samples)
+    return _OF_JOINT * sum(samples)
 
 
 def _flat(record: object) -> list[Record]:
@@ -85,11 +64,11 @@ def _flat(record: object) -> list[Record]:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """How a record that may take more than `LARGEST` is identified.
+    """How a record that would take more than `LARGEST` is identified.
 
     Attributes:
         part: of it, to be checked; None of several records and of a joint by IDIM, whose fit is not checked.
-        windows: in which it is identified. said: what it would take, in a sentence.
+        windows: in which it is identified. said: that it is, in a sentence.
     """
 
     part: Record | tuple[Record, ...] | None
@@ -97,59 +76,66 @@ class Planned:
     said: str
 
 
-def plan_windows(record: object, model: object, method: Method | None, limit: int | None = None) -> Planned | None:
-    """Return for a record above the limit the part to check, the windows, and a sentence on what it takes.
+def plan_windows(
+    record: object, model: object, method: Method | None, several: SeveralRecords | None = None
+) -> Planned | None:
+    """Return for a long record the part to check, the windows, and a sentence on them.
 
-    The part is the first with half the most travel or more. None of a record below, of one that moves in less than two
-    windows, and of what is not identified in windows.
+    The part is the first window with half the most travel or more. None of a record that is not long, of one that moves
+    in less than two windows, and of what is not identified in windows.
     """
-    needed, limit = memory_of(record, model, method), limit or limit_of(record, model, method)
-    if needed <= limit or not _in_windows(record, model, method):
+    needed = memory_of(record, model)
+    if needed <= LARGEST or not _in_windows(record, model, method, several):
         return None
     robot = isinstance(model, _ROBOTS)
     logs = [list(log) for log in each_log(cast("Records", record))] if robot else [[one] for one in _flat(record)]
     samples = sum(max(len(channel) for one in log for _, channel in one.items()) for log in logs)
     step = InMemory(logs[0][0]).sample_time
-    # The checks take several times as much as a fit.
-    longest, checked = (step * samples * most / needed for most in (limit / 3, LARGEST / 8))
-    windows = Windowing(min(Windowing().length, longest))
-    length = min(checked, windows.length)
+    windows = Windowing(min(Windowing().length, step * samples * LARGEST / (_PARTS * needed)))
+
+    length = windows.length if robot else _CHECKED * windows.length
 
     def divide(log: Sequence[Record], seconds: float) -> Iterator[tuple[Record, ...]]:
         chunks = (InMemory(one).chunks(round(seconds / step), 0) for one in log)
         return (tuple(one.record for one in piece) for piece in zip(*chunks, strict=False))
 
-    moving = sum(any(map(moves, piece)) for log in logs for piece in divide(log, windows.length))
-    if moving < 2:
+    if sum(any(map(moves, piece)) for log in logs for piece in divide(log, windows.length)) < 2:
         return None
     part: Record | tuple[Record, ...] | None = None
     checks = ""
-    if len(logs) == 1 and (robot or limit == LARGEST):
+    if len(logs) == 1 and (robot or _is_simulated(model, method)):
         enough = 0.5 * max(map(_travel, divide(logs[0], length)))
         first = next(one for one in divide(logs[0], length) if _travel(one) >= enough)
         checks = f", and checked in {length:.3g} s from {first[0].begin:.3g} s on"
         part = first if robot else first[0]
-    said = (
-        f"at once, the {samples} samples of the {'record' if len(logs) == 1 else 'records'} would take up to "
-        f"{needed / 1e9:.1f} GB of memory: they are identified in windows of {windows.length:.3g} s{checks}"
-    )
+    whole = "record" if len(logs) == 1 else "records"
+    said = f"the {samples} samples of the {whole} are identified in windows of {windows.length:.3g} s{checks}"
     return Planned(part, windows, said)
 
 
-def _in_windows(record: object, model: object, method: Method | None) -> bool:
+def _is_simulated(model: object, method: Method | None) -> bool:
+    return isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None)
+
+
+def _in_windows(record: object, model: object, method: Method | None, several: SeveralRecords | None) -> bool:
     """Test whether these records, model and method can be identified in windows."""
     records = _flat(record)
     clocks = {round(channel.sample_time, 12) for one in records for _, channel in one.items()}
     sizes = [{len(channel) for _, channel in one.items()} for one in records]
     if len(clocks) != 1 or any(len(size) != 1 for size in sizes):
         return False
-    if isinstance(model, _ROBOTS):
+    robot = isinstance(model, _ROBOTS)
+    if isinstance(method, IDIM) and (method.effects or method.estimator not in (None, "weighted" if robot else "ols")):
+        return False  # which needs all rows at once
+    if (several and several.free) or (isinstance(method, DIDIM) and method.free and not isinstance(record, Record)):
+        return False
+    if robot:
         return not isinstance(record, Record)
     if isinstance(record, Record) and (isinstance(method, IDIM) or (method is None and isinstance(model, Joint))):
         return isinstance(model, ClosedLoop | Joint)
     each = model if isinstance(model, Sequence) else [model]
     loops = [one for one in each if isinstance(one, ClosedLoop)]
-    simulated = isinstance(method, DIDIM | None) and len(loops) == len(each)
+    simulated = len(loops) == len(each) and all(_is_simulated(one, method) for one in loops)
     asked = all(one.reference is not None for one in records)
     return simulated and asked and not any(one.joint.friction.follows_time for one in loops)
 

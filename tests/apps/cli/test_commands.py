@@ -492,7 +492,7 @@ def test_what_needs_a_record_whole_refuses_one_in_windows_before_the_joint_is_id
 ) -> None:
     monkeypatch.chdir(demo)
     monkeypatch.setattr(File, "identify", None)
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", 10**8)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", 10**7)
     assert run(words[0], "joint.toml", "-q", *words[1:]) == 2
 
 

@@ -148,14 +148,14 @@ class Options:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
         from jointid import Estimate
-        from jointid.estimation.identify import LARGEST, plan_windows
+        from jointid.estimation.identify import plan_windows
         from jointid.estimation.result.parts import IN_WINDOWS
 
         record = file.record(self.record, judged=judged)
         if file.robot is None:  # the engine of a robot is another
             ready(self.progress)
         asked: dict[str, Any] = {"windows": False} if whole else {}
-        if whole and plan_windows(record, file.setup, file.method, LARGEST):
+        if whole and plan_windows(record, file.setup, file.method):
             raise MethodError(IN_WINDOWS)
         suspicions, known = Suspicions(self.progress), list[Estimate]()
         try:
