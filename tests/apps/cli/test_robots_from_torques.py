@@ -117,24 +117,6 @@ def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert np.all(np.linalg.norm(found - true, axis=0) < 0.02 * np.linalg.norm(true, axis=0))
 
 
-@pytest.mark.slow
-def test_two_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    twin = two((9.0, 16.0))
-    write_files(tmp_path, twin, 6.0, multisine=0.01)
-    joint = tmp_path / "robot.toml"
-    run("simulate", joint, "--out", tmp_path / "one.csv")
-    logged(tmp_path, "one.csv", 0.003, 5)
-    one_file, found = tmp_path / "one.csv", tmp_path / "found.json"
-    run("identify", joint, "--record", one_file, "--json", found, "--set", "filtering.cutoff=40")
-    assert "joint1: stiffness" in capsys.readouterr().out
-    answer = json.loads(found.read_text(encoding="utf-8"))
-    for one in twin.robot.joints:
-        assert one.spring is not None
-        row = answer["parameters"][f"{one.name}.stiffness"]
-        assert row["unit"] == "N m/rad"
-        assert abs(row["value"] - one.spring.stiffness) < 4 * row["std"] < 0.2 * one.spring.stiffness
-
-
 def test_a_joint_without_gains_falls_and_that_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_files(tmp_path, two(), 2.0)
     joint, found = tmp_path / "robot.toml", tmp_path / "found.json"

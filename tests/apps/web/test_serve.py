@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 import socket
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from jointid.apps.cli import main, serve
+from jointid.apps.cli import main
 
 
 def served(*words: object) -> int:
@@ -18,11 +17,6 @@ def served(*words: object) -> int:
         main(["serve", *map(str, words)])
     assert isinstance(end.value.code, int)
     return end.value.code
-
-
-def opened(folder: Path, port: int, tell: Callable[[str], None]) -> None:
-    """Stand in for a page that is served."""
-    tell(f"http://127.0.0.1:{port}/")
 
 
 @pytest.mark.parametrize("module", ["uvicorn", "starlette", "python_multipart"])
@@ -49,25 +43,18 @@ def test_the_folder_is_its_owners_alone(tmp_path: Path) -> None:
     assert (tmp_path / "page").stat().st_mode & 0o777 == 0o700
 
 
-def test_the_address_holds_a_token_that_is_new_at_each_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uvicorn.Server.run", lambda server, sockets: None)
-    addresses: list[str] = []
-    for _ in range(2):
-        serve.run_page(tmp_path, 0, addresses.append)
-    tokens = [re.fullmatch(r"http://127\.0\.0\.1:[0-9]+/([A-Za-z0-9_-]{32})/", one) for one in addresses]
-    first, second = (token[1] for token in tokens if token is not None)
-    assert first != second
-
-
-def test_the_browser_is_started_without_the_token_among_its_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_address_holds_a_token_that_is_new_at_each_start_and_no_browser_has_it_among_its_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     opened_at: list[str] = []
-    monkeypatch.setattr(serve, "run_page", opened)
+    monkeypatch.setattr("uvicorn.Server.run", lambda server, sockets: None)
     monkeypatch.setattr("webbrowser.open", opened_at.append)
-    assert served("--open", "--folder", tmp_path) == 0
     path = tmp_path / "open.html"
-    assert opened_at == [path.as_uri()]
-    assert 'url=http://127.0.0.1:8765/"' in path.read_text(encoding="utf-8")
+    for _ in range(2):
+        assert served("--open", "--port", 0, "--folder", tmp_path) == 0
+    first, second = re.findall(r"http://127\.0\.0\.1:[0-9]+/([A-Za-z0-9_-]{32})/", capsys.readouterr().out)
+    assert first != second
+    assert opened_at == [path.as_uri()] * 2
+    assert f'/{second}/"' in path.read_text(encoding="utf-8")
     if sys.platform != "win32":
         assert path.stat().st_mode & 0o777 == 0o600

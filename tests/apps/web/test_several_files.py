@@ -88,5 +88,6 @@ def test_a_robot_is_identified_as_by_the_command(asker: Asker, tmp_path: Path) -
     assert asker.ended(run) == "done"
     page, command = answers_of(run, tmp_path)
     assert page["parameters"] == command["parameters"]
+    assert page["answer"]["found"]["words"].partition(" ")[0] in asker.get(f"/runs/{run.name}")
     archive = zipfile.ZipFile(io.BytesIO(asker.client.get(f"/runs/{run.name}/all.zip").content))
     assert {*archive.namelist()} == {"robot.toml", "arm.xml", "one.csv", "report.html", "answer.json"}

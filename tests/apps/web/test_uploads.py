@@ -175,7 +175,7 @@ def test_what_was_on_its_way_in_when_the_page_was_killed_is_removed(folder: Path
 @pytest.mark.parametrize("content", ["", "{}", "7", "[" * 100_000, '{"state": 1}', "record = 3", "\xff"])
 def test_a_folder_that_is_damaged_is_shown(folder: Path, content: str) -> None:
     for path in (
-        folder / "runs" / "1" / "_run.json",
+        *(folder / "runs" / "1" / one for one in ("_run.json", "answer.json")),
         *(folder / "now" / f"{one}" for one in ("joint.toml", "_checked.json", "_columns.json")),
     ):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import socket
-from collections.abc import Callable
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
@@ -35,33 +35,6 @@ def serve(
         folder: in which records and answers are kept; it is made if it is not there.
         open_: also open the page in the browser.
     """
-
-    def announce(address: str) -> None:
-        show(f"The page is at {address} (Ctrl-C stops it); records and answers are kept in {folder}.")
-        if open_:
-            import webbrowser
-
-            # Others on the machine see how a browser is started, and must not see the token there.
-            path = folder.absolute() / "open.html"
-            path.unlink(missing_ok=True)
-            path.touch(0o600)
-            path.write_text(
-                f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n', encoding="utf-8"
-            )
-            webbrowser.open(path.as_uri())
-
-    run_page(folder, port, announce)
-
-
-def run_page(folder: Path, port: int, announce: Callable[[str], None]) -> None:
-    """Serve the page until it is interrupted; a folder that is made for it may be read by its owner alone.
-
-    `announce` is called with the page's address, including the token, as soon as it can be reached.
-
-    Raises:
-        ExtraError: a package of the page is not installed.
-        JointidError: the folder cannot be made, or the address is taken.
-    """
     for module in ("uvicorn", "starlette", "python_multipart"):
         extra(module, "web", "The page")
     from jointid.apps.web.application import build_application, run
@@ -77,5 +50,15 @@ def run_page(folder: Path, port: int, announce: Callable[[str], None]) -> None:
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise JointidError(f"Port {port} cannot be listened at ({reason}); choose another --port.") from None
-        announce(f"http://{_HOST}:{listening.getsockname()[1]}/{token}/")
+        address = f"http://{_HOST}:{listening.getsockname()[1]}/{token}/"
+        show(f"The page is at {address} (Ctrl-C stops it); records and answers are kept in {folder}.")
+        if open_:
+            # Others on the machine see how a browser is started, and must not see the token there.
+            path = folder.absolute() / "open.html"
+            path.unlink(missing_ok=True)
+            path.touch(0o600)
+            path.write_text(
+                f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n', encoding="utf-8"
+            )
+            webbrowser.open(path.as_uri())
         run(build_application(folder, token), listening)

@@ -17,7 +17,7 @@ from typing import Any
 
 from jointid.apps.web.form import list_records
 from jointid.common.errors import JointFileError, JointidError
-from jointid.common.files import beside, open_file, write_whole
+from jointid.common.files import beside, write_whole
 from jointid.config.toml import parse_toml, read_text
 
 MODELS = (".urdf", ".xml", ".mjcf")
@@ -116,9 +116,8 @@ class Draft:
     def json(self, name: str) -> dict[str, Any]:
         """Return a file as JSON; empty if it is missing or damaged."""
         try:
-            with open_file(self.path / name) as file:
-                found = json.load(file)
-        except (OSError, ValueError, RecursionError):
+            found = json.loads(self.read(name))
+        except (ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}
 

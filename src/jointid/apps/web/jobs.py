@@ -22,7 +22,6 @@ _TOO_LARGE = (
 )
 _SAID = "jointid: "  # begins the sentences of a command
 _REFUSED = 2  # exit code of a command that refuses
-_SIDE_BY_SIDE = 2  # processes that look at files
 _STOPPED = "The page was stopped before this had ended; press Identify again."
 
 
@@ -34,7 +33,6 @@ class Jobs:
         self._run: Draft | None = None
         self._began = 0.0
         self._task: asyncio.Task[None] | None = None
-        self._reading = asyncio.Semaphore(_SIDE_BY_SIDE)
 
     def is_running(self, run: Draft | None) -> bool:
         """Return whether an identification is running."""
@@ -80,8 +78,7 @@ class Jobs:
         Raises:
             PageError: it was refused, or took too long.
         """
-        async with self._reading:
-            await self._work(folder, self._limits.reading, "_log.txt", action)
+        await self._work(folder, self._limits.reading, "_log.txt", action)
 
     async def _identify(self, run: Draft, learn: bool) -> None:
         """Identify by the commands that a person would give, one after the other; without a report an answer stays."""

@@ -29,7 +29,7 @@ from jointid.apps.web.jobs import Jobs
 from jointid.common.document import templates, typeset
 from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import beside, is_full
-from jointid.config import load, load_to_learn, loads
+from jointid.config import load, load_to_learn
 from jointid.config.toml import parse_toml, read_text
 from jointid.records.formats import FORMATS
 from jointid.records.record import CHANNELS
@@ -193,9 +193,8 @@ async def check_channels(request: Request) -> Response:
     page, now = _page(request), await _save(request)
     async with page.files:
         if now.records:
-            text = form.write(form.make_reading_tables(now.tables))
-            await run_in_threadpool(loads, text, now.path)
-            now.write(text, "_reading.toml")
+            now.write(form.write(form.make_reading_tables(now.tables)), "_reading.toml")
+            await run_in_threadpool(load, now.path / "_reading.toml")
             await page.jobs.read(now.path, "check")
     return page.redirect("/joint")
 
@@ -237,7 +236,8 @@ async def draw_column(request: Request) -> Response:
 async def show_run(request: Request) -> Response:
     """Show the progress, then the answer with its report."""
     page, run = _find_run(request)
-    answer = run.json("answer.json").get("answer")
+    said = run.json("answer.json")
+    answer = said["answer"] if form.at(said, "answer.found.words") and form.at(said, "answer.trust.words") else None
     runs = [(one, page.jobs.state(one)) for one in page.folder.runs]
     return page.render("run", step=5 if answer else 4, run=run, answer=answer, status=page.jobs.state(run), runs=runs)
 
