@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,9 +72,7 @@ def design(
         file = options.load(joint, *outputs, method="didim")
         _require_goal(file, goal)
         asked["motion"] = None if motion is None else _read(motion, file)
-        record = _choose_record(file, options.record)
-        options = replace(options, records=() if record is None else (record,))
-        record, estimate = options.identify(file.of_record(record), checks=False, whole=True)
+        record, estimate = options.identify(file, checks=False, whole=True)
         found = run(estimate, record, **asked)
     else:
         found = _plan_robot(file, options, asked, None if motion is None else file.driving(motion))
@@ -84,14 +81,6 @@ def design(
     if out is not None:
         paths = found.write(out)
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
-
-
-def _choose_record(file: File, record: Path | None) -> Path | None:
-    """Return the record that a test is planned from: the named one, or of a list the first."""
-    if record is not None or not file.only_lists:
-        return record
-    show(f"Planned from {file.runs[0].file}, the first of [[records]]; name another by --record.")
-    return file.listed[0]
 
 
 def _require_goal(file: File, goal: str) -> None:
@@ -110,10 +99,10 @@ def _plan_robot(file: File, options: Options, asked: dict[str, Any], motion: tup
     feed_forward = "none" if file.feed_forward == "logged" else file.feed_forward
     asked = file.design_settings | asked | {"motion": motion, "feed_forward": feed_forward}
     enough = motion is not None or all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
-    named = options.record is not None or not enough or file.source.first is not None or file.only_lists
+    named = options.record is not None or not enough or file.source.first is not None
     if named:
         try:
-            records = file.record(_choose_record(file, options.record))
+            records = file.record(options.record)
             estimate = file.identify(records, options.progress, checks=False)
         except RecordError as error:  # references to simulate, or a log that is still to be made
             if options.record is not None or not enough:
