@@ -124,12 +124,9 @@ print(*threads, read())
 """
 
 
-@pytest.mark.parametrize(("given", "during"), [(None, "1"), pytest.param("2", "2", marks=pytest.mark.slow)])
-def test_identification_limits_linear_algebra_to_one_thread_and_gives_it_back(given: str | None, during: str) -> None:
-    """A number in the environment stays."""
+def test_identification_limits_linear_algebra_to_one_thread_and_gives_it_back() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
     ran = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, check=True)
     if ran.stdout.split() == ["none", "none"]:
         pytest.skip("NumPy was built without OpenBLAS")
-    assert ran.stdout.split() == [during, "2"]
+    assert ran.stdout.split() == ["1", "2"]

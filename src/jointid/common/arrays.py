@@ -80,14 +80,6 @@ class Room(threading.local):
         return held[:size].view(dtype).reshape(shape)
 
 
-class Fresh:
-    """Arrays in memory of their own."""
-
-    def array(self, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
-        """Return an array of undefined content; the name does not matter."""
-        return np.empty(shape, dtype)
-
-
 def inverses(matrices: FloatArray, lost: float) -> FloatArray:
     """Pseudo-inverses, (..., n, n); ordinary ones where well-conditioned, ten times faster.
 

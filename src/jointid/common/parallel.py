@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import importlib
 import multiprocessing
 import os
 import signal
@@ -13,7 +11,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
@@ -59,41 +56,25 @@ def in_threads(function: Callable[[Item], Result], items: Sequence[Item]) -> lis
         return list(pool.map(function, items))
 
 
-_limiting, _guard = list[list[int]](), threading.Lock()  # the own numbers of threads, once for each call that goes on
+_limits, _guard = list[Any](), threading.Lock()  # of each call that goes on
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
     """Limit the linear algebra of NumPy and SciPy to one thread, and restore its own number afterwards.
 
-    Matrices here are thousands of rows by ten columns: a second thread only waits for the first. A number that the
-    environment gives in OPENBLAS_NUM_THREADS stays. The limit holds for the process; the last of several calls at once
-    takes it away. A build without OpenBLAS keeps its number.
+    Matrices here are thousands of rows by ten columns: a second thread only waits for the first. The limit holds for
+    the process; the last of several calls at once takes it away.
     """
-    counts = () if BLAS_THREADS[0] in os.environ else _thread_counts()
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
     with _guard:
-        _limiting.append(_limiting[0] if _limiting else [read() for read, _ in counts])
-        for _, set_number in counts:
-            set_number(1)
+        _limits.append(threadpool_limits(1, "blas"))
     try:
         yield
     finally:
         with _guard:
-            own = _limiting.pop()
-            for (_, set_number), number in zip(counts, () if _limiting else own, strict=False):
-                set_number(number)
-
-
-@lru_cache(maxsize=1)
-def _thread_counts() -> tuple[tuple[Callable[[], int], Callable[[int], None]], ...]:
-    """Return the functions of each OpenBLAS that read and set its number of threads."""
-    found = []
-    for module in ("numpy.linalg._umath_linalg", "scipy.linalg._fblas"):
-        library = ctypes.CDLL(str(importlib.import_module(module).__file__))
-        for name in ("scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"):
-            if hasattr(library, name.format("set")):
-                found.append((library[name.format("get")], library[name.format("set")]))
-    return tuple(found)
+            _limits.pop().restore_original_limits()
 
 
 class Aside(Generic[Result]):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, Fresh, Room
+from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
@@ -41,7 +41,6 @@ class Outcome(StrEnum):
 _OUTCOMES = (Outcome.FINISHED, Outcome.DIVERGED, Outcome.TOO_STIFF, Outcome.CHATTERING)
 
 
-_FRESH = Fresh()
 _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not wound up before the first sample
 
 
@@ -228,7 +227,7 @@ def run(
     periods, parts, elements = experiment.periods, experiment.lengths.size, law.limits.size
     command = np.empty(periods)  # never in a room: it may be an answer
     kept = periods * parts if keep else 0
-    array = (room or _FRESH).array
+    array = (room or Room()).array
     states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
     modes = array("modes", (kept,), np.int16)
     tape = array("tape", (taped, kernels.TAPE if plant is None else engine.STEP_TAPE))

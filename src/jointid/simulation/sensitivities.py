@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, Fresh, Room
+from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
@@ -41,7 +41,7 @@ _IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
 _TAPED = 1000  # rows of the tape to begin with
 _ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
-_ROOM, _FRESH = Room(), Fresh()
+_ROOM = Room()
 _INITIAL = {
     "initial_position": (1.0, 0.0, 0.0),
     "initial_velocity": (0.0, 1.0, 0.0),
@@ -214,7 +214,7 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
             column, limits[:, j] = _explicit(out, name)
             explicit.append(column)
     periods, elements = len(out.command), law.limits.size
-    command = _FRESH.array("slopes", (width, periods))
+    command = np.empty((width, periods))
     states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     columns = sensitivity_kernels.Columns(explained, len(names) - len(explicit), delay, limits, start, memory)
