@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from jointid.apps.web.folder import Draft, Limits, PageError
-from jointid.common.bounds import TOO_LARGE
 from jointid.common.errors import JointidError, RecordError
 
 _TOO_LARGE = (
@@ -133,7 +132,7 @@ class Jobs:
 def _explain(code: int, said: str) -> PageError:
     """Return why a worker ended: its own sentences, or what its exit code says."""
     sentences = [line.removeprefix(_SAID) for line in said.splitlines() if line.startswith(_SAID)]
-    if code == TOO_LARGE or "MemoryError" in said:
+    if "MemoryError" in said:
         return PageError(_TOO_LARGE)
     if code == _REFUSED and sentences:
         return PageError("\n".join(sentences))

@@ -18,12 +18,12 @@ import numpy as np
 from jointid.apps.web.folder import Draft
 from jointid.apps.web.form import TEXT, at
 from jointid.common.arrays import FloatArray
-from jointid.common.bounds import LIBRARIES, TOO_LARGE, limit_memory, measure_memory
 from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.records.inspection import find_band
 
 _DRAWN, _LISTED = 64, 2000  # columns that are drawn, and whose names are listed
+_LIBRARIES = 2**29  # bytes of addresses that the libraries of the formats take, most of which are never touched
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 150, 74, 8, 10, 24
 _LINE = "#0072B2"  # that of what is measured, in all our figures
 
@@ -104,6 +104,18 @@ def _end_with_the_page() -> None:
     os._exit(1)
 
 
+def _limit_memory(most: int) -> None:
+    """Bound the memory beside that of the libraries, in bytes, on Linux."""
+    if sys.platform != "linux":
+        return
+    import resource
+
+    taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    least = taken + _LIBRARIES + most
+    resource.setrlimit(resource.RLIMIT_AS, (least if hard == resource.RLIM_INFINITY else min(least, hard), hard))
+
+
 def _act(words: list[str]) -> None:
     """Carry out an action, or a command, and exit as the command does."""
     action = {"preview": preview, "example": example, "check": check}.get(words[0])
@@ -114,8 +126,6 @@ def _act(words: list[str]) -> None:
     else:
         try:
             action(Draft(Path.cwd()))
-        except MemoryError:
-            sys.exit(TOO_LARGE)
         except JointidError as error:
             sys.exit("\n".join(f"jointid: {line}" for line in str(error).splitlines()))
 
@@ -123,5 +133,5 @@ def _act(words: list[str]) -> None:
 if __name__ == "__main__":
     threading.Thread(target=_end_with_the_page, daemon=True).start()
     # Beside the libraries: one that is loaded at the limit fails in ways of its own, not with `MemoryError`.
-    limit_memory(measure_memory() + LIBRARIES + int(sys.argv[1]))
+    _limit_memory(int(sys.argv[1]))
     _act(sys.argv[2:])
