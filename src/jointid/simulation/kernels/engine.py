@@ -220,6 +220,56 @@ def _find_first(
     return found, at
 
 
+@inline_kernel
+def _step(
+    masses: FloatArray, springs: FloatArray, places: FloatArray, mobility: FloatArray, modes: FloatArray,
+    torque: float, time: float, d: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray,
+    q1: FloatArray, v1: FloatArray, w1: FloatArray, a1: FloatArray, push1: FloatArray, grip1: FloatArray,
+    second: FloatArray, third: FloatArray,
+) -> None:  # fmt: skip
+    """Fill where a step of `d` seconds leads, and the accelerations and forces there, in the modes of its beginning."""
+    n = v.size
+    for stage in range(4):
+        for i in range(n):
+            if stage == 0:
+                q1[i], v1[i] = q[i] + 0.5 * d * v[i], v[i] + 0.5 * d * a[i]
+            elif stage == 1:
+                second[i] = a1[i]
+                q1[i], v1[i] = q[i] + 0.5 * d * (v[i] + 0.5 * d * a[i]), v[i] + 0.5 * d * a1[i]
+            elif stage == 2:
+                third[i] = a1[i]
+                q1[i], v1[i] = q[i] + d * (v[i] + 0.5 * d * second[i]), v[i] + d * a1[i]
+            else:
+                between = second[i] + third[i]
+                q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
+                v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
+        for i in range(n):
+            w1[i] = winding(w[i], modes[i], q1[i] - q[i], masses[i, WINDING])
+            if i + 1 < n:
+                e = (q1[i + 1] - q1[i]) - (q[i + 1] - q[i])
+                w1[n + i] = winding(w[n + i], modes[n + i], e, springs[i, SLIDING])
+        then = time + (0.5 * d if stage < 2 else d)
+        _accelerate(masses, springs, places, mobility, modes, torque, then, q1, v1, w1, a1, push1, grip1)
+
+
+@inline_kernel
+def _write_row(
+    row: FloatArray, modes: FloatArray, d: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray,
+    q1: FloatArray, v1: FloatArray, a1: FloatArray,
+) -> None:  # fmt: skip
+    """Write the motion of a step into its row of the tape."""
+    n = v.size
+    for i in range(n):
+        middle = 0.5 * (q[i] + q1[i]) + 0.125 * d * (v[i] - v1[i])
+        row[PLACE + i] = (q[i] + 4.0 * middle + q1[i]) / 6.0
+        row[SPEED + i] = (q1[i] - q[i]) / d if d > 0.0 else v[i]
+        row[CHANGE + i] = (v1[i] - v[i]) / d if d > 0.0 else a[i]
+        row[JERK + i] = (a1[i] - a[i]) / d if d > 0.0 else 0.0
+        row[MODE + i], row[WOUND + i] = modes[i], w[i]
+        if i + 1 < n:
+            row[STRETCHED + i], row[WAY + i] = w[n + i], modes[n + i]
+
+
 @compile_kernel
 def run(
     masses: FloatArray,
@@ -314,29 +364,10 @@ def run(
                 share, low, high, above, below, kept = 1.0, 0.0, 1.0, 0.0, 0.0, 0
                 while True:
                     d = share * h
-                    for stage in range(4):
-                        for i in range(n):
-                            if stage == 0:
-                                q1[i], v1[i] = q[i] + 0.5 * d * v[i], v[i] + 0.5 * d * a[i]
-                            elif stage == 1:
-                                second[i] = a1[i]
-                                q1[i], v1[i] = q[i] + 0.5 * d * (v[i] + 0.5 * d * a[i]), v[i] + 0.5 * d * a1[i]
-                            elif stage == 2:
-                                third[i] = a1[i]
-                                q1[i], v1[i] = q[i] + d * (v[i] + 0.5 * d * second[i]), v[i] + d * a1[i]
-                            else:
-                                between = second[i] + third[i]
-                                q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
-                                v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
-                        for i in range(n):
-                            w1[i] = winding(w[i], modes[i], q1[i] - q[i], masses[i, WINDING])
-                            if i + 1 < n:
-                                e = (q1[i + 1] - q1[i]) - (q[i + 1] - q[i])
-                                w1[n + i] = winding(w[n + i], modes[n + i], e, springs[i, SLIDING])
-                        then = time + (0.5 * d if stage < 2 else d)
-                        _accelerate(
-                            masses, springs, places, mobility, modes, torque, then, q1, v1, w1, a1, push1, grip1
-                        )
+                    _step(
+                        masses, springs, places, mobility, modes, torque, time, d, q, v, w, a, q1, v1, w1, a1, push1,
+                        grip1, second, third,
+                    )  # fmt: skip
                     steps += 1
                     tries += 1
                     if tries == 1:
@@ -377,15 +408,7 @@ def run(
                 if row < tape.shape[0]:
                     tape[row, PART], tape[row, LENGTH], tape[row, STOPPED] = k * parts + part, d, -1.0
                     tape[row, KICK] = last - a[0] if begins else 0.0
-                    for i in range(n):
-                        middle = 0.5 * (q[i] + q1[i]) + 0.125 * d * (v[i] - v1[i])
-                        tape[row, PLACE + i] = (q[i] + 4.0 * middle + q1[i]) / 6.0
-                        tape[row, SPEED + i] = (q1[i] - q[i]) / d if d > 0.0 else v[i]
-                        tape[row, CHANGE + i] = (v1[i] - v[i]) / d if d > 0.0 else a[i]
-                        tape[row, JERK + i] = (a1[i] - a[i]) / d if d > 0.0 else 0.0
-                        tape[row, MODE + i], tape[row, WOUND + i] = modes[i], w[i]
-                        if i + 1 < n:
-                            tape[row, STRETCHED + i], tape[row, WAY + i] = w[n + i], modes[n + i]
+                    _write_row(tape[row], modes, d, q, v, w, a, q1, v1, a1)
                 counts[1] += 1
                 begins = False
                 for i in range(n):
