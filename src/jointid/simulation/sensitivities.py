@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -30,10 +30,7 @@ from jointid.simulation.closed_loop import (
     run,
 )
 from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
-from jointid.simulation.plant import seeds_of
-
-if TYPE_CHECKING:
-    from jointid.simulation.kernels.variation import Seeds
+from jointid.simulation.plant import Plant, seeds_of
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -233,14 +230,13 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     return command.T, states
 
 
-def _plant_seeds(out: ClosedLoopRun, names: Sequence[str]) -> Seeds:
+def _plant_seeds(out: ClosedLoopRun, names: Sequence[str]) -> Plant:
     """Derivatives of the numbers of a plant by the parameters of its joint among some names."""
     from jointid.simulation.kernels.drive_sensitivities import LANES
-    from jointid.simulation.kernels.variation import Seeds
 
     assert out.plant is not None
     rows = 3, 2, len(out.plant.places)
-    seeds = Seeds(*(np.zeros((n, one.shape[1], LANES)) for n, one in zip(rows, out.plant, strict=True)))
+    seeds = Plant(*(np.zeros((n, one.shape[1], LANES)) for n, one in zip(rows, out.plant, strict=True)))
     for j, name in enumerate(names):
         if name in out.values:
             for seed, moved in zip(seeds, seeds_of(out.loop.joint, out.values, name), strict=True):

@@ -272,18 +272,9 @@ def _write_row(
 
 @compile_kernel
 def run(
-    masses: FloatArray,
-    springs: FloatArray,
-    places: FloatArray,
-    loop: SampledLoop,
-    before: float,
-    z: FloatArray,
-    x: FloatArray,
-    sliding: float,
-    far: float,
-    reach: float,
-    trace: Trace,
-) -> int:
+    masses: FloatArray, springs: FloatArray, places: FloatArray, loop: SampledLoop, before: float, z: FloatArray,
+    x: FloatArray, sliding: float, far: float, reach: float, trace: Trace,
+) -> int:  # fmt: skip
     """Simulate one loop; fill the trace and return how it ended.
 
     Args:

@@ -10,7 +10,7 @@ of the torque, and each kicks the motor's velocity by the difference of the acce
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -67,6 +67,7 @@ from jointid.simulation.kernels.engine import (
     WOUND,
     winding,
 )
+from jointid.simulation.plant import Plant
 
 _MASSES, _SPRINGS = 3, 2
 # Rows of the derivatives, LANES long: positions and velocities of the masses, what is wound up of masses and springs,
@@ -82,19 +83,6 @@ _FACTORS = 12
 
 
 Five: TypeAlias = tuple[float, float, float, float, float]
-
-
-class Seeds(NamedTuple):
-    """Derivatives of the numbers of a run.
-
-    Attributes:
-        masses: (3, MASS, columns), springs: (2, SPRING, columns), 0 of those that are not there.
-        places: (forces, 5, columns).
-    """
-
-    masses: FloatArray
-    springs: FloatArray
-    places: FloatArray
 
 
 @inline_kernel
@@ -276,23 +264,16 @@ def _move(
 
 @compile_kernel
 def follow(
-    masses: FloatArray,
-    springs: FloatArray,
-    places: FloatArray,
-    seeds: Seeds,
-    loop: SampledLoop,
-    before: float,
-    trace: Trace,
-    columns: Columns,
-    slopes: Slopes,
-) -> None:
+    masses: FloatArray, springs: FloatArray, places: FloatArray, seeds: Plant, loop: SampledLoop, before: float,
+    trace: Trace, columns: Columns, slopes: Slopes,
+) -> None:  # fmt: skip
     """Fill the derivatives as `kernels.drive_sensitivities.follow` does, of a run of `kernels.engine`.
 
     Args:
         masses: of the run, as it left them.
         springs: of the run.
         places: of the run.
-        seeds: their derivatives.
+        seeds: their derivatives, (3, MASS, columns), (2, SPRING, columns) and (forces, 5, columns); 0 of what is not there.
         loop: what drove the run.
         before: torque that acted before its first period.
         trace: what it left behind, with the tape of the whole run.
