@@ -273,7 +273,8 @@ def follow(
         masses: of the run, as it left them.
         springs: of the run.
         places: of the run.
-        seeds: their derivatives, (3, MASS, columns), (2, SPRING, columns) and (forces, 5, columns); 0 of what is not there.
+        seeds: their derivatives: (3, MASS, columns), (2, SPRING, columns) and (forces, 5, columns), 0 of what is not
+            there.
         loop: what drove the run.
         before: torque that acted before its first period.
         trace: what it left behind, with the tape of the whole run.
