@@ -277,7 +277,7 @@ motor_position = { column = "q", unit = "rad" }
     ("lines", "made"),
     [
         ('name = "drive_side"', DriveSideFit()),
-        ('name = "drive_side"\nlog_delay = -4e-4\ninstruments = "never"', DriveSideFit(-4e-4, instruments="never")),
+        ('name = "drive_side"\nlog_delay = -4e-4', DriveSideFit(-4e-4)),
         ('name = "drive_side"\ncurrent_lag = "estimated"\nfrequency = 54', DriveSideFit(None, None, 54.0)),
     ],
 )

@@ -65,7 +65,6 @@ def resting() -> None:
         (lambda: ji.identify(RECORD, LOOP, ji.DIDIM(frequency=30.0)), ji.MethodError),
         (lambda: ji.DIDIM(tolerance=0.0), ji.MethodError),
         (lambda: ji.DIDIM(frequency=-3.0), ji.MethodError),
-        (lambda: ji.DriveSideFit(instruments="maybe"), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.IDIM("best"), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.identify(RECORD, RIGID, ji.IDIM("weighted")), ji.MethodError),
         (lambda: ji.identify(RECORD, RIGID, ji.IDIM("iv")), ji.MethodError),

@@ -1,26 +1,15 @@
-"""Linear least squares by QR, and instrumental variables.
-
-Instrumental variables solve ``Z' e = 0`` with instruments Z that are uncorrelated with the disturbance.
-"""
+"""Linear least squares by QR, and the projection on columns by others."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Bounds
-from jointid.solvers.solve import Counted, InstrumentProblem, Solution, Status, Step, Watch
 
 _RANK = 1e-10  # of the largest: a normalised singular value below this is a parameter nothing excites
-_TOLERANCE = 0.05  # of the deviations
-_WHOLE = 6  # steps; then halves of them, since where a direction flips they may go round in circles
-_LONGEST = 0.3  # of a parameter that keeps its sign: the longest step
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,81 +104,6 @@ def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:
             f"Nothing in this record excites {', '.join(idle)}; fix {'it' if len(idle) == 1 else 'them'}, or use a "
             "motion that moves at several speeds, both ways; if it does, correct units, gains and sides of the loop."
         )
-
-
-Deviations: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-"""Instruments, derivatives and residual in, what the deviations of the parameters are, (parameters,), out."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class InstrumentalSolution(Solution):
-    """The solution of ``Z' e = 0``.
-
-    Attributes:
-        moving: (free,) those that were solved for, the others being kept or at a bound.
-        instruments: Z, (rows, free).
-    """
-
-    moving: NDArray[np.bool_]
-    instruments: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class InstrumentalVariables:
-    """Settings of Newton's steps on the estimating equations of instrumental variables.
-
-    Attributes:
-        deviations: of the parameters; it ends where a step moves none by more than 5 % of its own.
-        kept: (free,) parameters that are left where they start.
-        signed: (free,) parameters whose sign must not change: a step moves none of them by more than 30 %.
-        iterations: at most.
-    """
-
-    deviations: Deviations
-    kept: NDArray[np.bool_]
-    signed: NDArray[np.bool_]
-    iterations: int = 25
-
-    def solve(self, problem: InstrumentProblem, start: FloatArray, watch: Watch) -> InstrumentalSolution:
-        """Solve within the bounds; parameters at a bound stay there."""
-        counted, bounds, x, trace = Counted.of(problem), Bounds.of(problem.free), start, list[Step]()
-        before, status = counted.evaluations, Status.EVALUATION_LIMIT
-        error, J = counted.linearise(x)
-        while True:
-            Z = problem.instruments(x)
-            step, moving = self._step(bounds, x, error, J, Z)
-            if not moving.any() and not trace:
-                status = Status.NOT_EVALUABLE
-            if status is not Status.EVALUATION_LIMIT or len(trace) == self.iterations:
-                break
-            step *= 0.5 if len(trace) >= _WHOLE else 1.0
-            after = bounds.clip(x + step)
-            spread = self.deviations(Z[:, moving], J[:, moving], error)
-            if np.all(np.abs(after - x)[moving] <= _TOLERANCE * spread):
-                status = Status.STEP
-            x = after
-            error, J = counted.linearise(x)
-            trace.append(Step(x, float(np.linalg.norm(error)), counted.evaluations))
-            watch(trace[-1])
-        message = status.sentence if status.converged else f"not converged: {status.sentence}"
-        used = counted.evaluations - before
-        return InstrumentalSolution(x, error, J, status, message, tuple(trace), used, moving=moving, instruments=Z)
-
-    def _step(
-        self, bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, Z: FloatArray
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return a limited step, (free,), and the parameters that it moves."""
-        moving = ~self.kept & (np.linalg.norm(Z, axis=0) > 0) & (np.linalg.norm(J, axis=0) > 0)
-        while True:
-            step = np.zeros(x.size)
-            step[moving] = -projection(Z[:, moving], J[:, moving]) @ error
-            outwards = bounds.find_blocking(x, step)
-            if not np.any(outwards):
-                break
-            moving &= ~outwards
-        near = self.signed & (x != 0)  # at a bound of 0 there is no sign to keep
-        far = float(np.max(np.abs(step[near]) / np.abs(x[near]), initial=0.0))
-        return step * min(1.0, _LONGEST / max(far, 1e-300)), moving
 
 
 def projection(Z: FloatArray, J: FloatArray) -> FloatArray:

@@ -32,13 +32,6 @@ class Problem(Protocol):
         """Residual, (rows,), and derivatives, (rows, free); the latter 0 where simulation fails."""
 
 
-class InstrumentProblem(Problem, Protocol):
-    """A problem with instruments, correlated with the derivatives but not the disturbance."""
-
-    def instruments(self, x: FloatArray) -> FloatArray:
-        """Return the instruments, (rows, free)."""
-
-
 class Status(Enum):
     """Why a solver ended, with advice, and whether it succeeded."""
 

@@ -7,7 +7,7 @@ need no guess: for each of a row of motor-locked frequencies, at which the motor
 load of one unit is simulated, and everything else about the joint is then linear. The best few are refined.
 
 A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
-squares is biased (`endogeneity` tests that, and mends it where the record has a reference or an injected signal).
+squares is biased: the intervals are widened for that (`with_measured_motion`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from jointid.common.messages import Detail, Progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.methods.endogeneity import judge_endogeneity
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.problems.base import LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import noise_limit_of
@@ -39,6 +37,8 @@ from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.prescribed import DriveSide
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Multistart, Step, Watch, solve
+from jointid.uncertainty.covariance import sandwich, with_bands, with_measured_motion
+from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
 _LOWEST = 0.05  # ... from this share of the cut-off up to it
@@ -77,12 +77,6 @@ class DriveSideFit(Method):
         above=0,
         systems=MODELS,
     )
-    instruments: Literal["tested", "always", "never"] = setting(
-        "tested",
-        "whether the reference and the injected signal replace least squares when they show that it is biased, "
-        "always or never",
-        systems=MODELS,
-    )
     tolerance: float = setting(
         1e-8, "change of the criterion or the parameters to stop at, as a share", above=0, systems=MODELS
     )
@@ -101,7 +95,7 @@ class DriveSideFit(Method):
     def identify(self, task: Task) -> FitResult:
         """Identify a joint from torque and motor position, whatever its controller.
 
-        Reference and injected signal serve as instruments. The position's cut-off should be five times the free-free
+        The position's cut-off should be five times the free-free
         frequency or more, the other one above it.
 
         Raises:
@@ -119,22 +113,21 @@ class DriveSideFit(Method):
         starts, simulations = grid_starts(problem, self)
         solver = Multistart(LevenbergMarquardt(self.tolerance))
         solution = solve(problem, solver, np.array(starts), _report_steps(task.progress))
-        verdict = judge_endogeneity(record, problem, solution, self.instruments, task.progress)
+        J, error = solution.jacobian, solution.residual
+        covariance = with_measured_motion(with_bands(sandwich(J, J, error), J, J, error), J, J, error)
         resting = 1 - float(np.mean(weights_of(problem.motion)))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
         limit = noise_limit_of(record, task.joint, ("motor_position",))
         noise = describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model)
-        how = "least squares" if verdict.x is None else "instrumental variables"
         return build_prescribed_result(
             record,
             problem,
-            solution.x if verdict.x is None else verdict.x,
             solution,
-            verdict.covariance,
-            ("torque", "motor_position", *verdict.channels),
-            ("drive_side", f"drive-side by {how}"),
-            earlier=simulations + verdict.simulations,
-            after=(*noise, *((rest,) if resting > SAID else ()), *verdict.warnings),
+            covariance,
+            ("torque", "motor_position"),
+            ("drive_side", "drive-side by least squares"),
+            earlier=simulations,
+            after=(*noise, *((rest,) if resting > SAID else ()), MOTION_MEASURED),
         )
 
 

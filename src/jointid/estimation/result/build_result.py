@@ -325,7 +325,6 @@ def _sum_of(p: Parameter, unit: str) -> Combination:
 def build_prescribed_result(
     record: Record,
     problem: DriveSideProblem,
-    x: FloatArray,
     solution: Solution,
     covariance: Covariance,
     channels: tuple[str, ...],
@@ -339,14 +338,14 @@ def build_prescribed_result(
     Args:
         record: what was identified from.
         problem: what was solved.
-        x: free parameters: the solution's, or those that instruments gave in their place.
         solution: of least squares.
-        covariance: of the errors of x.
+        covariance: of the errors of its parameters.
         channels: that were read.
         method: its name, and how it was run.
         earlier: simulations beside those of the solution.
         after: warnings after those of the search and the parameters.
     """
+    x = solution.x
     lost = find_lost(problem.free, x, covariance.std)
     fit = build_fit(
         problem, problem.predict(x), problem.residual(x), solution.message, converged=solution.converged,
