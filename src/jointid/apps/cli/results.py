@@ -13,8 +13,6 @@ from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import Aside
 
-_EXPORT = "export."  # the beginning of a change that is a setting of the written language
-
 if TYPE_CHECKING:
     from jointid import Estimate
     from jointid.config import File
@@ -173,18 +171,20 @@ def export(
         side: of a transmission, whose numbers are written; without it the load's for URDF, MJCF and actuators, and else
             the side that was identified.
     """
+    from jointid.config.toml import apply_changes
     from jointid.estimation.result.estimate import law_fingerprint
     from jointid.output.export import export as run
     from jointid.output.export import find_language
     from jointid.output.json import load_estimate
 
-    of_file = tuple(one for one in changes if not one.startswith(_EXPORT))
+    of_file = tuple(one for one in changes if not one.startswith("export."))
     file = Options(changes=of_file, axis=axis).load(joint, out, estimate=estimate)
-    settings = dict(map(_setting, (one for one in changes if one.startswith(_EXPORT))))
+    settings = apply_changes({}, [one for one in changes if one not in of_file]).get("export", {})
     language = find_language(format or out.suffix.lower()).name
     system: Any = file
     if file.robot is not None:
-        _refuse_options("A robot is written as bodies behind their gears", {"--side": side})
+        if side is not None:
+            raise MethodError("A robot is written as bodies behind their gears; leave --side out.")
         if language == "urdf" and file.model_path is not None and file.model_path.suffix.lower() == ".urdf":
             settings |= {"model": file.model_path, "locked": file.locked}
     else:
@@ -202,15 +202,6 @@ def export(
     show(f"Written: {out}")
 
 
-def _setting(change: str) -> tuple[str, Any]:
-    """Return name and value of a setting of an export's language, as ``export.timestep=1e-3`` has them."""
-    key, _, text = change.removeprefix(_EXPORT).partition("=")
-    try:
-        return key.strip(), float(text)
-    except ValueError:
-        return key.strip(), text.strip()
-
-
 def _read_or_identify(file: File, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
     """Return an estimate: from its file, or else from the record that the joint file or robot file names."""
     from jointid.output.json import load_estimate
@@ -218,13 +209,3 @@ def _read_or_identify(file: File, estimate: Path | None, progress: Progress = ig
     if estimate is not None:
         return load_estimate(estimate, file)
     return file.identify_together([], progress) if file.only_lists else file.identify(file.record(), progress)
-
-
-def _refuse_options(why: str, options: dict[str, object]) -> None:
-    """Refuse options of a joint file for a robot file.
-
-    Raises:
-        MethodError: one of them was given.
-    """
-    if given := [option for option, value in options.items() if value]:
-        raise MethodError(f"{why}; {', '.join(given)} is for a joint file: leave it out.")

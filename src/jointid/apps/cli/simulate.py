@@ -120,15 +120,9 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
         ready(listen(quiet))
         found = run(seed, listen(quiet))
         written = save(report_reproduction(found, lambda answer: png(torque_chart(answer), 100)), out, "reproduction")
-    didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
-        value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]
-        said = f"{interval(value, 2 * std)} {best[name].unit}, truth {truth:g}, from torque alone"
-        show(f"{in_words(name):14} {said}")
-    show(
-        f"Nelder-Mead took {didim.fit.simulations} simulations, least squares from a grid of starts "
-        f"{best.fit.simulations}; "
-        f"+10 kg was found as {found.variations('idim')['load_inertia']:.2f} kg by IDIM, "
-        f"{found.variations('didim')['load_inertia']:.2f} kg by DIDIM"
-    )
-    show(f"Written: {', '.join(str(path) for path in written)}")
+        best, truth = found.first.best[name], found.first.axis.truth[name]
+        show(
+            f"{in_words(name):14} {interval(best.value or 0.0, 2 * (best.stderr or 0.0))} {best.unit}, truth {truth:g}"
+        )
+    show(f"Written: {', '.join(map(str, written))}")
