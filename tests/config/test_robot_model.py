@@ -91,12 +91,12 @@ def mjcf(inside: str, beside: str = "") -> str:
     [
         (
             mjcf('<body><joint name="k" type="ball"/></body>'),
-            "<joint> k is of the type ball; expected joints that turn",
+            "<joint> k is of the type ball",
         ),
-        (mjcf("<body><freejoint/></body>"), "<freejoint> floats"),
+        (mjcf("<body><freejoint/></body>"), "<freejoint> is not read"),
         (mjcf("", '<equality><connect body1="b" anchor="0 0 0"/></equality>'), "<connect> ties j; .*robot.locked"),
         (mjcf("", '<equality><joint joint1="j"/></equality>'), "Every joint of the model stands still"),
-        (mjcf("", '<include file="/etc/passwd"/>'), "reads another file"),
+        (mjcf("", '<include file="/etc/passwd"/>'), "<include> is not read"),
         (mjcf('<body name="m"><joint/><geom type="mesh" mesh="m"/></body>'), "<body> m follows from a mesh"),
         (mjcf('<body><joint name="s" stiffness="3"/></body>'), "the joint s has a spring to its parent"),
         (mjcf('<body name="b"/>'), "is no robot that MuJoCo reads"),
@@ -219,7 +219,7 @@ def test_locked_joints_load_the_others_as_if_they_stood_still(tie: str, locked: 
 @pytest.mark.parametrize(
     ("tie", "locked", "said"),
     [
-        (TIE, {}, r"<equality> ties bend, grip; .* robot\.locked, as locked = \{ grip = 0\.0 \}"),
+        (TIE, {}, r"<equality> ties bend, grip; .* robot\.locked, as locked = \{ bend = 0\.0 \}"),
         (TIE, {"bend": 0.1}, r"<equality> ties grip;"),
         ("", {"lid": 0.1}, r"robot\.locked is "),
         ('<equality><weld body1="tip" body2="wrist"/></equality>', {"bend": 0.1}, "<weld> ties grip;"),

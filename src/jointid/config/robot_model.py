@@ -66,14 +66,7 @@ _URDF: Mapping[str, str] = {
     "dynamics": "damping friction",
     "limit": "lower upper effort velocity",
 }
-_REFUSED: Mapping[str, str] = {
-    "include": "reads another file; write its content into this one",
-    "attach": "reads another file; write its content into this one",
-    "replicate": "repeats bodies; write them out",
-    "composite": "is no rigid body; leave it out",
-    "flexcomp": "is no rigid body; leave it out",
-    "freejoint": "floats; expected joints that turn or slide on a fixed base: leave it out",
-}
+_REFUSED = ("include", "attach", "replicate", "composite", "flexcomp", "freejoint")
 _ONCE: Mapping[str, tuple[str, ...]] = {
     "link": ("inertial",),
     "body": ("inertial",),
@@ -284,7 +277,8 @@ def _clean_model(root: ET.Element, called: str) -> tuple[ET.Element, tuple[str, 
         raise JointFileError(f"{called} holds <{root.tag}>; expected <robot>, URDF, or <mujoco>, MJCF: check the file.")
     _refuse_elements(root, called)
     kept, remarks = _strip_model(root, called)
-    _give_masses(kept)
+    bound = ET.SubElement(kept if root.tag == "mujoco" else ET.SubElement(kept, "mujoco"), "compiler")
+    bound.attrib.update(boundmass=repr(_LEAST_MASS), boundinertia=repr(_LEAST_MASS))
     return kept, (*_unused_springs(root), *remarks)
 
 
@@ -321,11 +315,12 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
     by_shapes = _has_mass_by_shapes(root)
     for one in root.iter():
         name = f"<{one.tag}>" + (f" {one.get('name')}" if one.get("name") else "")
-        if one.tag in _REFUSED:
-            faults.append(f"{called}: {name} {_REFUSED[one.tag]}.")
-        elif one.tag == "joint" and one.get("type") in ("ball", "free", "floating", "planar"):
-            kinds = "expected joints that turn or slide about one axis: write it as several joints, or leave it out"
-            faults.append(f"{called}: {name} is of the type {one.get('type')}; {kinds}.")
+        free = one.tag == "joint" and one.get("type") in ("ball", "free", "floating", "planar")
+        if free or one.tag in _REFUSED:
+            said = f"{name} is of the type {one.get('type')}" if free else f"{name} is not read"
+            faults.append(
+                f"{called}: {said}; expected rigid bodies, written out, and joints that turn or slide about one axis."
+            )
         elif one.tag == "body" and (by_shapes or one.find("inertial") is None) and any(map(_is_mesh, _geoms(one))):
             more = " and leave inertiafromgeom out" if by_shapes else ""
             faults.append(
@@ -388,7 +383,6 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
 
     Where links are is enough to identify a robot, so a wrong mass is no reason to refuse a model.
     """
-    least = repr(_LEAST_MASS)
     for one in (*root.iter("link"), *root.iter("body")):
         inertial = one.find("inertial")
         if inertial is None or (reason := _impossible(inertial)) is None:
@@ -396,8 +390,6 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
         if reason:
             yield f"{_where(root, one)} has {reason}, as no body can; its mass and inertia are taken as unknown"
         one.remove(inertial)
-        if one.tag == "body":  # without it MuJoCo makes a mass of the shapes
-            one.append(ET.Element("inertial", pos="0 0 0", mass=least, diaginertia=" ".join(3 * [least])))
 
 
 def _impossible(inertial: ET.Element) -> str | None:
@@ -442,19 +434,6 @@ def _where(root: ET.Element, element: ET.Element) -> str:
     return f"a {element.tag}"
 
 
-def _give_masses(root: ET.Element) -> None:
-    """Give MuJoCo's least mass to links and bodies without one."""
-    least = repr(_LEAST_MASS)
-    for link in root.findall("link"):
-        if link.find("inertial") is None:
-            inertial = ET.SubElement(link, "inertial")
-            ET.SubElement(inertial, "mass", value=least)
-            ET.SubElement(inertial, "inertia", ixx=least, iyy=least, izz=least, ixy="0", ixz="0", iyz="0")
-    for body in root.iter("body"):
-        if body.find("inertial") is None and body.find("geom") is None and body.find("frame") is None:
-            ET.SubElement(body, "inertial", pos="0 0 0", mass=least, diaginertia=" ".join(3 * [least]))
-
-
 def _follow_ties(
     root: ET.Element, locked: Mapping[str, float], initial: Mapping[str, float], called: str
 ) -> dict[str, float]:
@@ -471,20 +450,18 @@ def _follow_ties(
                 moved = 0.0 if leader is None else still[leader] - initial.get(leader, 0.0)
                 value = initial.get(follower, 0.0) + float(np.polynomial.polynomial.polyval(moved, polynomial))
                 still.setdefault(follower, value)
-    carried = _joints_below(root)
-    tied_by = dict[str, tuple[dict[str, None], dict[str, None]]]()  # of each element the joints, and those to lock
+    carried, faults = _joints_below(root), dict[str, dict[str, None]]()
     for tag, one, other, _ in ties:
         element, _, body = tag.partition(" ")
         tied = {one, other} if one else {*(carried.get(str(other), set()) ^ carried.get(body, set()))}
-        if moving := sorted(name for name in tied if name and name not in still):
-            joints, leaders = tied_by.setdefault(element, ({}, {}))
-            joints |= dict.fromkeys(moving)
-            leaders[str(other) if other in moving else moving[-1]] = None
-    if tied_by:
+        moving = sorted(name for name in tied if name and name not in still)
+        faults.setdefault(element, {}).update(dict.fromkeys(moving))
+    if any(faults.values()):
         raise JointFileError(
             f"{called}: <{element}> ties {', '.join(joints)}; expected joints that move on their own: name those that "
-            f"stand still in robot.locked, as locked = {{ {' = 0.0, '.join(leaders)} = 0.0 }}."
-            for element, (joints, leaders) in tied_by.items()
+            f"stand still in robot.locked, as locked = {{ {next(iter(joints))} = 0.0 }}."
+            for element, joints in faults.items()
+            if joints
         )
     return still
 

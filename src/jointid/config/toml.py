@@ -152,32 +152,18 @@ def _put(tables: dict[str, Any], path: list[str], value: Any) -> None:
             here = here.setdefault(index, {}) if isinstance(here, dict) else here[index]
 
 
-# Strings of several lines, strings of one, comments; a missing end is searched for once.
-_QUOTED = re.compile(
-    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5})?'
-    r"|'''(?:[^']|'(?!''))*+(?:'{3,5})?"
-    r'|"(?:[^"\\\n]|\\[^\n])*+"?'
-    r"|'[^'\n]*+'?"
-    r"|#[^\n]*+",
-    re.DOTALL,
-)
 _BETWEEN_KEYS = re.compile(r"[=,\n\[\]{}]")
 
 
-def _blank(text: str) -> str:
-    """Return a text of the same length in which strings are underscores and comments blanks."""
-    return _QUOTED.sub(lambda found: (" " if found[0][0] == "#" else "_") * len(found[0]), text)
-
-
 def deepest_key(text: str) -> int:
-    """Return the largest number of dots in a key of a TOML text.
+    """Return the largest number of dots in a key of a TOML text, or in what could be one.
 
     Example:
         >>> from jointid.config.toml import deepest_key
-        >>> deepest_key('[a.b.c]\\nd = [1.5, 2.5]  # e.f.g.h.i\\n')
+        >>> deepest_key('[a.b.c]\\nd = [1.5, 2.5]')
         2
     """
-    return max(part.count(".") for part in _BETWEEN_KEYS.split(_blank(text)))
+    return max(part.count(".") for part in _BETWEEN_KEYS.split(text))
 
 
 def edit(text: str, change: Callable[[MutableMapping[str, Any]], None]) -> str:
