@@ -161,7 +161,7 @@ def test_a_day_that_is_none_does_not_hide_a_drift() -> None:
     values = np.where(np.arange(20) < 10, 100.0, 90.0) + 0.5 * np.random.default_rng(1).standard_normal(20)
     days = [f"2026-02-{number + 10:02}" for number in range(19)] + ["2026-02-30"]
     rows = [
-        Row("", "a", "", day, (), Outcome.IDENTIFIED, "", "", {"stiffness": Found(float(value), 0.5, "N/m")})
+        Row("", "a", "", day, (), Outcome.IDENTIFIED, "", {"stiffness": Found(float(value), 0.5, "N/m")})
         for day, value in zip(days, values, strict=True)
     ]
     (found,) = judge(series_of(rows))

@@ -23,7 +23,7 @@ HASH = "a" * 64
 
 
 def row() -> Row:
-    return Row(HASH, "axis", "a.npy", "", (), Outcome.IDENTIFIED, "Found.", "")
+    return Row(HASH, "axis", "a.npy", "", (), Outcome.IDENTIFIED, "Found.")
 
 
 def large(raw: dict[str, Any]) -> str:

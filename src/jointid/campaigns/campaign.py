@@ -69,17 +69,12 @@ class Case:
     @property
     def content_hash(self) -> str:
         """SHA-256 of the description, as 64 hexadecimal digits."""
-        return sha256_of(canonical(asdict(self)))
+        return hashlib.sha256(canonical(asdict(self)).encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def canonical(value: object) -> str:
     """Serialise a value as canonical JSON on one line."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-
-def sha256_of(text: str) -> str:
-    """Return the SHA-256 of a text as 64 hexadecimal digits."""
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)

@@ -202,9 +202,8 @@ def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
     yield Heading("Without an answer")
     # One that kills its worker is to be seen among any number of spoiled records.
     without.sort(key=lambda row: (row.outcome is not Outcome.SET_ASIDE, row.outcome is not Outcome.FAILED, row.place))
-    whose = [" ".join(filter(None, (row.joint, row.day, "; ".join(row.changes)))) for row in without]
-    said = (f"{who}, {row.outcome}: {short(row.sentence, _LONGEST)}" for who, row in zip(whose, without, strict=True))
-    yield Listing(tuple(said)[:most])
+    whose = ((" ".join((row.joint, row.day, *row.changes)), row) for row in without[:most])
+    yield Listing(tuple(f"{who}, {row.outcome}: {short(row.sentence, _LONGEST)}" for who, row in whose))
 
 
 _Shown: TypeAlias = tuple[Series, str, str, Change | None]

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from jointid import __version__
-from jointid.campaigns.campaign import Case, canonical, sha256_of
+from jointid.campaigns.campaign import Case, canonical
 from jointid.common.errors import RecordError
 from jointid.common.files import explain, lock, open_file
 
@@ -64,7 +64,6 @@ class Row:
         trust: whether to rely on the answer, a code.
         error_percent: norm of the torque error, filtered, over that of the torque.
         record_sha256: of the record's bytes; empty where they could not be read.
-        joint_file_sha256: of the joint file's text.
         program: the version of jointid that identified it.
     """
 
@@ -75,7 +74,6 @@ class Row:
     changes: tuple[str, ...]
     outcome: Outcome
     sentence: str
-    joint_file_sha256: str
     found: Mapping[str, Found] = field(default_factory=dict)
     trust: str = ""
     error_percent: float | None = None
@@ -86,10 +84,8 @@ class Row:
     @classmethod
     def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
         """Return the row of a case."""
-        return cls(
-            case.content_hash, case.joint, case.record, case.day, case.changes, outcome, sentence,
-            sha256_of(case.joint_file), settings=case.settings, **more,
-        )  # fmt: skip
+        about = (case.content_hash, case.joint, case.record, case.day, case.changes)
+        return cls(*about, outcome, sentence, settings=case.settings, **more)
 
     @classmethod
     def read(cls, raw: Mapping[str, Any]) -> Self:
@@ -104,8 +100,7 @@ class Row:
             row = cls(**{**raw, **lists, "found": found, "outcome": Outcome(raw["outcome"])})
             texts = (
                 row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.program,
-                row.joint_file_sha256, row.record_sha256, *row.changes, *row.settings,
-                *(one.unit for one in found.values()),
+                row.record_sha256, *row.changes, *row.settings, *(one.unit for one in found.values()),
             )  # fmt: skip
             "".join(texts)  # refuses what is no text
             numbers = (row.error_percent, *(number for one in found.values() for number in (one.value, one.std)))
