@@ -11,6 +11,7 @@ import jointid as ji
 from tests.frozen.cases import every
 
 WITHIN, SPREAD, EXACT = 0.1, 0.05, 1e-6  # of a deviation; of the deviations; of values of real records
+UNKNOWN = 1e6  # times the value: a deviation above that says nothing, and neither does the value
 _OF_CAUSES = ("loop", "repeatable residual", "fit")
 
 
@@ -65,6 +66,8 @@ def differences(name: str, old: dict[str, Any], new: dict[str, Any]) -> list[str
     exact = name.startswith("real ")
     for row in before.keys() & after.keys():
         (value, std), (now, spread) = before[row], after[row]
+        if min((std or 0.0) / UNKNOWN, (spread or 0.0) / UNKNOWN) > max(abs(value or 0.0), abs(now or 0.0)):
+            continue
         size = max(abs(value or 0.0), std or 0.0)
         allowed = EXACT * size if exact or std is None else WITHIN * std
         if (value is None) != (now is None) or abs((value or 0.0) - (now or 0.0)) > max(allowed, 1e-9 * size):
