@@ -218,6 +218,8 @@ def test_options_override_what_would_be_found(read: Read) -> None:
 
 REFUSED: dict[str, str | bytes] = {
     "text in a cell": "t,q\n0,1\n1,abc\n2,3\n",
+    "a number among lists": "t,q\n0,[1.0]\n1,[2.0]\n2,345\n3,[4.0]\n",
+    "text among long numbers": "t,q\n0.001,10.25\n0.002,11.25\n0.003,x5.5y\n0.004,12.25\n",
     "text in the first row": "t,q\n0,abc\n1,2\n",
     "underscore": "q\n1\n1_0\n",
     "thousands separators": "a;b\n1.000,5;2.000,5\n",

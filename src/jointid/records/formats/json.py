@@ -11,7 +11,7 @@ import numpy as np
 
 from jointid.common.errors import RecordError
 from jointid.records.formats.stamps import Stamps, is_stamp
-from jointid.records.formats.table import Found, Table, find_columns
+from jointid.records.formats.table import Found, Table, find_columns, require_width
 from jointid.records.formats.text import find_encoding, open_text
 
 _LONGEST = 2**28  # bytes of text
@@ -41,9 +41,17 @@ def _take(found: Found, name: str, value: Any) -> None:
         for key, member in value.items():
             _take(found, f"{name}.{key}" if name else key, member)
     elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
-        records = [dict(_leaves(name, one)) for one in value]
-        for path in dict.fromkeys(path for record in records for path in record):
-            _take_column(found, path, [record.get(path) for record in records])
+        columns = dict[str, list[Any]]()
+        for row, one in enumerate(value):
+            for path, leaf in _leaves(name, one):
+                if path not in columns:
+                    require_width(found.path, len(columns) + 1)
+                    columns[path] = []
+                if len(columns[path]) > row:
+                    raise RecordError(f"{found.path.name} has two values called {path!r} in a record; rename one.")
+                columns[path] += [*[None] * (row - len(columns[path])), leaf]
+        for path, cells in columns.items():
+            _take_column(found, path, cells + [None] * (len(value) - len(cells)))
     else:
         _take_column(found, name or "value", value)
 

@@ -62,10 +62,13 @@ class Stamps:
         Raises:
             ValueError: a cell is no instant.
         """
-        spans: list[tuple[float, Stamps]] = []
+        spans, begin = list[tuple[float, Stamps]](), next(filter(None, cells))
+        found = _match(begin)
+        if found is None or not found["c"]:  # the order does not matter
+            return cls(*_read(begin, True), True)
         for day_first in (True, False):
             try:
-                made = cls(*_read(next(filter(None, cells)), day_first), day_first)
+                made = cls(*_read(begin, day_first), day_first)
                 spans.append((float(np.nanmax(made.seconds(cells)) - np.nanmin(made.seconds(cells))), made))
             except ValueError:  # there is no such month
                 continue

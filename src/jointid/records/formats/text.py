@@ -212,24 +212,25 @@ class Layout:
             return {name: np.array([dialect.number(cell) for cell in cells])}
         except ValueError:
             kind = _commonest(map(dialect.kind, islice(filter(None, cells), _FILLED)))
-        of_kind = [dialect.kind(cell) for cell in cells]
         if kind in "dw":
-            return f'it holds words, such as "{short(cells[of_kind.index(kind)])}"'
-        other = next((row for row, one in enumerate(of_kind) if one not in (kind, "e")), None)
-        if other is not None:
-            raise RecordError(
-                f'{self.file}: line {lines[other].number}, column "{name}" holds "{short(cells[other])}", which is not '
-                "like the other rows; mend it or leave the cell empty."
-            )
+            return f'it holds words, such as "{short(next(cell for cell in cells if dialect.kind(cell) == kind))}"'
         try:
             if kind == "t":
                 if place not in self.stamps:
                     self.stamps[place] = Stamps.of(cells)
                 return {name: self.stamps[place].seconds(cells)}
-            lists = np.array([_SEPARATOR.split(cell[1:-1].strip()) for cell in cells], dtype=np.float64)
-            return {f"{name}[{k}]": column for k, column in enumerate(lists.T)}
+            if kind == "l" and all(dialect.kind(cell) == "l" for cell in cells):
+                lists = np.array([_SEPARATOR.split(cell[1:-1].strip()) for cell in cells], dtype=np.float64)
+                return {f"{name}[{k}]": column for k, column in enumerate(lists.T)}
         except ValueError:
+            pass
+        other = next((row for row, cell in enumerate(cells) if dialect.kind(cell) not in (kind, "e")), None)
+        if other is None:
             return "its instants or its lists are not written alike"
+        raise RecordError(
+            f'{self.file}: line {lines[other].number}, column "{name}" holds "{short(cells[other])}", which is not '
+            "like the other rows; mend it or leave the cell empty."
+        )
 
 
 def read_text(path: Path, **options: Any) -> Table:
