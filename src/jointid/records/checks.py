@@ -154,8 +154,6 @@ def limit_faults(record: Record, limit: float, side: str | None = None) -> list[
         limit: positive, in the unit of the record's torque.
         side: see `check_record`.
     """
-    if not limit > 0:
-        return [f"The torque limit is a positive number; got {limit:g}."]
     if record.torque is None:
         return []
     unit_name, output = record.torque.unit, record.torque.values

@@ -109,14 +109,11 @@ class Log:
         for number, table, last in self._tables(length, overlap, every):
             try:
                 record = reader.build_record(table, self.name)
-                if record.resampled is not None:
-                    raise RecordError(
-                        f"{record.remarks[0]}; chunks would not fit together: log it at uniform instants."
-                    )
                 own = _require_one_rate(record)
-                if not is_same_rate(own, sample_time):
+                if record.resampled is not None or not is_same_rate(own, sample_time):
                     raise RecordError(
-                        f"the sample time is {own:g} s here and {sample_time:g} s at the beginning; cut it there."
+                        f"its clock jitters, or has steps of {own:g} s and of {sample_time:g} s before: chunks do not "
+                        "fit together; log at uniform instants, or cut it there."
                     )
             except RecordError as error:
                 raise RecordError(

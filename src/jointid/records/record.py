@@ -156,15 +156,12 @@ class Irregularity:
     backward: int = 0
 
     def __str__(self) -> str:
-        parts = [
+        return (
             f"{1e3 * self.sample_time:.6g} ms, off by up to {self.largest / self.sample_time:.2g} samples "
-            f"({self.rms / self.sample_time:.2g} rms)"
-        ]
-        if self.gaps:
-            parts.append(f"{pluralise(self.gaps, 'gap')} of up to {pluralise(self.longest_gap, 'sample')}")
-        parts += [pluralise(self.repeats, "repeated stamp")] if self.repeats else []
-        parts += [pluralise(self.backward, "step back", "steps back")] if self.backward else []
-        return ", ".join(parts)
+            f"({self.rms / self.sample_time:.2g} rms), {pluralise(self.gaps, 'gap')} of up to "
+            f"{pluralise(self.longest_gap, 'sample')}, {pluralise(self.repeats, 'repeated stamp')}, "
+            f"{pluralise(self.backward, 'step back', 'steps back')}"
+        )
 
 
 @dataclass(frozen=True, slots=True)

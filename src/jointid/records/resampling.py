@@ -244,19 +244,13 @@ def _follows_stamps(one: Signal) -> bool | None:
 
 
 def _clock_faults(name: str, clock: Irregularity, how: Resampling) -> list[str]:
-    faults = []
-    if clock.backward:
-        faults.append(
-            f'The time column "{name}" runs backward {clock.backward} time{"s" if clock.backward > 1 else ""}, so that '
-            "the order of its samples is in doubt; cut the record there, or give sample_time without time if only the "
-            "stamps are wrong."
-        )
-    if clock.longest_gap > how.longest_gap:
-        faults.append(
-            f'The time column "{name}" leaves out {clock.longest_gap} samples in a row (at most {how.longest_gap} are '
-            f"bridged); cut the record there, or set longest_gap = {clock.longest_gap}."
-        )
-    return faults
+    if not clock.backward and clock.longest_gap <= how.longest_gap:
+        return []
+    return [
+        f'The time column "{name}" steps back {clock.backward} times and leaves out up to {clock.longest_gap} samples '
+        f"in a row (at most {how.longest_gap} are bridged); cut the record there, set longest_gap, or give sample_time "
+        "without time if only the stamps are wrong."
+    ]
 
 
 def _rate_faults(name: str, one: Signal, clocks: Mapping[str, Irregularity], how: Resampling) -> list[str]:

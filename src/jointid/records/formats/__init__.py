@@ -82,19 +82,19 @@ def _find_format(path: str | os.PathLike[str]) -> Format:
     if is_folder or not path.suffix:
         return _FOLDER if is_folder and folder.is_record(path) else _BAG
     packed = path.suffix.lower() == ".gz"
-    suffix = Path(path.stem).suffix if packed and Path(path.stem).suffix else path.suffix
-    if suffix.lower() in _PICKLES:
+    suffix = Path(path.stem).suffix.lower() if packed else path.suffix.lower()
+    if suffix in _PICKLES:
         raise RecordError(
             f"{path.name} is a pickle, which runs code when it is loaded, and is not read; convert it where it comes "
             "from, by numpy.savez."
         )
-    found = next((one for one in FORMATS if suffix.lower() in one.suffixes and (one.is_text or not packed)), None)
+    found = next((one for one in FORMATS if suffix in one.suffixes and (one.is_text or not packed)), None)
     if found is None:
         known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
-        fact = f'has the suffix "{path.suffix}", which names no known format ({known})'
-        if packed and suffix != path.suffix:
-            fact = f'is packed by gzip, which is unpacked for texts alone; unpack it to "{path.stem}"'
-        raise RecordError(f"{path.name} {fact}.")
+        raise RecordError(
+            f'{path.name} has the suffix "{suffix}", which names no known format ({known}; texts also with .gz); '
+            "convert it, or unpack it."
+        )
     return found
 
 
