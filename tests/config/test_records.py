@@ -109,7 +109,7 @@ def test_several_records(run: Path) -> None:
     folder = run.parents[1]
     file = saved(folder, "[record]\ndelimiter = ';'\n" + SMALLEST + SEVERAL.replace("a.csv", "runs/run.csv"))
     assert file.runs == (Run("runs/run.csv"), Run("b.csv", 10.0, ("coulomb",), {"position_gain": 80.0, "limit": 5.0}))
-    assert (file.together.free, file.together.weighting) == (("drive_gain",), "spectrum")
+    assert file.together.free == ("drive_gain",)
     first, second = file.each()
     assert first.controller == file.controller == Cascade(position_gain=100.0, velocity_gain=2000.0)
     assert second.controller == Cascade(position_gain=80.0, velocity_gain=2000.0, limit=5.0)

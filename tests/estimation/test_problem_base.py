@@ -67,9 +67,7 @@ def test_a_sum_shares_what_is_one_and_adds_what_is_known() -> None:
     shared = replace(first.parameters[1], name="b")
     apart = tuple(replace(first.parameters[0], name=f"a@{k}") for k in (1, 2))
     added = (np.zeros(2), np.array([0.0, 0.5]))
-    together = SumProblem(
-        (first, second), (shared, *apart), (np.array([1, 0]), np.array([2, 0])), added, (np.ones(1),) * 2
-    )
+    together = SumProblem((first, second), (shared, *apart), (np.array([1, 0]), np.array([2, 0])), added, (1.0,) * 2)
     end = solve(together, LevenbergMarquardt(), np.zeros(3))
     assert end.x == pytest.approx([2.0, 1.0, 5.0])
     assert together.of_member(end.x, 1) == pytest.approx([5.0, 2.5])

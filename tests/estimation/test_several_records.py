@@ -11,17 +11,14 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.identify_several import by_itself, starts, whiten_fit
+from jointid.estimation.identify_several import starts
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.problems.base import INITIAL_STATE
-from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import InjectionPoint, Record
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.estimates import amended, identify
@@ -112,9 +109,7 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
         for seed, (values, more) in enumerate(((first, 0.0), (others, 10.0), (others, 6.0)))
     ]  # fmt: skip
     added = (0.0, 10.0, 6.0)
-    found = identify(
-        records, RIGID, several=SeveralRecords(added_inertia=added, own=(("coulomb",), (), ()), weighting="level")
-    )
+    found = identify(records, RIGID, several=SeveralRecords(added_inertia=added, own=(("coulomb",), (), ())))
     for name, truth in (others | {"coulomb@1": 20.0}).items():
         assert found[name].value == pytest.approx(truth, abs=0.2), name
         assert abs(found[name].value - truth) <= 4 * found[name].stderr, name
@@ -122,7 +117,7 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
     last = identify(
         records[::-1],
         RIGID,
-        several=SeveralRecords(added_inertia=added[::-1], own=((), (), ("coulomb",)), weighting="level"),
+        several=SeveralRecords(added_inertia=added[::-1], own=((), (), ("coulomb",))),
     )
     names = {"coulomb": "coulomb", "offset": "offset", "viscous": "viscous", "coulomb@1": "coulomb@3"}
 
@@ -279,21 +274,10 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     for name in found.values:
         if name not in ("inertia", "offset"):
             assert not found.checks.agreement[name].differs, name
-    assert "by the level of its residual alone, because it repeats with the motion" in found.settings.weighting
     assert all(record.repeatable.significant for record in found.data.records)
     assert all(
         record.relative_error <= (0.0479 if friction == "symmetric" else 0.0402) for record in found.data.records
     )
-
-
-def test_weighing_what_repeats_away_would_believe_a_wrong_model(emps: Record) -> None:
-    """Why the spectrum is not used where the residual repeats: viscous friction 245 for 210 N s/m."""
-    state = tuple(replace(p, start=0.0) for p in INITIAL_STATE)
-    estimate = identify(emps, RIGID)
-    problem = torque_problem(emps, RIGID, Filtering(), RIGID.joint.parameters, state)
-    one = by_itself(problem, {p.name: p.value or 0.0 for p in estimate.params.rows})
-    assert one.values["viscous"] == pytest.approx(210, abs=2)
-    assert whiten_fit(one).values["viscous"] > 235
 
 
 # What is refused

@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.base import INITIAL_STATE, SumProblem, filter_rows
+from jointid.estimation.problems.base import INITIAL_STATE, SumProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.several_records import several, whitening
+from jointid.estimation.problems.several_records import several
 from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
@@ -96,11 +95,10 @@ def test_numbers_of_two_controllers_are_shared_where_they_are_the_same(axis: Twi
 
 
 def test_derivatives_against_central_differences(axis: Twin) -> None:
-    """Shared, added, own and the drive's gain, through weights of a few taps; away from the truth."""
+    """Shared, added, own and the drive's gain, through weights; away from the truth."""
     other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, position_gain=120.0))  # type: ignore[type-var]
     problems, _ = two(axis, ("drive_gain", "position_gain"), other)
-    weights = [np.array([2.0, -1.0, 0.3]), np.array([0.7])]
-    criterion = several(problems, [(), FRICTION], ADDED).weighing(weights)
+    criterion = several(problems, [(), FRICTION], ADDED).weighing([2.0, 0.7])
     values = {name: 1.01 * value for name, value in axis.truth.items()}
     x = at(criterion, values | {"drive_gain": 1.02, "position_gain@1": 160.18, "position_gain@2": 121.0})
     names = [p.name for p in criterion.free]
@@ -140,13 +138,3 @@ def test_the_gain_of_a_drive_needs_something_known(axis: Twin) -> None:
         for q in problems
     ]
     assert several(known).free
-
-
-def test_whitening_makes_white_what_is_coloured() -> None:
-    noise = lfilter([1.0], [1.0, -1.2, 0.5], np.random.default_rng(3).standard_normal(20_000))
-    level = float(np.std(noise))
-    white = filter_rows(whitening(noise, level, 9), noise)
-    assert np.std(white) == pytest.approx(1.0, rel=1e-3)
-    assert np.max(np.abs([white[lag:] @ white[:-lag] for lag in range(1, 9)])) <= 0.1 * (white @ white)
-    assert whitening(noise, level, 0) == pytest.approx([1.0 / level])
-    assert filter_rows(np.array([1.0, 2.0]), np.eye(3)) == pytest.approx(np.eye(3) + 2.0 * np.eye(3, k=-1))

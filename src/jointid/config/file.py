@@ -542,7 +542,6 @@ class File:
             added_inertia=[more for one in each for more in one.added_inertias],
             own=[more.own for one in each for more in one.runs],
             free=self.together.free,
-            weighting=self.together.weighting,
         )
         alone: dict[str, Any] = {"shown": (), "torque_constant": ""}
         loops = [one.loop for one in each]

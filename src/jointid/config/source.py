@@ -125,6 +125,3 @@ class Together:
     """How several records are identified together."""
 
     free: tuple[str, ...] = setting((), "names of what surrounds the joint and is identified too")
-    weighting: Literal["spectrum", "level"] = setting(
-        "spectrum", "what of their record's residual the rows are weighed by"
-    )

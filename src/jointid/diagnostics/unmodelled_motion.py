@@ -23,7 +23,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.diagnostics.law_comparison import TIMES, cut, mean_logarithm, squares_of
-from jointid.estimation.problems.base import filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
@@ -80,7 +79,7 @@ def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResi
         return None
     before = np.column_stack([np.concatenate([np.zeros(lag), error[:-lag]]) for lag in range(1, _ORDER + 1)])
     taps = np.concatenate([[1.0], -np.linalg.lstsq(before, error, rcond=None)[0]])  # of the prediction error
-    white = filter_rows(taps, error), filter_rows(taps, columns)
+    white = _filter_rows(taps, error), _filter_rows(taps, columns)
     sizes = problem.size, problem.size * float(np.linalg.norm(white[0]) / np.linalg.norm(error))
     seen = zip(((error, columns), white), sizes, strict=True)
     judged = [_judge(*one, parts, ridge, size) for one, size in seen for ridge in _RIDGES]
@@ -134,3 +133,11 @@ def _responses(inputs: FloatArray, row_time: float) -> FloatArray | None:
     columns = np.column_stack([*later, np.ones(len(inputs))])
     sizes = np.sqrt(np.mean(columns**2, axis=0))
     return np.asarray(columns / np.where(sizes > 0, sizes, 1.0))
+
+
+def _filter_rows(taps: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return signals, (rows,) or (rows, columns), through a filter; before the first row there was nothing."""
+    found = taps[0] * columns
+    for lag, tap in enumerate(taps[1:], 1):
+        found[lag:] += tap * columns[:-lag]
+    return np.asarray(found)

@@ -1,14 +1,8 @@
 """Several records of one joint: identified in one fit, after each was identified by itself.
 
-Two steps. Each record by itself gives a start, the level and the spectrum of its residual, and what it says alone. Then
-bounded least squares over all of them with the exact Jacobian, each record's rows through the filter that makes its own
-residual white and of level 1: records of different noise, length or cut-off count for what they are worth, and so does
-what is seen at frequencies where a record's noise is small. A disturbance in the loop of the paper's twin leaves the
-difference of two load inertias, or the gain of a drive, two thirds of the deviation it has under equal weights.
-
-What repeats with the motion is not noise, and weighting it down trusts the model where it is wrong: the EMPS axis
-would have 245 N s/m of viscous friction for 210. Where the residual of any record repeats, rows are weighted by their
-record's level alone.
+Two steps. Each record by itself gives a start, the level of its residual, and what it says alone. Then bounded least
+squares over all of them with the exact Jacobian, each record's rows divided by its level: records of different noise,
+length or cut-off count for what they are worth.
 
 Rows of different records do not err together in time; a place errs alike in all of them, where anything repeats with
 the motion (`position_dependent_error`). Where the records, each by itself, disagree by more than their intervals allow,
@@ -34,15 +28,13 @@ from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.base import EVEN, INITIAL, INITIAL_STATE, INITIAL_TORQUE
+from jointid.estimation.problems.base import INITIAL, INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, torque_problem
 from jointid.estimation.problems.several_records import (
     RecordLayout,
     RecordsProblem,
     SeveralRecords,
-    Weighting,
     several,
-    whitening,
 )
 from jointid.estimation.record_warnings import record_warnings
 from jointid.estimation.result.agreement import Agreement, Alone, compare_records
@@ -69,7 +61,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import TrustRegion
 from jointid.solvers.regression import projection
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.covariance import Covariance, bandwidth, covariance_of
+from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.identifiability import find_separable
 from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty
 
@@ -111,8 +103,7 @@ def identify_several(
         for acting in (True, False)
     )
     alone = [by_itself(problem, values) for problem, values in zip(per_log, starts(fits), strict=True)]
-    alone, weighting = _weigh_rows(alone, settings.weighting)
-    criterion = several(problems, settings.own, layout.added).weighing([one.weights for one in alone])
+    criterion = several(problems, settings.own, layout.added).weighing([1.0 / one.level for one in alone])
     gain = _gain(layout, alone)
     progress(f"{len(records)} records together, {len(criterion.free)} parameters")
     begin = [problem.vector(one.acting(gain)) for problem, one in zip(problems, alone, strict=True)]
@@ -126,7 +117,7 @@ def identify_several(
         for said in record_warnings(record, fit)
     )
     solved = _Solved(records, RecordsProblem.of(layout, criterion), end, alone)
-    return _build_result(solved, simulations, weighting, about)
+    return _build_result(solved, simulations, about)
 
 
 def require_distinct(records: Sequence[Record]) -> None:
@@ -180,7 +171,6 @@ class BySelf:
         end: its solution, in rows that are weighted.
         error: (rows,) its residual, not weighted.
         level: rms of the residual over its degrees of freedom.
-        weights: taps of the filter that the rows go through.
         uncertainty: of the solution, see `uncertainty_of_least_error`.
         repeatable: what of the residual repeats with the motion.
         simulations: that this took.
@@ -190,7 +180,6 @@ class BySelf:
     end: Solution
     error: FloatArray
     level: float
-    weights: FloatArray
     uncertainty: Uncertainty
     repeatable: Repeatable
     simulations: int
@@ -227,21 +216,8 @@ def by_itself(problem: ClosedLoopProblem, values: Mapping[str, float]) -> BySelf
     end = solve(problem, SOLVER, problem.vector(values))
     level = float(np.linalg.norm(end.residual)) / math.sqrt(max(end.residual.size - end.x.size, 1))
     level = max(level, _nothing(problem))
-    weights = np.array([1.0 / level])
-    judged, used = _judge(problem, end, EVEN)
-    used += end.evaluations
-    return BySelf(problem, end, end.residual, level, weights, judged, judged.repeatable, used)
-
-
-def whiten_fit(one: BySelf) -> BySelf:
-    """Fit a record again, its rows weighted by the spectrum of its residual; one that leaves nothing stays as it is."""
-    if one.level <= _nothing(one.problem):
-        return one
-    weights = whitening(one.error, one.level, bandwidth(one.error.size))
-    end = solve(several([one.problem]).weighing([weights]), SOLVER, one.end.x)
-    error, (judged, used) = one.problem.residual(end.x), _judge(one.problem, end, weights / weights[0])
-    used += one.simulations + end.evaluations + 1
-    return replace(one, end=end, error=error, weights=weights, uncertainty=judged, simulations=used)
+    judged, used = _judge(problem, end)
+    return BySelf(problem, end, end.residual, level, judged, judged.repeatable, used + end.evaluations)
 
 
 def _nothing(problem: ClosedLoopProblem) -> float:
@@ -249,10 +225,10 @@ def _nothing(problem: ClosedLoopProblem) -> float:
     return _NOTHING_LEFT * float(np.sqrt(np.mean(problem.filter(problem.measured) ** 2)))
 
 
-def _judge(problem: ClosedLoopProblem, end: Solution, taps: FloatArray) -> tuple[Uncertainty, int]:
+def _judge(problem: ClosedLoopProblem, end: Solution) -> tuple[Uncertainty, int]:
     """Return the uncertainty of a record's own solution, and the number of simulations."""
     history, run = History(ignore_progress), problem.simulate(end.x)
-    known = uncertainty_of_least_error(problem, end.x, run, end.residual, -end.jacobian, history, taps)
+    known = uncertainty_of_least_error(problem, end.x, run, end.residual, -end.jacobian, history)
     return known, history.tally.evaluations + 1
 
 
@@ -271,15 +247,6 @@ def starts(fits: Sequence[FitResult]) -> list[dict[str, float]]:
             "identify the joint as rigid, or record a motion that shows it."
         )
     return [anywhere | each for each in every]
-
-
-def _weigh_rows(alone: list[BySelf], weighting: Weighting) -> tuple[list[BySelf], str]:
-    """Return the records with the weights of their rows, and these in words."""
-    if weighting == "level":
-        return alone, "each record's rows by the level of its residual"
-    if any(one.repeatable.significant for one in alone):
-        return alone, "each record's rows by the level of its residual alone, because it repeats with the motion"
-    return [whiten_fit(one) for one in alone], "each record's rows by the spectrum of its residual"
 
 
 def _gain(layout: RecordLayout, alone: Sequence[BySelf]) -> float:
@@ -317,13 +284,12 @@ class _Solved:
         return build_rows(free, values, dict(zip(values, map(float, std), strict=True)), layout.unit, own, lost)
 
 
-def _build_result(solved: _Solved, simulations: int, weighting: str, about: tuple[str, ...]) -> FitResult:
+def _build_result(solved: _Solved, simulations: int, about: tuple[str, ...]) -> FitResult:
     """Return the fit of all records.
 
     Args:
         solved: the records together, and each by itself.
         simulations: that were run.
-        weighting: of the rows, in words.
         about: warnings of the single records.
     """
     problem, end, layout = solved.problem, solved.end, solved.problem.layout
@@ -362,7 +328,7 @@ def _build_result(solved: _Solved, simulations: int, weighting: str, about: tupl
             system=problem.joint,
             loop=layout.loops[0],
             filtering=problem.filtering,
-            weighting=weighting,
+            weighting="each record's rows by the level of its residual",
         ),
     )
 

@@ -35,7 +35,6 @@ from jointid.common.messages import Message
 from jointid.common.parameters import Bounds
 from jointid.common.text import number
 from jointid.estimation.descent import History
-from jointid.estimation.problems.base import EVEN, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_result import find_active_bounds
 from jointid.estimation.starts.flexible_joint import crossover
@@ -101,7 +100,6 @@ def uncertainty_of_least_error(
     residual: FloatArray,
     J: FloatArray,
     history: History,
-    taps: FloatArray = EVEN,
 ) -> Uncertainty:
     """Return the uncertainty of the free parameters at a least torque error.
 
@@ -112,24 +110,23 @@ def uncertainty_of_least_error(
         problem: that was solved.
         x: (free,) where.
         run: of the loop there.
-        residual: (rows,) filtered, and through the taps.
-        J: (rows, free) the derivatives of the simulated torque, filtered, and through the taps.
+        residual: (rows,) filtered.
+        J: (rows, free) the derivatives of the simulated torque, filtered.
         history: counts the simulations.
-        taps: of the filter that the rows of the criterion went through.
     """
     names = [p.name for p in problem.free]
     known = uncertainty(J, J, residual, problem.cells(run), names, problem.torque_unit)
-    known = widened_for_force(known, problem, x, allow_for_force(problem, x, J, known.covariance.std, history, taps))
+    known = widened_for_force(known, problem, x, allow_for_force(problem, x, J, known.covariance.std, history))
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
     held = find_active_bounds(problem.free, x, residual, J)
     freely = np.array([name not in held for name in names])
-    return widened_to_second(known, instruments(problem, run, J, taps), J, residual, freely)
+    return widened_to_second(known, instruments(problem, run, J), J, residual, freely)
 
 
-def instruments(problem: ClosedLoopProblem, run: Simulation, J: FloatArray, taps: FloatArray = EVEN) -> FloatArray:
+def instruments(problem: ClosedLoopProblem, run: Simulation, J: FloatArray) -> FloatArray:
     """Return the regressor on a run, and for what surrounds the joint the derivatives, (rows, free)."""
-    W = filter_rows(taps, problem.filter(problem.regressor(run)))
+    W = problem.filter(problem.regressor(run))
     return np.hstack([W, J[:, W.shape[1] :]])
 
 
@@ -162,7 +159,6 @@ def allow_for_force(
     J: FloatArray,
     std: FloatArray,
     history: History,
-    taps: FloatArray = EVEN,
 ) -> tuple[FloatArray, RandomForce] | None:
     """Return the end of least squares with the force simulated, and the force; None if the shift is insignificant.
 
@@ -179,7 +175,7 @@ def allow_for_force(
         history.tally.evaluations += 2 * _PAIRS
         # At the end of least squares the residual moves nothing: there only what the force adds does.
         shown = run.torque if count == 0 else problem.measured
-        step = projection(J, J) @ filter_rows(taps, problem.filter(shown - mean))
+        step = projection(J, J) @ problem.filter(shown - mean)
         if not np.all(np.isfinite(step)):
             return None
         if count == 0 and not np.any(np.abs(step) > _MATTERS * std):
@@ -187,7 +183,7 @@ def allow_for_force(
         at = bounds.clip(at + step)
         if not np.any(np.abs(step) > _MATTERS * np.hypot(std, at - x)):
             break
-        J = filter_rows(taps, -problem.linearise(at)[1])
+        J = -problem.linearise(at)[1]
         run = problem.simulate(at)
         history.tally.evaluations += 2
         force = _find_large_force(problem, at, run, problem.measured - mean)

@@ -64,9 +64,6 @@ INITIAL_TORQUE = Parameter("initial_torque", "u(0)", Quantity.FORCE)
 INITIAL = tuple(p.name for p in (*INITIAL_STATE, INITIAL_TORQUE))
 """Names of what belongs to a record's first sample, and to no other record."""
 
-EVEN = np.ones(1)
-"""Taps of rows of equal weight."""
-
 _MOST_LATE = 20.0  # samples that the log may be late, or early
 _LEFT_OPEN = 2.0  # samples: an averaged torque acts one sooner than a held one
 _INITIAL = {p.name: p for p in INITIAL_STATE}
@@ -225,14 +222,14 @@ class SumProblem(Generic[_Member]):
             ``name@number`` with the number of the member, from 1.
         places: for each member, where each of its free parameters stands among those, (its free,).
         added: for each member, what is known to come on top of each, (its free,).
-        weights: for each member, the taps of the filter its rows go through, (taps,).
+        weights: of each member's rows.
     """
 
     problems: tuple[_Member, ...]
     free: tuple[Parameter, ...]
     places: tuple[NDArray[np.intp], ...]
     added: tuple[FloatArray, ...]
-    weights: tuple[FloatArray, ...]
+    weights: tuple[float, ...]
 
     def of_member(self, x: FloatArray, number: int) -> FloatArray:
         """Return the free parameters of one member, numbered from 0, in its own order."""
@@ -246,33 +243,25 @@ class SumProblem(Generic[_Member]):
             np.add.at(count, place, 1.0)
         return Bounds.of(self.free).clip(total / count)
 
-    def weighing(self, weights: Sequence[FloatArray]) -> SumProblem[_Member]:
+    def weighing(self, weights: Sequence[float]) -> SumProblem[_Member]:
         """Return the same problem with other weights; they are made relative to their mean.
 
         The residual keeps the unit of the members' that way.
         """
-        mean = math.sqrt(sum(float(taps[0]) ** -2 for taps in weights) / len(weights))
-        return replace(self, weights=tuple(mean * taps for taps in weights))
+        mean = math.sqrt(sum(weight**-2 for weight in weights) / len(weights))
+        return replace(self, weights=tuple(mean * weight for weight in weights))
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the weighted residuals, one member after the other, (rows,)."""
         members = enumerate(zip(self.problems, self.weights, strict=True))
-        return np.concatenate([filter_rows(taps, p.residual(self.of_member(x, k))) for k, (p, taps) in members])
+        return np.concatenate([weight * p.residual(self.of_member(x, k)) for k, (p, weight) in members])
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
         errors, slopes = [], []
-        for k, (problem, taps) in enumerate(zip(self.problems, self.weights, strict=True)):
+        for k, (problem, weight) in enumerate(zip(self.problems, self.weights, strict=True)):
             error, J = problem.linearise(self.of_member(x, k))
-            errors.append(filter_rows(taps, error))
+            errors.append(weight * error)
             slopes.append(np.zeros((error.size, len(self.free))))
-            slopes[-1][:, self.places[k]] = filter_rows(taps, J)
+            slopes[-1][:, self.places[k]] = weight * J
         return np.concatenate(errors), np.concatenate(slopes)
-
-
-def filter_rows(taps: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return signals, (rows,) or (rows, columns), through a filter; before the first row there was nothing."""
-    found = taps[0] * columns
-    for lag, tap in enumerate(taps[1:], 1):
-        found[lag:] += tap * columns[:-lag]
-    return np.asarray(found)

@@ -1,8 +1,7 @@
 """Several records in one problem: the sum of the problems of each, whose parameters are one or belong to one.
 
 The motor's first state is always a record's own; so is a number of the controller that the records declare differently.
-Each record's rows go through a filter of a few taps that makes it count for what it is worth: one over its level, or
-what makes its noise white (`whitening`).
+Each record's rows are divided by the level of its residual, so that it counts for what it is worth.
 """
 
 from __future__ import annotations
@@ -10,20 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
-from jointid.estimation.problems.base import INITIAL, RecordProblem, SumProblem, filter_rows, of_law
+from jointid.estimation.problems.base import INITIAL, RecordProblem, SumProblem, of_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import ClosedLoop, Joint
-
-_WHITE = 0.01  # of a residual's variance
-
-Weighting: TypeAlias = Literal["spectrum", "level"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,21 +30,11 @@ class SeveralRecords:
             load changes. The motor's state at the first sample is always its own.
         free: names of nuisance parameters to identify too: "drive_gain", the torque that acts over the torque in the
             log, which needs an added inertia; "position_gain", "log_delay", ...
-        weighting: of the rows: by the "spectrum" of each record's residual, unless it repeats with the motion, or by
-            its "level" alone.
-
-    Raises:
-        MethodError: the weighting is not one of the two.
     """
 
     added_inertia: Sequence[float] | None = None
     own: Sequence[Sequence[str]] | None = None
     free: Sequence[str] = ()
-    weighting: Weighting = "spectrum"
-
-    def __post_init__(self) -> None:
-        if self.weighting not in ("spectrum", "level"):
-            raise MethodError(f'The weighting is one of spectrum, level; received "{self.weighting}".')
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +215,7 @@ def several(
         tuple(common(label, members[label]) for label in order),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
         tuple(np.array([more.get(p.name, 0.0) for p in q.free]) for q, more in zip(problems, added, strict=True)),
-        (np.ones(1),) * len(problems),
+        (1.0,) * len(problems),
     )
 
 
@@ -282,24 +266,3 @@ def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) 
         if len(sharing) == 1:
             apart[sharing[0]].add(name)
     return apart
-
-
-def whitening(error: FloatArray, level: float, order: int) -> FloatArray:
-    """Return the taps that make a residual white and of level 1, (order + 1,).
-
-    The prediction error of an autoregression (Yule-Walker): what is seen at frequencies where the noise is small counts
-    for more (Cochrane and Orcutt 1949). A hundredth of the variance is taken to be white, so that nothing is made of
-    what a low-pass took out.
-
-    Args:
-        error: (rows,) the residual of the record by itself, in the order of time.
-        level: its level.
-        order: of the autoregression; 0 for a mere weight.
-    """
-    lags = np.array([error[lag:] @ error[: error.size - lag] for lag in range(order + 1)])
-    lags[0] *= 1.0 + _WHITE
-    if not order or lags[0] <= 0.0:
-        return np.array([1.0 / level])
-    toeplitz = lags[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
-    taps = np.concatenate([[1.0], -np.linalg.solve(toeplitz, lags[1:])])
-    return np.asarray(taps * np.linalg.norm(error) / (level * np.linalg.norm(filter_rows(taps, error))))
