@@ -67,6 +67,8 @@ class PredictedResidual:
 def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResidual | None:
     """Return the part of the residual of a flexible joint that its motion predicts; None for too few rows."""
     run = problem.simulate(x)
+    from scipy.signal import lfilter
+
     if run.load_position is None or run.torque.size != problem.measured.size:
         return None
     error = problem.filter(problem.measured - run.torque)
@@ -79,7 +81,7 @@ def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResi
         return None
     before = np.column_stack([np.concatenate([np.zeros(lag), error[:-lag]]) for lag in range(1, _ORDER + 1)])
     taps = np.concatenate([[1.0], -np.linalg.lstsq(before, error, rcond=None)[0]])  # of the prediction error
-    white = _filter_rows(taps, error), _filter_rows(taps, columns)
+    white = np.asarray(lfilter(taps, [1.0], error)), np.asarray(lfilter(taps, [1.0], columns, axis=0))
     sizes = problem.size, problem.size * float(np.linalg.norm(white[0]) / np.linalg.norm(error))
     seen = zip(((error, columns), white), sizes, strict=True)
     judged = [_judge(*one, parts, ridge, size) for one, size in seen for ridge in _RIDGES]
@@ -133,11 +135,3 @@ def _responses(inputs: FloatArray, row_time: float) -> FloatArray | None:
     columns = np.column_stack([*later, np.ones(len(inputs))])
     sizes = np.sqrt(np.mean(columns**2, axis=0))
     return np.asarray(columns / np.where(sizes > 0, sizes, 1.0))
-
-
-def _filter_rows(taps: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return signals, (rows,) or (rows, columns), through a filter; before the first row there was nothing."""
-    found = taps[0] * columns
-    for lag, tap in enumerate(taps[1:], 1):
-        found[lag:] += tap * columns[:-lag]
-    return np.asarray(found)
