@@ -24,18 +24,18 @@ def fleet(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_campaign_is_run_goes_on_and_is_told(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ("campaign", "campaign.toml", "--workers", 1, "-q")
     assert run(*command) == 0
-    assert "4 of 4 cases were run" in capsys.readouterr().out
+    assert "Run now: 4 of 4." in capsys.readouterr().out
     before = (fleet / "campaign.jsonl").read_bytes()
     assert run(*command, "--html", "page.html") == 0
-    assert "0 of 4 cases were run" in capsys.readouterr().out
+    assert "Run now: 0 of 4." in capsys.readouterr().out
     assert (fleet / "campaign.jsonl").read_bytes() == before
     assert "<h2" in (fleet / "page.html").read_text()
     assert run(*command, "--again") == 0
-    assert "1 of 4 cases were run" in capsys.readouterr().out
+    assert "Run now: 1 of 4." in capsys.readouterr().out
     good = (fleet / "logs" / "b" / "2026-11-01.npy").read_bytes()
     (fleet / "logs" / "b" / "2026-11-02.npy").write_bytes(good)
     assert run(*command) == 0
-    assert "1 of 4 cases were run" in capsys.readouterr().out
+    assert "Run now: 1 of 4." in capsys.readouterr().out
 
 
 def test_again_keeps_an_answer_that_is_not_reliable(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,7 +47,7 @@ def test_again_keeps_an_answer_that_is_not_reliable(fleet: Path, capsys: pytest.
     (fleet / "campaign.jsonl").write_text("\n".join([*lines, ""]))
     capsys.readouterr()
     assert run(*command, "--again") == 0
-    assert "1 of 4 cases were run" in capsys.readouterr().out
+    assert "Run now: 1 of 4." in capsys.readouterr().out
     after = [Row.read(json.loads(line)) for line in (fleet / "campaign.jsonl").read_text().split("\n")[:-1]]
     assert sum(row.outcome is Outcome.DOUBTFUL for row in after) == 1
 

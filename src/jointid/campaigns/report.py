@@ -172,10 +172,12 @@ def _drift_row(one: Change) -> tuple[str, ...]:
 
 
 def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
-    """Yield the distribution of each parameter, by combination of swept settings."""
+    """Yield the distribution of each parameter, by combination of swept settings with a result."""
     for changes in sorted({row.changes for row in rows}):
         tried = [row for row in rows if row.changes == changes]
         runs = [row for row in tried if row.outcome is Outcome.IDENTIFIED]
+        if not runs:
+            continue
         errors = [row.error_percent for row in runs if row.error_percent is not None]
         shown = list[tuple[str, ...]]()
         for name, unit in dict.fromkeys((name, one.unit) for row in runs for name, one in row.found.items()):

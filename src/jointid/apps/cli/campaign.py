@@ -48,7 +48,6 @@ def campaign(
     from jointid.campaigns.run import run_cases
     from jointid.campaigns.store import open_store
     from jointid.common.files import write_whole
-    from jointid.common.text import pluralise
     from jointid.output.report.page import page
 
     engine, kept = _engine(workers, dask), out or file.with_suffix(".jsonl")
@@ -64,7 +63,7 @@ def campaign(
         made = run_cases(asked.cases, engine, store, progress=listener)
         rows = store.rows_of(case.content_hash for case in asked.cases)
     found = CampaignReport(asked.name, rows, false_alarm)
-    show(f"{sum(made.values())} of {pluralise(len(rows), 'case')} were run now.")
+    show(f"Run now: {sum(made.values())} of {len(rows)}.")
     show(found, details=details)
     if html is not None:
         write_whole(html, page(found.to_document(details=True, pictures=True)))
