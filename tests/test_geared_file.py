@@ -120,8 +120,8 @@ def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate
     found = identified(folder, BY_THE_LOAD)
     write(to_dict(found), folder / "out.json")
     answer = json.loads((folder / "out.json").read_text())
-    assert answer["transmission"]["motor_per_load"] == pytest.approx(-R)
-    assert to_dict(motor)["transmission"] is None
+    assert answer["settings"]["system"]["transmission"]["motor_per_load"] == pytest.approx(-R)
+    assert to_dict(motor)["settings"]["system"]["transmission"] is None
 
     file = file_of(folder, BY_THE_LOAD)
     assert load_estimate(folder / "out.json", file).values == found.values

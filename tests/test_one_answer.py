@@ -55,7 +55,7 @@ def _command(*words: object) -> None:
 
 def _told(answer: dict[str, Any]) -> tuple[Any, ...]:
     """Return what an answer in JSON says: its first line in two parts, its trust and its verdicts."""
-    first, verdicts = answer["answer"], answer["verdicts"]
+    first, verdicts = answer["answer"], answer["checks"]["verdicts"]
     return first["found"]["words"], first["trust"]["words"], first["trust"]["code"], verdicts
 
 

@@ -24,8 +24,7 @@ from .models.position_forces import Gravity
 from .models.robots.robot import Robot
 from .output import figures
 from .output.export import export, state_space
-from .output.json.documents import to_dict
-from .output.json.reading import load_estimate
+from .output.json import load_estimate, to_dict
 from .output.report import Report
 from .paper.twin import twin
 from .planning.design import design

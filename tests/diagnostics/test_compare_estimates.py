@@ -102,9 +102,9 @@ def test_the_command_writes_the_answer(tmp_path: Path) -> None:
     out = tmp_path / "drift.json"
     assert run("compare", of_rigid(1, tmp_path), of_rigid(2, tmp_path, inertia=0.05), "--json", out) == 0
     answer = json.loads(out.read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.drift/1"
-    assert answer["quantities"]["inertia"]["changed"]
-    assert not answer["quantities"]["viscous"]["changed"]
+    assert answer["schema"] == "jointid.EstimateComparison/2"
+    changed = {one["name"] for one in answer["changed"]}
+    assert "inertia" in changed and "viscous" not in changed
     assert run("compare", out, out) == 2
 
 
@@ -160,13 +160,13 @@ def test_what_cannot_be_compared_is_refused(
 
 def test_a_damaged_answer_is_refused(tmp_path: Path) -> None:
     answer, path = json.loads(dumps(to_dict(reports.rigid().estimate))), tmp_path / "x.html"
-    texts = ["", "[]", '{"schema": "jointid.estimate/1"}', "<html></html>", "<![<![", "[" * 100_000]
+    texts = ["", "[]", '{"schema": "jointid.Estimate/2"}', "<html></html>", "<![<![", "[" * 100_000]
     for spoil in (
         lambda a: a["parameters"].update(inertia=None),
         lambda a: a["parameters"]["inertia"].update(value="1"),
-        lambda a: a.update(record=[]),
-        lambda a: a.update(combinations=[1]),
-        lambda a: a.update(filtering=None),
+        lambda a: a.update(data=[]),
+        lambda a: a["checks"].update(known=[1]),
+        lambda a: a["settings"].update(filtering=None),
     ):
         spoiled = json.loads(json.dumps(answer))
         spoil(spoiled)

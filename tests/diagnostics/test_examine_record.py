@@ -18,7 +18,7 @@ from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.output.json.documents import to_dict
+from jointid.output.json import to_dict
 from jointid.paper.twin import twin
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.writing import write

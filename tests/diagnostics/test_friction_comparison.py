@@ -91,7 +91,7 @@ def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
 
 def test_the_answer_as_json(found: FrictionComparison) -> None:
     told = json.loads(json.dumps(ji.to_dict(found)))
-    assert told["schema"] == "jointid.frictions/1"
-    assert told["shown"] == "stribeck"
+    assert told["schema"] == "jointid.FrictionComparison/2"
+    assert told["shown"]["name"] == "stribeck"
     assert told["answer"]["code"] == "another_friction"
-    assert [one["name"] for one in told["frictions"]] == [one.name for one in found.laws]
+    assert [one["name"] for one in told["laws"]] == [one.name for one in found.laws]

@@ -115,7 +115,7 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
     found = compare_springs(some_of(case.clean, 2000), case.loop, didim=ji.DIDIM(frequency=case.mode))
     assert found.shown.name == "linear"
     assert [law.refusal for law in found.laws] == ["", "", *["The loop runs away."] * (len(SPRINGS) - 1)]
-    assert json.loads(json.dumps(ji.to_dict(found)))["springs"][2]["kept_error_percent"] is None
+    assert json.loads(json.dumps(ji.to_dict(found)))["laws"][2]["kept"] is None
 
 
 def test_what_is_declared_of_one_law_is_not_taken_for_another_s(

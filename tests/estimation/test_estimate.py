@@ -147,14 +147,12 @@ def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
     answers.write(answer, tmp_path / "out.json")
     text = (tmp_path / "out.json").read_text(encoding="utf-8")
     read = json.loads(text)
-    assert read["relative_error_percent"] is None
+    assert read["fit"]["relative_error"] is None
     assert read["parameters"]["coulomb"] == {
-        "symbol": "Fc", "value": None, "std": None, "unit": "N", "free": False, "identifiable": False,
-        "lower_bound": 12.5, "at_bound": None, "lack_of_fit": 0.0,
+        "name": "coulomb", "symbol": "Fc", "value": None, "stderr": None, "unit": "N", "free": False,
+        "identifiable": False, "lower_bound": 12.5, "of_joint": True, "at_bound": None, "lack_of_fit": 0.0, "axis": "",
     }  # fmt: skip
-    assert [line["iteration"] for line in read["trace"]] == [0, 1]
-    top = {"schema", "method", "model", "channels", "parameters", "relative_error_percent", "simulations"}
-    assert top | {"iterations", "stop", "warnings"} <= set(read)
+    assert [line["number"] for line in read["fit"]["trace"]] == [0, 1]
 
 
 def test_an_estimate_is_read_back(tmp_path: Path) -> None:
@@ -173,9 +171,9 @@ def test_an_estimate_is_read_back(tmp_path: Path) -> None:
 )
 def test_a_spoiled_answer_is_refused_in_a_sentence(text: str, tmp_path: Path) -> None:
     (tmp_path / "out.json").write_text(text, encoding="utf-8")
-    with pytest.raises(RecordError, match=r"is no (JSON file|estimate of schema)"):
+    with pytest.raises(RecordError, match=r"is no (JSON file|estimate)"):
         answers.load_estimate(tmp_path / "out.json", LOOP)
-    with pytest.raises(RecordError, match=r"is no (JSON file|estimate of schema)"):
+    with pytest.raises(RecordError, match=r"is no (JSON file|estimate)"):
         answers.read_choices(tmp_path / "out.json")
 
 

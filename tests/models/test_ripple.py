@@ -86,7 +86,12 @@ def test_it_is_identified_from_torque_and_reference_written_and_read_back(
     for name, value in (RIGID | WAVED).items():
         assert abs(found[name].value - value) < 4 * found[name].stderr, name
     answer = answers.to_dict(found)
-    assert answer["ripple"] == {"kind": "harmonics", "period": 0.02, "harmonics": 1, "side": "motor"}
+    assert answer["settings"]["system"]["ripple"] == {
+        "type": "PositionHarmonics",
+        "period": 0.02,
+        "harmonics": 1,
+        "side": "motor",
+    }
     path = tmp_path / "answer.json"
     answers.write(answer, path)
     read = answers.load_estimate(path, loop)

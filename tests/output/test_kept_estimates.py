@@ -16,8 +16,10 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.fields import dumps
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
+from jointid.output.json import read_report
 from jointid.records.signals.filtering import window_torque
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
@@ -89,6 +91,21 @@ def test_a_kept_estimate_gives_the_torque_of_a_motion(kind: str, tmp_path: Path)
         back.torque(q, v[:-1], a)
 
 
+@pytest.mark.parametrize("kind", ["joint", "idim", "didim"])
+def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> None:
+    stored = json.loads(Path(__file__).with_name("estimates_of_0_3.json").read_text("utf-8"))[kind]
+    (tmp_path / "old.json").write_text(json.dumps(stored), "utf-8")
+    back, now = ji.load_estimate(tmp_path / "old.json", setup_of(kind)), found(kind)  # type: ignore[arg-type]
+    assert back.values == pytest.approx(now.values, rel=1e-6)
+    np.testing.assert_allclose(back.params.stderr, now.params.stderr, rtol=1e-6)
+    np.testing.assert_allclose(back.params.correlation, now.params.correlation, atol=1e-6)
+    assert back.settings.filtering == now.settings.filtering and back.data.fingerprints == now.data.fingerprints
+    assert back.sentence == now.sentence and back.fit.position_rms == pytest.approx(now.fit.position_rms)
+    one, other = (read_report(path) for path in (tmp_path / "old.json", now.save(tmp_path / "new.json")))
+    assert one.side == other.side and [q.name for q in one.quantities] == [q.name for q in other.quantities]
+    assert [q.value for q in one.sums] == pytest.approx([q.value for q in other.sums])
+
+
 def test_a_flexible_joint_moves_as_one_in_a_feed_forward() -> None:
     axis = ji.twin("L19", noise="none")
     estimate = replace(found("joint"), settings=replace(found("joint").settings, system=axis.loop.joint, loop=None))
@@ -130,7 +147,7 @@ def spoiled(document: dict[str, Any], every: int) -> Iterator[dict[str, Any]]:
 @pytest.mark.parametrize("every", [499, pytest.param(7, marks=pytest.mark.hostile)])
 def test_a_damaged_estimate_is_used_or_refused_in_a_sentence(kind: str, every: int, tmp_path: Path) -> None:
     path, parts = tmp_path / "out.json", motion(0 if kind == "joint" else 2)
-    document, tried, refused = json.loads(json.dumps(found(kind).to_dict())), 0, 0
+    document, tried, refused = json.loads(dumps(found(kind).to_dict())), 0, 0
     for changed in spoiled(document, every):
         path.write_text(json.dumps(changed), "utf-8")
         tried += 1
@@ -147,10 +164,12 @@ def test_a_damaged_estimate_is_used_or_refused_in_a_sentence(kind: str, every: i
 
 def test_an_error_that_is_not_known_is_not_relied_on(tmp_path: Path) -> None:
     path, document = tmp_path / "out.json", found("joint").to_dict()
-    path.write_text(json.dumps(document | {"filtered_error_percent": None, "relative_error_percent": None}), "utf-8")
+    unknown = document["fit"] | {"filtered_error": None, "relative_error": None}
+    path.write_text(dumps(document | {"fit": unknown}), "utf-8")
     assert "Do not rely on it yet" in ji.load_estimate(path, setup_of("joint")).sentence  # type: ignore[arg-type]
-    for key in ("converged", "verdicts", "warnings", "filtered_error_percent"):
-        path.write_text(json.dumps({name: value for name, value in document.items() if name != key}), "utf-8")
+    for part, key in (("fit", "converged"), ("checks", "verdicts"), ("checks", "warnings"), ("fit", "filtered_error")):
+        lacking = {name: value for name, value in document[part].items() if name != key}
+        path.write_text(dumps(document | {part: lacking}), "utf-8")
         with pytest.raises(RecordError):
             ji.load_estimate(path, setup_of("joint"))  # type: ignore[arg-type]
 

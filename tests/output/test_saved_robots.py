@@ -74,11 +74,9 @@ def spoiled(answer: dict[str, Any], change: Callable[[dict[str, Any]], object]) 
 def test_parameters_and_terms_in_another_order_are_the_same(tmp_path: Path) -> None:
     def turn(answer: dict[str, Any]) -> None:
         answer["parameters"] = dict(reversed(answer["parameters"].items()))
-        for one in answer["parameters"].values():
-            first, *terms = one["formula"].replace(" - ", " + -").split(" + ")
-            one["formula"] = " + ".join([first, *reversed(terms)]).replace("+ -", "- ")
-        answer["free"].reverse()
-        answer["correlation"] = [row[::-1] for row in answer["correlation"][::-1]]
+        for i, formula in enumerate(answer["robot"]["formulas"]):
+            first, *terms = formula.replace(" - ", " + -").split(" + ")
+            answer["robot"]["formulas"][i] = " + ".join([first, *reversed(terms)]).replace("+ -", "- ")
 
     path = tmp_path / "out.json"
     path.write_text(json.dumps(spoiled(found("idim").to_dict(), turn)), "utf-8")
@@ -104,18 +102,18 @@ def test_a_robot_that_is_another_one_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        lambda a: a.pop("filtering"),
-        lambda a: a["correlation"].pop(),
+        lambda a: a["settings"].pop("filtering"),
+        lambda a: a["params"]["correlation"].pop(),
         lambda a: a["parameters"]["joint1.viscous"].update(value="1.0"),
-        lambda a: a["robot"].pop("left"),
-        lambda a: a["verdicts"][0].update(status="perfect"),
-        lambda a: a["free"].pop(),
+        lambda a: a["fit"].pop("axis_errors"),
+        lambda a: a["checks"]["verdicts"][0].update(status="perfect"),
+        lambda a: a["params"]["names"].pop(),
         lambda a: a.update(parameters=[]),
-        lambda a: a.pop("converged"),
-        lambda a: a.pop("verdicts"),
-        lambda a: a.pop("warnings"),
-        lambda a: a["robot"].update(position_rms={"nobody": 1.0}),
-        lambda a: a["parameters"]["joint1.viscous"].update(std=-1.0),
+        lambda a: a["fit"].pop("converged"),
+        lambda a: a["checks"].pop("verdicts"),
+        lambda a: a["checks"].pop("warnings"),
+        lambda a: a["fit"].update(position_rms={"nobody": -1.0}),
+        lambda a: a["parameters"]["joint1.viscous"].update(stderr=-1.0),
     ],
 )
 def test_a_damaged_file_is_refused_in_a_sentence(change: Callable[[dict[str, Any]], object], tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import jointid as ji
 from jointid.apps.cli import main
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.limits import AxisLimits, find_excess
-from jointid.output.json.documents import to_dict
+from jointid.output.json import to_dict
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
 from jointid.planning import search as search_module
 from jointid.planning.designed import Design
@@ -100,7 +100,7 @@ def test_it_tells_more_than_the_one_there_is_and_keeps_the_limits(designed: Desi
 
 def test_it_is_told_in_numbers_and_files(designed: Design, tmp_path: Path) -> None:
     answer = json.loads(json.dumps(to_dict(designed), allow_nan=False))
-    assert answer["schema"] == "jointid.design/2"
+    assert answer["schema"] == "jointid.Design/2"
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
     paths = designed.write(tmp_path / "next")
     assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv"]

@@ -113,7 +113,7 @@ def test_gains_are_told_as_the_drive_shows_them_and_in_si_beside() -> None:
     assert tuned.gains[-1].in_drive == ("integral_time", pytest.approx(200.0), pytest.approx(1e3 / after), "ms")
     far = any(not 1 / 3 <= gain.after / gain.before <= 3 for gain in tuned.gains)
     assert ("Set the gains in steps" in tuned.sentence) == far
-    assert to_dict(tuned)["gains"][-1]["in_drive"]["name"] == "integral_time"
+    assert to_dict(tuned)["gains"][-1]["in_drive"][0] == "integral_time"
 
 
 def test_a_controller_in_ampere_is_told_in_ampere_and_a_pid_by_the_times_it_was_declared_by() -> None:
@@ -252,15 +252,14 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
     )
     assert found.present.estimate.stable
     assert not found.present.worst.stable
-    assert json.loads(dumps(to_dict(found)))["present"]["worst"]["stable"] is False
+    assert json.loads(dumps(to_dict(found)))["present"]["worst"]["modulus"] == 0.0
 
 
 def test_the_answer_is_complete_and_finite(tuned: Tuned) -> None:
     answer = json.loads(dumps(to_dict(tuned)))
-    assert answer["schema"] == "jointid.tuning/1"
+    assert answer["schema"] == "jointid.Tuned/2"
     assert answer["present"]["worst"]["gain"] < answer["present"]["estimate"]["gain"]
     assert answer["present"]["worst"]["reduction"] is None  # it may fall as far as it likes
-    assert len(answer["proposed"]["response"]["hertz"]) == len(answer["proposed"]["response"]["size"])
 
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:

@@ -1,13 +1,8 @@
-"""Results as documents, rendered as text, HTML or JSON.
-
-Numbers that do not exist are null in JSON, never NaN.
-"""
+"""Results as documents, rendered as text or HTML."""
 
 from __future__ import annotations
 
 import base64
-import json
-import math
 import re
 import sys
 from abc import ABC, abstractmethod
@@ -17,7 +12,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from jointid.common.files import write_whole
 from jointid.common.text import align, encodable, wrap
 
 if TYPE_CHECKING:
@@ -274,24 +268,6 @@ def inert(answer: str) -> str:
     return answer.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def dumps(answer: dict[str, Any]) -> str:
-    """Serialise an answer as reproducible JSON text."""
-    return json.dumps(_finite(answer), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def write(answer: dict[str, Any], path: str | Path) -> None:
-    """Write an answer as JSON."""
-    write_whole(path, dumps(answer))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def typeset(text: str) -> str:
     """Typeset ±, minus signs, exponents, thin spaces before units, and p-values."""
     for pattern, into in _RULES:
@@ -322,19 +298,3 @@ def _p_value(relation: str, value: float) -> str:
     if value < _SMALL or (relation == "<" and value <= _SMALL):
         return f"< {_SMALL}"
     return f"{relation} {value:.2g}"
-
-
-def optional_number(value: object) -> float | None:
-    """Return a number of a JSON document, None for null; otherwise see `finite`."""
-    return None if value is None else finite(value)
-
-
-def finite(value: object) -> float:
-    """Return a number of a JSON document.
-
-    Raises:
-        ValueError: it is no number, or not finite.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError
-    return float(value)

@@ -71,6 +71,7 @@ class Transmission:
         10 mm per turn, without loss (efficiency taken as 1); values are on the load side
     """
 
+    in_json = "motor_per_load motor"
     load: units.Kind = field(metadata=declare("how the load moves"))
     ratio: float | None = setting(
         None,

@@ -106,6 +106,7 @@ class EstimateComparison(Documented):
         notes: limits of the comparison, one sentence each.
     """
 
+    in_json = "same_record changed sentences"
     before: ReportedEstimate
     after: ReportedEstimate
     rows: tuple[QuantityChange, ...]

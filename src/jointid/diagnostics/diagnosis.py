@@ -49,6 +49,7 @@ class AxisDiagnosis:
         caused: whether a cause explains what is left that is none of this axis alone.
     """
 
+    in_json = "explained as_declared law_holds"
     name: str
     left: float
     whiteness: Whiteness | None
@@ -204,6 +205,7 @@ class Diagnosis(Documented):
         cause: of the whole log or model, that explains more than the faults of single axes.
     """
 
+    in_json = "answer explained as_declared sentences reasons -torques"
     name: str
     method: str
     axes: tuple[AxisDiagnosis, ...]

@@ -127,6 +127,7 @@ class Examination(Documented):
         transmission: on whose `side` all numbers are.
     """
 
+    in_json = "healthy sentence"
     record: str
     logged: str
     answers: tuple[Answer, ...]

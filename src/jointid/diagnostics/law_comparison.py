@@ -86,6 +86,7 @@ class JudgedLaw:
         words: the same in a sentence.
     """
 
+    in_json = "predicts_as_well"
     name: str
     parameters: int
     values: Mapping[str, float]
@@ -115,6 +116,7 @@ class LawComparison(Documented):
         transmission: on whose side the numbers are.
     """
 
+    in_json = "type shown answer"
     kind: ClassVar[str]
     """Of the laws: "spring", say."""
     simple: ClassVar[str]

@@ -91,6 +91,7 @@ class ValidatedAxis:
         nominal_error: that of the nominal robot; infinite where it cannot be simulated, None where it says no masses.
     """
 
+    in_json = "prediction autocorrelation white_band outside_band -motor"
     name: str
     unit: str
     position_unit: str
@@ -150,6 +151,7 @@ class Validation(Documented):
         causes: what alone explains that the record is not predicted, the likeliest; none where nothing does.
     """
 
+    in_json = "answer sentence relative_error filtered_error attainable_error nominal_error better"
     test: Literal["direct", "cross"]
     method: str
     record: str

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -71,12 +71,6 @@ def read_as(records: Logs, timing: Timing | None, stated: bool = False, late: fl
 def read_as_identified(records: Logs, settings: Settings) -> Logs:
     """Return records of a robot with torques as its estimate by IDIM read them: their timing, and the log's delay."""
     return read_as(records, settings.timing, late=-settings.delay)
-
-
-def read_timing(answer: Mapping[str, Any]) -> Timing | None:
-    """Return the timing of an estimate's JSON as which a torque was read; None in files before version 0.3."""
-    found = answer.get("torque_timing")
-    return None if found is None else Timing(found)
 
 
 def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:

@@ -44,6 +44,7 @@ class Drift:
     Time counts from the first sample of each record: a cross test takes both records to begin equally warm.
     """
 
+    in_json = "type"
     of: Literal["force", "viscous", "both"] = setting("viscous", "what changes linearly in time")
     side: Side = setting("motor", "on which side of the joint")
 
@@ -73,6 +74,7 @@ class EncoderOffset:
     may hold the spring wound up there.
     """
 
+    in_json = "type"
     side: ClassVar[Side] = "load"
 
     @property

@@ -114,6 +114,7 @@ class Friction:
         coefficients: its parameters, in their order; each part has at most one in each direction.
     """
 
+    in_json = "name"
     name: ClassVar[str]
     label: ClassVar[str]
     contrast: ClassVar[str] = "symmetric"

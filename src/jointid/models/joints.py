@@ -45,6 +45,7 @@ _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 class _JointBase:
     """Common base of the joints: kind of motion, friction, transmission, gravity and ripple; see `RigidJoint`."""
 
+    in_json = "model"
     model: ClassVar[str]
     """Name of the model, as files say it."""
 

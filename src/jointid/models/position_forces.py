@@ -187,6 +187,7 @@ class PositionHarmonics:
     A sum of n harmonics of any period lowers the residual of the record it is fitted to; judge it by a cross test.
     """
 
+    in_json = "type"
     period: float = field(
         metadata=declare("of the first harmonic, such as the pitch of a screw", unit="m or rad", above=0)
     )

@@ -57,6 +57,7 @@ class Spring:
         label: on the web page.
     """
 
+    in_json = "name"
     name: ClassVar[str]
     label: ClassVar[str]
     adds: ClassVar[str] = ""

@@ -50,6 +50,7 @@ class DesignedAxis:
         modes: Hz, as they are roughly known, by name; none of a rigid joint.
     """
 
+    in_json = "passed -test"
     name: str
     test: Record
     torque: FloatArray
@@ -148,6 +149,7 @@ class Design(Charted, Documented):
         from_shafts: (n, n) the joints' positions from the references of their motors; None where they are the same.
     """
 
+    in_json = "sentence passed peaks modes -layout"
     source: str
     goal: Goal
     description: str

@@ -140,6 +140,7 @@ class PredictedTest:
         reference, injected: (samples,) what a joint's is driven with.
     """
 
+    in_json = "std -covariance -motion"
     name: str
     joint: tuple[str, ...]
     symbols: Mapping[str, str]

@@ -63,13 +63,12 @@ class Trajectory:
         rows = zip(self.time, self.positions, self.velocities, self.accelerations, strict=True)
         for at, *row in rows:
             seconds, nanoseconds = divmod(round(1e9 * float(at)), 10**9)
+            listed = (", ".join(f"{float(value):.9g}" for value in values) for values in row)
             lines += [
-                f"{'- ' if k == 0 else '  '}{name}: [{_list(values)}]"
-                for k, (name, values) in enumerate(zip(("positions", "velocities", "accelerations"), row, strict=True))
+                f"{'- ' if k == 0 else '  '}{name}: [{values}]"
+                for k, (name, values) in enumerate(
+                    zip(("positions", "velocities", "accelerations"), listed, strict=True)
+                )
             ]
             lines.append(f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
         return "\n".join(lines) + "\n"
-
-
-def _list(values: FloatArray) -> str:
-    return ", ".join(f"{float(value):.9g}" for value in values)

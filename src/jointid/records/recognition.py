@@ -25,6 +25,7 @@ class LoggedAxis:
         gains: columns of the gains of its controller.
     """
 
+    in_json = "name -place"
     place: Place
     channels: Mapping[str, str]
     gains: Mapping[str, DriveGain]
@@ -44,6 +45,7 @@ class Recognised:
         axes: in the order of their numbers, or of the file.
     """
 
+    in_json = "sentence -profile"
     profile: Profile
     axes: tuple[LoggedAxis, ...]
 

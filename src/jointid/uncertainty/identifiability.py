@@ -110,6 +110,7 @@ class Known:
         relative: standard deviation over the size of what is combined, a ratio.
     """
 
+    in_json = "verdict"
     combination: Combination
     value: float
     std: float
@@ -266,17 +267,11 @@ def _simplify(
     kept = kept / weights[order[0]]
     said = f"led by {leading.name.replace('_', ' ')}"
     terms = [(float(kept[i]), parameters[i]) for i in order[:count]]
-    formula = _write_sum([(weight, p.symbol) for weight, p in terms])
-    return Combination(said, formula, units[leading.name], {p.name: weight for weight, p in terms}, Kind.DIRECTION)
-
-
-def _write_sum(terms: Sequence[tuple[float, str]]) -> str:
-    """Format ``A + 0.5 B - 2 C``; the first weight is 1."""
-    text = terms[0][1]
-    for weight, symbol in terms[1:]:
+    formula = terms[0][1].symbol
+    for weight, p in terms[1:]:
         times = "" if number(abs(weight), 3) == number(1.0, 3) else f"{number(abs(weight), 3)} "
-        text += f" {'-' if weight < 0 else '+'} {times}{symbol}"
-    return text
+        formula += f" {'-' if weight < 0 else '+'} {times}{p.symbol}"
+    return Combination(said, formula, units[leading.name], {p.name: weight for weight, p in terms}, Kind.DIRECTION)
 
 
 def _describe_together(

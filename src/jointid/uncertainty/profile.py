@@ -83,6 +83,7 @@ class ProfileInterval:
         evaluations: of the criterion, with or without derivatives.
     """
 
+    in_json = "points rise"
     name: str
     formula: str
     unit: str

@@ -121,6 +121,7 @@ class Verdict:
         reasons: why, at least one; a limitation of the record is a reason, too, with a code of its own.
     """
 
+    in_json = "good said"
     subject: Subject
     status: Status
     reasons: tuple[Message, ...]

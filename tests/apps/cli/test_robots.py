@@ -66,7 +66,7 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     printed = capsys.readouterr().out
     assert printed.startswith("arm: 25 parameters of 3 joints") and "Izz1 is Izz1 + " in printed
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.estimate/1" and answer["model"] == "robot" and len(answer["parameters"]) == 25
+    assert answer["schema"] == "jointid.Estimate/2" and answer["robot"] is not None and len(answer["parameters"]) == 25
     assert answer["parameters"]["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
     run("identify", folder / "robot.toml", "--record", folder / "two.csv", "--set", "method.estimator=ols")
     assert "ordinary least squares" in capsys.readouterr().out
@@ -74,7 +74,7 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     run("identify", folder / "robot.toml", *both, "--json", tmp_path / "both.json")
     more = json.loads((tmp_path / "both.json").read_text(encoding="utf-8"))["parameters"]
     assert more["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
-    assert more["joint2.viscous"]["std"] < 0.8 * answer["parameters"]["joint2.viscous"]["std"]
+    assert more["joint2.viscous"]["stderr"] < 0.8 * answer["parameters"]["joint2.viscous"]["stderr"]
     found = tmp_path / "found.json"
     for words in (
         ("validate", EMPS, "--estimate", found),
@@ -94,8 +94,8 @@ def test_validate(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "The estimate predicts this record better than the nominal model" in said
     assert all(f"joint{k}" in path.read_text(encoding="utf-8") for k in range(1, 4) for path in (figure, residuals))
     answer = json.loads(found.read_text(encoding="utf-8"))
-    assert (answer["schema"], answer["answer"]["code"], len(answer["axes"])) == ("jointid.validation/2", "predicted", 3)
-    assert all(axis["attainable_error_percent"] < axis["nominal_error_percent"] for axis in answer["axes"][:3])
+    assert (answer["schema"], answer["answer"]["code"], len(answer["axes"])) == ("jointid.Validation/2", "predicted", 3)
+    assert all(axis["attainable_error"] < axis["nominal_error"] for axis in answer["axes"][:3])
 
 
 @pytest.mark.slow
@@ -146,8 +146,9 @@ def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     printed = " ".join(capsys.readouterr().out.split())
     assert printed.startswith("Nothing is wrong with ")
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["diagnosis"]
-    assert answer["schema"] == "jointid.diagnosis/1" and answer["explained"] and answer["as_declared"] is None
-    assert answer["axes"][1]["parameters"]["joint2.viscous"]["known"] == "told"
+    assert answer["schema"] == "jointid.Diagnosis/2" and answer["explained"] and answer["as_declared"] is None
+    known = {one["name"]: one["known"] for one in answer["axes"][1]["parameters"]}
+    assert known["joint2.viscous"] == "told"
 
 
 def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,7 +168,7 @@ def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert order == sorted(order)
     assert f"--held-out {other.name}" in text and "Its SHA-256" in text
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.report/1" and answer["checks"][0]["better_than_nominal"]
+    assert answer["schema"] == "jointid.Report/2" and answer["checks"][0]["better"]
     assert answer["estimate"]["parameters"] and answer["diagnosis"]["axes"] and answer["record_file"] == "one.csv"
 
 

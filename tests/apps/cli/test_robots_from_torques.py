@@ -93,13 +93,13 @@ def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     one, two_ = tmp_path / "one.csv", tmp_path / "two.csv"
     run("identify", joint, "--record", one, "--json", tmp_path / "found.json")
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.estimate/1" and answer["converged"]
+    assert answer["schema"] == "jointid.Estimate/2" and answer["converged"]
     units = {name: row["unit"] for name, row in answer["parameters"].items()}
     assert units["mx2"] == "kg m" and units["Iyy2"] == "kg m2"
     for one_joint in truth:
         for word in ("viscous", "coulomb"):
             row = answer["parameters"][f"{one_joint.name}.{word}"]
-            assert abs(row["value"] - getattr(one_joint, word)) < 4 * row["std"], (one_joint.name, word)
+            assert abs(row["value"] - getattr(one_joint, word)) < 4 * row["stderr"], (one_joint.name, word)
     # A model without friction is no opponent: it has the friction that was found.
     lines = joint.read_text(encoding="utf-8").splitlines()
     lines = [f"{line.split()[0]} = 0.0" if line.startswith(("viscous", "coulomb")) else line for line in lines]
@@ -123,7 +123,7 @@ def test_a_joint_without_gains_falls_and_that_is_said(tmp_path: Path, capsys: py
     run("simulate", joint, "--json", found)
     assert "does not follow" not in capsys.readouterr().out
     answer = json.loads(found.read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.robot_simulation/1" and answer["outcome"] == "finished"
+    assert answer["schema"] == "jointid.Simulation/2" and answer["outcome"] == "finished"
     assert answer["samples"] == 2000 and len(answer["peak_torque"]) == 2 and answer["strays"] == {}
     lines = joint.read_text(encoding="utf-8").splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("position_gain"))
@@ -146,7 +146,7 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
     joint.write_text(text, encoding="utf-8")
     run("design", joint, "--search-time", "0.3", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
     answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.design/2" and "1 % of each joint" in answer["noise"]
+    assert answer["schema"] == "jointid.Design/2" and "1 % of each joint" in answer["noise"]
     assert answer["axes"][0]["reached"]["upper"] < 1.0 and not answer["passed"]
     run("simulate", joint, "--record", out / "test.csv", "--out", tmp_path / "log.csv")
     run("design", joint, "--motion", out / "test.csv", "--record", tmp_path / "log.csv", "--json", tmp_path / "b.json")
@@ -174,7 +174,7 @@ def test_a_payload_is_weighed_by_didim(tmp_path: Path, capsys: pytest.CaptureFix
     capsys.readouterr()
     run("payload", joint, *records, "--json", tmp_path / "found.json", "--quiet")
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.payload/1"
+    assert answer["schema"] == "jointid.Payload/2"
     mass = answer["parameters"]["mass"]
     assert abs(mass["value"] - 3.0) < 4 * mass["std"] < 0.02
     assert f"The payload weighs {mass['value']:.4f}" in " ".join(capsys.readouterr().out.split())

@@ -110,7 +110,7 @@ def test_an_arm_is_identified_once_and_used_by_every_command(
     run("compare", page, held_out, "--json", tmp_path / "compared.json")
     said = capsys.readouterr().out
     assert said.startswith("None of 58 quantities changed significantly") and re.search(r"^Izz1 +3\.", said, re.M)
-    names = json.loads((tmp_path / "compared.json").read_text("utf-8"))["quantities"]
+    names = [row["name"] for row in json.loads((tmp_path / "compared.json").read_text("utf-8"))["rows"]]
     assert any(" with " in name for name in names) and not any("e-" in name for name in names)
 
     def export(ending: str) -> tuple[Path, list[str]]:

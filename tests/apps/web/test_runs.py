@@ -85,7 +85,7 @@ def test_from_a_log_to_files_that_repeat_the_answer(finished: tuple[Asker, Draft
     files = {"joint.toml", "answer.json", "report.html", "log.csv"}
     assert set(archive.namelist()) == files
     assert archive.read("log.csv") == log
-    assert answer["record"]["name"] == "log"
+    assert answer["data"]["record"] == "log"
     assert loads(archive.read("joint.toml").decode()).source.file == "log.csv"
     report = archive.read("report.html").decode()
     carried = json.loads(re.findall(r'id="jointid-answer">(.*?)</script>', report, re.DOTALL)[0])
@@ -98,7 +98,7 @@ def test_from_a_log_to_files_that_repeat_the_answer(finished: tuple[Asker, Draft
         assert end.value.code == 0
         again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
         assert again["parameters"] == answer["parameters"]
-        assert again["record"] == answer["record"]
+        assert again["data"] == answer["data"]
 
 
 def test_the_report_is_shown_in_a_sandbox(finished: tuple[Asker, Draft]) -> None:

@@ -69,7 +69,7 @@ def test_several_records_are_identified_as_by_the_command(asker: Asker, log: byt
     assert asker.ended(run) == "done"
     page, command = answers_of(run, tmp_path)
     assert page["parameters"] == command["parameters"]
-    assert len(page["records"]) == 2
+    assert len(page["data"]["records"]) == 2
     assert asker.page.jobs.state(run)["sentence"] and not run.has("report.html")
 
 

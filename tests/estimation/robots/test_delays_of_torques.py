@@ -49,7 +49,8 @@ def test_delays_are_found_from_what_is_declared() -> None:
     loop, records = twin_logged()
     estimate = ji.identify(records, with_delays(loop, {0: 2e-3, 1: 2e-3}), DIDIM(free=("delay",)), checks=False)
     assert_found(estimate, 0, 1)
-    assert estimate.to_dict()["parameters"]["joint1.delay"]["nominal"] == 2e-3
+    part = estimate.require_robot()
+    assert part.nominal[part.names.index("joint1.delay")] == 2e-3
 
 
 @pytest.mark.slow

@@ -28,9 +28,9 @@ def test_didim_keeps_values_and_bounds() -> None:
     row = kept.params["joint1.viscous"]
     assert free.params["joint1.viscous"].free and not row.free and (row.value, row.stderr) == (TRUTH, None)
     assert kept.values["joint1.viscous"] == TRUTH and "joint1.viscous" not in kept.params.names
-    stated = kept.to_dict()["parameters"]["joint1.viscous"]
-    assert (stated["value"], stated["nominal"], stated["formula"]) == (TRUTH, pytest.approx(TRUTH), "Fv1")
     part = kept.require_robot()
+    at = part.names.index("joint1.viscous")
+    assert (part.values[at], part.nominal[at], part.formulas[at]) == (TRUTH, pytest.approx(TRUTH), "Fv1")
     np.testing.assert_array_equal(part.nominal, part.parameters_of(TWIN.robot))
     (shown,) = (line.split() for line in kept.summary().splitlines() if line.startswith("joint1, viscous "))
     assert "fixed" in " ".join(shown)

@@ -13,7 +13,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.result.answer import Trust
-from jointid.output.json.reading import load_estimate
+from jointid.output.json import load_estimate
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Status, Subject
@@ -123,10 +123,12 @@ def test_records_and_lists_that_do_not_fit_are_refused_in_a_sentence(use: Callab
 def test_its_file_is_of_the_same_schema_and_is_no_joint(tmp_path: Path) -> None:
     found = estimate()
     answer = found.to_dict()
-    assert answer["schema"] == "jointid.estimate/1" and answer["model"] == "robot"
+    assert answer["schema"] == "jointid.Estimate/2" and answer["robot"] is not None
     assert answer["answer"]["trust"]["code"] == "reliable"
     row = answer["parameters"]["joint1.viscous"]
-    assert row["axis"] == "joint1" and row["formula"] == row["symbol"] == "Fv1" and row["nominal"] == pytest.approx(3.0)
-    assert len(answer["correlation"]) == len(answer["free"]) == len(found.params)
-    with pytest.raises(RecordError, match="is the estimate of a robot; expected that of one joint"):
+    at = answer["robot"]["names"].index("joint1.viscous")
+    assert row["axis"] == "joint1" and answer["robot"]["formulas"][at] == row["symbol"] == "Fv1"
+    assert answer["robot"]["nominal"][at] == pytest.approx(3.0)
+    assert len(answer["params"]["correlation"]) == len(answer["params"]["names"]) == len(found.params)
+    with pytest.raises(RecordError):
         load_estimate(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"))

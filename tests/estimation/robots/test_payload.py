@@ -51,7 +51,7 @@ def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
     assert "The difference of two estimates says the same." in " ".join(said.split())
     assert max(map(len, said.splitlines())) <= 100
     answer = answers.to_dict(found)
-    assert answer["schema"] == "jointid.payload/1" and answer["ways_agree"] is True
+    assert answer["schema"] == "jointid.Payload/2" and answer["agrees"] is True
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from jointid.estimation.robots.numbers import robot_parameters
 from jointid.models.robots.base_parameters import base_parameters
 from jointid.models.robots.friction_terms import friction_terms
 from jointid.models.robots.robot import Robot
-from tests.estimation.robots.twin import arm, identified, records_of
+from tests.estimation.robots.twin import arm
 from tests.public_arms import ARMS, urdf_of
 from tests.robots_plants import six, two
 
@@ -63,15 +63,3 @@ def test_a_rotor_with_a_link_about_a_skew_axis_is_no_rotor() -> None:
     assert found == sums_by_idim(robot)
     assert "joint1.rotor_inertia" not in found
     assert {"Ixx1 * 0.2000", "Ixy1 * 0.8000", "Iyy1 * 0.8000"} <= {*found["joint1.inertia"].split(" + ")}
-
-
-def test_the_answer_lists_which_links_a_sum_holds() -> None:
-    robot = arm(2)
-    estimate = identified(robot, records_of(robot, 1, 0.01))
-    said = estimate.to_dict()["parameters"]
-    assert said["Izz1"]["parts"]["Izz1"] == {"link": "link1", "weight": pytest.approx(1.0)}
-    assert said["Izz1"]["parts"]["m2"] == {"link": "link2", "weight": pytest.approx(0.13**2)}
-    assert said["Izz1"]["parts"]["Ia1"] == {"joint": "joint1", "weight": pytest.approx(1.0)}
-    assert said["joint1.viscous"]["parts"] == {}
-    for row, weights in zip(said.values(), estimate.require_robot().of_standard, strict=True):
-        assert [one["weight"] for one in row["parts"].values()] == list(weights[weights != 0.0])

@@ -161,7 +161,7 @@ def test_the_same_estimate_gives_the_same_bytes_which_say_where_they_come_from(f
     first = (folder / out).read_bytes()
     assert exported(folder, out) == 0
     assert (folder / out).read_bytes() == first
-    for words in (b"5f1c", b"jointid.estimate/1", ji.__version__.encode(), b"run"):
+    for words in (b"5f1c", b"jointid.Estimate/2", ji.__version__.encode(), b"run"):
         assert words in first
     assert b"\x07" not in first or out == "a.mat"
 
@@ -187,16 +187,20 @@ def test_a_format_comes_before_the_ending(folder: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     "change",
     [
-        {"schema": "jointid.loop/1"}, {"model": "rigid"}, {"kind": "revolute"}, {"parameters": []}, {"record": None},
-        {"transmission": {"side": "load"}}, {"delay": "0"}, {"effects": [1]},
-        {"parameters": {}}, {"gravity": {"load": "link", "angle": 1.0}}, {"schema": []}, {"delay": float("nan")},
+        {"schema": "jointid.loop/1"}, {"parameters": []}, {"data": None}, {"parameters": {}}, {"schema": []},
+        {"controller_sha256": float("nan")},
+        *({"settings": one} for one in (
+            {"delay": "0"}, {"effects": [1]}, {"system": {"model": "rigid"}}, {"system": {"kind": "revolute"}},
+            {"system": {"gravity": {"load": "link", "angle": 1.0}}}, {"system": {"transmission": {"side": "load"}}},
+        )),
     ],
 )  # fmt: skip
 def test_an_answer_of_something_else_is_refused(
     folder: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any]
 ) -> None:
-    told = json.loads((folder / "out.json").read_text(encoding="utf-8")) | change
-    (folder / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    told = json.loads((folder / "out.json").read_text(encoding="utf-8"))
+    change = {key: told[key] | value if isinstance(value, dict) and value else value for key, value in change.items()}
+    (folder / "out.json").write_text(json.dumps(told | change), encoding="utf-8")
     assert exported(folder, "a.xml") == 2
     assert "Traceback" not in capsys.readouterr().err
     assert not (folder / "a.xml").exists()
@@ -237,7 +241,7 @@ def test_to_the_other_side_and_back_nothing_changes() -> None:
 def test_ripple_is_said_to_be_left_out() -> None:
     told = model(ji.RigidJoint("prismatic"), RIGID, effects=(PositionHarmonics(0.005),))
     for language in ("state-space", "mjcf", "urdf"):
-        assert "what was identified beside the joint: harmonics" in ji.export(told, language).lost
+        assert "what was identified beside the joint: PositionHarmonics" in ji.export(told, language).lost
 
 
 def test_exporting_text_needs_no_simulation_and_no_optional_package() -> None:

@@ -116,7 +116,7 @@ def test_the_emps_report_is_one_small_file(emps_path: Path, tmp_path: Path) -> N
     ]
     assert carried["joint_file"] == EMPS.read_text(encoding="utf-8")
     assert len(carried["record_file_sha256"]) == 64
-    assert carried["estimate"]["record"]["torque_sha256"] in text
+    assert carried["estimate"]["data"]["fingerprint"] in text
 
 
 @pytest.mark.slow
@@ -136,7 +136,7 @@ def test_hostile_names_stay_names(rigid_page: str) -> None:
     assert not any(attributes.get("href", "").startswith("javascript") for attributes in Elements(rigid_page).of("a"))
     carried = re.findall(r'id="jointid-answer">(.*?)</script>', rigid_page, re.DOTALL)[0]
     assert "<" not in carried
-    assert json.loads(carried)["estimate"]["record"]["name"] == reports.EVIL
+    assert json.loads(carried)["estimate"]["data"]["record"] == reports.EVIL
 
 
 def test_a_chart_makes_no_element_of_a_name() -> None:

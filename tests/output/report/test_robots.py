@@ -44,7 +44,7 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     assert [float(kp) for kp in re.findall(r"\| kp \| (\S+) \|", sheet)] == pytest.approx(gains, rel=1e-4)
     assert "It was not held against a record that it has not seen" in text
     answer = json.loads(told.answer())
-    assert answer["estimate"]["schema"] == "jointid.estimate/1" and answer["validation"] is None
+    assert answer["estimate"]["schema"] == "jointid.Estimate/2" and answer["validation"] is None
     assert set(told.charts) == {"torque", "residual", "spectra"}
     assert np.ptp(told.charts["torque"].plot().axes[0].lines[0].get_ydata()) > 0
 

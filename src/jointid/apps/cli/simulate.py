@@ -75,13 +75,15 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
     ready(options.progress, derivatives=False)
     found = require_success(run(file.loop, driven, values))
     show(f"{100 * found.at_limit:.2f} % of the time at the limit")
-    return found, as_record(driven, found, file.joint.force_unit), simulation_answer(found, file.joint, values, driven)
+    stated = {"resampled": driven.resampled, "parameters": values, "at_limit": found.at_limit}
+    logged = as_record(driven, found, file.joint.force_unit)
+    return found, logged, simulation_answer(found, driven.name, stated)
 
 
 def _simulate_robot(file: File, estimate: Estimate | None, options: Options) -> tuple[Any, Any, Any]:
     """Return the simulation of a robot, what its drives would log, and its document."""
     from jointid import simulate as run
-    from jointid.output.json.documents import robot_simulation_answer
+    from jointid.output.json import simulation_answer
     from jointid.simulation.robots import tracking_errors
     from jointid.simulation.simulated import require_success
 
@@ -96,7 +98,9 @@ def _simulate_robot(file: File, estimate: Estimate | None, options: Options) -> 
             f"{robot.names[k]} does not follow its reference: it gets {off:.3g} {robot.position_unit(k)} off it; check "
             "its controller's gains and limit, and its signs."
         )
-    return found, found.records(driven), robot_simulation_answer(robot, found, astray)
+    strays = {robot.names[k]: off for k, off in astray.items()}
+    answer = simulation_answer(found, robot.name, {"joints": robot.names, "strays": strays})
+    return found, found.records(driven), answer
 
 
 def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet: Quiet = False) -> None:

@@ -197,6 +197,7 @@ class FaultTest:
         opposite: those of `alike` whose size has the opposite sign.
     """
 
+    in_json = "name -fault -alike -opposite"
     fault: Fault
     alike: tuple[Fault, ...]
     declared: float

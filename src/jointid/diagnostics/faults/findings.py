@@ -73,6 +73,7 @@ class Finding:
         alike: equally good laws, the likeliest first.
     """
 
+    in_json = "-law -alike"
     test: FaultTest
     value: float | None
     rivals: tuple[FaultTest, ...]

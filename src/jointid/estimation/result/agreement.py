@@ -104,6 +104,7 @@ class Agreement:
         statistic, degrees, p_value: of all of them jointly; the last is None where nothing was compared.
     """
 
+    in_json = "differs"
     parameters: tuple[Scatter, ...]
     statistic: float
     degrees: int

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, write
+from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError, extra
+from jointid.common.fields import write
 from jointid.estimation.result.answer import Answer, answer_of
-from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
 from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.position_forces import Motion
@@ -84,6 +85,8 @@ class Estimate(EstimateParts, Documented):
         (30.0, True)
     """
 
+    in_json = "answer parameters controller_sha256"
+
     @property
     def success(self) -> bool:
         """True if the search converged and no parameter of the joint is refused; the verdicts say more."""
@@ -98,6 +101,17 @@ class Estimate(EstimateParts, Documented):
     def sentence(self) -> str:
         """The answer as a line."""
         return str(self.answer)
+
+    @property
+    def parameters(self) -> dict[str, EstimatedParameter]:
+        """Every parameter by name, ``name@2`` the second record's own."""
+        return dict(self.params)
+
+    @property
+    def controller_sha256(self) -> str:
+        """Fingerprint of the loop's controller, see `law_fingerprint`; empty without one."""
+        loop = self.settings.loop
+        return self.settings.controller or ("" if loop is None else law_fingerprint(loop))
 
     @property
     def covariance(self) -> FloatArray:
@@ -130,10 +144,9 @@ class Estimate(EstimateParts, Documented):
             )
         settings, data = self.settings, self.data
         log = {p.name: p.value for p in self.params.rows if p.name == "current_lag" and p.value is not None}
-        law = settings.controller or ("" if settings.loop is None else law_fingerprint(settings.loop))
         return IdentifiedJoint(
             settings.method, settings.joint, settings.loop, {**self.values, **log}, settings.filtering, settings.delay,
-            data.record, data.fingerprints, law, settings.effects, settings.timing,
+            data.record, data.fingerprints, self.controller_sha256, settings.effects, settings.timing,
         )  # fmt: skip
 
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:

@@ -106,6 +106,7 @@ class Params(Mapping[str, EstimatedParameter]):
     Its keys are the names of the parameters, ``name@2`` for the second record's own.
     """
 
+    in_json = "correlation -rows -own"
     rows: tuple[EstimatedParameter, ...]
     names: tuple[str, ...]
     correlation: FloatArray
@@ -281,6 +282,7 @@ class Checks:
         notes: on how the intervals were obtained, one sentence each.
     """
 
+    in_json = "-diagnosis"
     verdicts: tuple[Verdict, ...] = ()
     known: Identifiability | None = None
     tests: tuple[ChiSquareTest, ...] = ()
@@ -317,6 +319,7 @@ class RecordFit:
             borders left out, and filtered; alone_error: the filtered one of the record by itself.
     """
 
+    in_json = "-loop"
     name: str
     fingerprint: str
     loop: ClosedLoop
@@ -412,6 +415,7 @@ class Settings:
         controller: of an estimate from a file the fingerprint of the law that it was identified under.
     """
 
+    in_json = "-loop -controller"
     method: str
     variant: str
     system: Joint | Robot

@@ -86,6 +86,7 @@ class IdentifiedRobot(ABC):
         springs: a verdict for each flexible joint.
     """
 
+    in_json = "nominal nominal_errors log_delay -setup -covariance -parameters -base"
     setup: Robot | RobotLoop | RobotDriveSide
     names: tuple[str, ...]
     values: FloatArray

@@ -98,6 +98,7 @@ class Payload(Documented):
         warnings: of the estimates and on their records, one sentence each.
     """
 
+    in_json = "link rows agrees possible -payload -difference"
     payload: PayloadParameters
     difference: PayloadParameters
     warnings: tuple[str, ...] = ()

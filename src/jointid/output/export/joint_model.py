@@ -22,10 +22,11 @@ from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, on_other_side
 from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
+from jointid.models.disturbances import EncoderOffset
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
 from jointid.output.export.pd_law import PDLaw, pd_law
-from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA
+from jointid.output.json import ESTIMATE_SCHEMA
 
 
 class Mass(NamedTuple):
@@ -244,8 +245,8 @@ class JointModel:
     @property
     def effects_lost(self) -> list[str]:
         """The sentence on what was identified beside the joint itself; or none."""
-        effects = {type(effect) for effect in self.estimate.settings.effects}
-        kinds = sorted(name for name, kind in EFFECTS.items() if kind in effects and name != "encoder_offset")
+        effects = self.estimate.settings.effects
+        kinds = sorted({type(effect).__name__ for effect in effects if not isinstance(effect, EncoderOffset)})
         return [f"what was identified beside the joint: {', '.join(kinds)}"] if kinds else []
 
     def remarks(self, lost: Iterable[str]) -> list[str]:

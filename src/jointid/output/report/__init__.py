@@ -10,8 +10,9 @@ from typing import Any
 
 from jointid import Drive, Record
 from jointid.common.charts import Chart
-from jointid.common.document import Document, dumps, typeset_block
+from jointid.common.document import Document, typeset_block
 from jointid.common.errors import JointidError, MethodError
+from jointid.common.fields import dumps, plain
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.diagnose import FeedForwardName, diagnose
@@ -22,8 +23,7 @@ from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.output.figures.charts import report_charts
-from jointid.output.json import plain
-from jointid.output.json.documents import REPORT_SCHEMA
+from jointid.output.json import REPORT_SCHEMA, to_dict
 from jointid.output.report.page import Repetition, page, repetition, require_page
 from jointid.output.report.sections import report_blocks
 from jointid.tuning.tuned import Tuned
@@ -138,13 +138,13 @@ class Report:
 
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
-        given, tuned = self.data, self.tuned
-        names = ("estimate", "diagnosis", "validation", "checks", "profiles", "parabolic", "absent")
+        given, names = self.data, ("diagnosis", "validation", "checks", "profiles", "parabolic", "absent")
         contents: dict[str, Any] = {
             "schema": REPORT_SCHEMA,
+            "estimate": to_dict(given.estimate),
             **{name: getattr(given, name) for name in names},
             "frequencies": {} if given.response is None else given.response.modes,
-            "tuning": None if tuned is None else _without_responses(plain(tuned)),
+            "tuning": self.tuned,
         }
         return dumps(plain(contents | self.repetition.document))
 
@@ -187,10 +187,3 @@ def tune_to_limit(estimate: Estimate, drive: Drive, shown: Iterable[DriveNumber]
         return str(error)
     except LinAlgError as error:  # values far outside all bounds have no margins
         return f"they cannot be computed from these values ({error})."
-
-
-def _without_responses(tuning: dict[str, Any]) -> dict[str, Any]:
-    """Return a tuning as JSON without the loops' responses, which are half a megabyte of curves."""
-    loops = {key: tuning[key] for key in ("present", "proposed") if tuning[key] is not None}
-    shown = {key: {k: v for k, v in loop.items() if k != "response"} for key, loop in loops.items()}
-    return tuning | shown

@@ -19,7 +19,7 @@ from jointid import __version__
 from jointid.common.document import Block, Code, Document, Heading, templates
 from jointid.common.errors import RecordError
 from jointid.common.files import digest, write_folder
-from jointid.output.json.documents import REPORT_ELEMENT
+from jointid.output.json import REPORT_ELEMENT
 
 _FEW = 4  # headings: a shorter page needs no list of contents
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file

@@ -1,0 +1,124 @@
+"""Data classes as JSON and back: the fields of a class by their names, and those of its parts.
+
+Samples and matrices, the fields of arrays, are left out. A class may say otherwise in `in_json`, a text of names: it
+adds arrays, properties and "type", the name
+of the class, and leaves out what stands behind a minus sign. Parts that then hold
+nothing are left out. Numbers that do not exist are null in JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum, StrEnum
+from functools import cache
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from jointid.common.files import write_whole
+
+T = TypeVar("T")
+
+_ARRAYS = ("FloatArray", "ComplexArray", "NDArray")
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: a data class by its fields, an array or a tuple as a list."""
+    kind: Any = type(value)
+    if is_dataclass(value):
+        every = {name: kind.__name__ if name == "type" else plain(getattr(value, name)) for name in _names(kind)}
+        return {name: part for name, part in every.items() if part != {} or isinstance(getattr(value, name), Mapping)}
+    if isinstance(value, Enum):
+        return str(value) if isinstance(value, StrEnum) else value.name.lower()
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+@cache
+def _names(kind: Any) -> tuple[str, ...]:
+    said = getattr(kind, "in_json", "").split()
+    every = [field.name for field in fields(kind) if not str(field.type).startswith(_ARRAYS)]
+    return tuple(dict.fromkeys(name for name in (*every, *said) if name[0] != "-" and f"-{name}" not in said))
+
+
+def read(kind: type[T], raw: Any, **given: object) -> T:
+    """Return a value of JSON as one of a type, a data class from its fields; those it has beside them are not read.
+
+    Args:
+        kind: of the value.
+        raw: as `json` reads it.
+        given: fields of a data class that are not in `raw`, or to be others.
+
+    Raises:
+        ValueError, TypeError: it is no such value.
+    """
+    found: T = _read(kind, raw, **given)
+    return found
+
+
+def _read(kind: Any, raw: Any, **given: object) -> Any:
+    origin, parts = get_origin(kind), get_args(kind)
+    found: Any
+    if is_dataclass(kind):
+        hints = get_type_hints(kind)
+        names = [field.name for field in fields(kind) if field.name in _require(raw, Mapping)]
+        own = {name: _read(hints[name], raw[name]) for name in names if name not in given}
+        found = kind(**own, **given)  # type: ignore[operator]
+    elif origin in (Union, UnionType):
+        kinds = [part for part in parts if part is not NoneType]
+        found = None if raw is None and len(kinds) < len(parts) else _read(kinds[0], raw)
+    elif origin is tuple:
+        each = [parts[0]] * len(_require(raw, list)) if parts[-1] is ... else parts
+        found = tuple(_read(part, item) for part, item in zip(each, raw, strict=True))
+    elif origin is Literal:
+        found = parts[parts.index(raw)]
+    elif origin is not None:  # a mapping by names
+        found = {str(key): _read(parts[1], item) for key, item in _require(raw, Mapping).items()}
+    elif kind is float:
+        found = finite(raw)
+    else:
+        found = _require(raw, kind) if kind in (bool, int, str) else kind(raw)
+    return found
+
+
+def _require(raw: Any, kind: Any) -> Any:
+    if not isinstance(raw, kind) or (isinstance(raw, bool) and kind is not bool):
+        raise ValueError(f"{raw!r:.60} is no {kind.__name__}")
+    return raw
+
+
+def finite(value: object) -> float:
+    """Return a number of a JSON document.
+
+    Raises:
+        ValueError: it is no number, or not finite.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{value!r:.60} is no number")
+    return float(value)
+
+
+def dumps(answer: dict[str, Any]) -> str:
+    """Serialise an answer as reproducible JSON text."""
+    return json.dumps(_finite(answer), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write(answer: dict[str, Any], path: str | Path) -> None:
+    """Write an answer as JSON."""
+    write_whole(path, dumps(answer))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,354 @@
+"""Results as JSON, their fields by name (`common.fields`), and estimates back as far as a later command needs them.
+
+Every document has `schema`, the class of its result with the number of this form, and `version`, that of the program.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from jointid import ClosedLoop, Record, __version__
+from jointid.common.document import Documented
+from jointid.common.errors import MethodError, RecordError
+from jointid.common.fields import dumps, finite, plain, write
+from jointid.common.files import open_file
+from jointid.config import File
+from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
+from jointid.estimation.methods.registry import METHODS
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.friction import FRICTIONS
+from jointid.models.joints import Joint
+
+if TYPE_CHECKING:
+    from jointid.estimation.saved import System
+    from jointid.simulation.closed_loop import Simulation
+    from jointid.simulation.robots import RobotSimulation
+
+__all__ = [
+    "dumps", "load_estimate", "plain", "read_answer", "read_choices", "read_report", "simulation_answer", "to_dict",
+    "write",
+]  # fmt: skip
+
+Json: TypeAlias = dict[str, Any]
+
+ESTIMATE_SCHEMA = "jointid.Estimate/2"
+REPORT_SCHEMA = "jointid.Report/2"
+REPORT_ELEMENT = "jointid-answer"
+"""The id of the element of a page that carries the document of its report."""
+
+_LARGEST = 2**26  # bytes of a file: the page of a report on 25 s has 3 MB
+_DAMAGE = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, MethodError)
+_REMEDY = "give what identify --json or report --html wrote"
+
+
+def to_dict(result: object) -> Json:
+    """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
+
+    Args:
+        result: of `identify`, `validate`, `compare`, `diagnose`, `tune`, `learn_controller`, `inspect`.
+
+    Raises:
+        MethodError: it is no such result.
+
+    Example:
+        >>> import jointid as ji
+        >>> law = ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
+        >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+        >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+        >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+        >>> ji.to_dict(ji.identify(record, loop))["schema"]
+        'jointid.Estimate/2'
+    """
+    if not isinstance(result, Documented) or isinstance(result, Record):
+        raise MethodError(
+            f"Only a result is written as JSON; received {type(result).__name__}: give what a verb returned."
+        )
+    return {"schema": f"jointid.{type(result).__name__}/2", "version": __version__, **plain(result)}
+
+
+def simulation_answer(simulation: Simulation | RobotSimulation, record: str, values: Mapping[str, object]) -> Json:
+    """Return the document of a simulation, without its signals.
+
+    Args:
+        simulation: of a joint or a robot.
+        record: its name.
+        values: what else is stated.
+    """
+    return {
+        "schema": "jointid.Simulation/2",
+        "version": __version__,
+        "record": record,
+        "samples": len(simulation.torque),
+        "sample_time": simulation.sample_time,
+        "outcome": simulation.outcome.name.lower(),
+        "explanation": simulation.outcome.value,
+        "events": simulation.events,
+        "peak_torque": plain(abs(simulation.torque).max(axis=0)),
+        **plain(values),
+    }
+
+
+def load_estimate(path: str | Path, system: File | System) -> Estimate:
+    """Return the estimate of a joint or a robot from the file that keeps it.
+
+    It predicts, is compared, validated, reported and exported as when it was identified. The measured and predicted
+    torque, and the tests of them, are not in the file.
+
+    Args:
+        path: what `Estimate.save`, `identify --json` or `report --html` wrote.
+        system: what was identified: a joint file or a robot file from `load`, or a joint or a robot, alone, under its
+            controllers, or along the motion of its motor. Geometry is not in the file of an estimate; that of the robot
+            must give the sums of parameters that the file states.
+
+    Raises:
+        RecordError: the file cannot be read, is no estimate, or belongs to another model or another side of its
+            transmission; of a robot, or of several records with parameters of their own, a value is missing without
+            which no torque can be predicted.
+
+    Example:
+        >>> import tempfile
+        >>> import jointid as ji
+        >>> axis = ji.twin("L19", noise="none")
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), axis.loop.controller)
+        >>> estimate = ji.identify(axis.record, loop, filtering=ji.Filtering(cutoff=5.0), checks=False)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     kept = ji.load_estimate(estimate.save(f"{folder}/kept.json"), loop)
+        >>> kept["inertia"].value == estimate["inertia"].value
+        True
+    """
+    from jointid.estimation.saved import RobotSystem, build_estimate
+
+    model, answer = system.setup if isinstance(system, File) else system, _read_estimate(path)
+    try:
+        if isinstance(model, RobotSystem):
+            return build_estimate(answer, model)
+        joint, loop = (model, None) if isinstance(model, Joint) else (model.joint, model)
+        if not _fits(answer["settings"]["system"], plain(joint)):
+            raise RecordError("it is of another joint, or of the other side of its transmission")
+        if own := [p.name for p in joint.parameters if p.name not in answer["parameters"]]:
+            raise RecordError(
+                f"it has no {', '.join(own)}, or one for each of its records, so it predicts no torque of another"
+            )
+        return build_estimate(answer, joint, loop if isinstance(loop, ClosedLoop) else None)
+    except RecordError as error:
+        raise RecordError(f"{path} does not fit this model: {error}; identify with this file first.") from None
+    except _DAMAGE:
+        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
+
+
+def _fits(stated: Any, own: Any) -> bool:
+    """Return whether what a document states of a joint is so in another one."""
+    if isinstance(stated, dict):
+        return isinstance(own, dict) and all(_fits(value, own.get(key)) for key, value in stated.items())
+    return bool(stated == own)
+
+
+def read_choices(path: str | Path) -> dict[str, str]:
+    """Return the choices of an estimate: friction law of a joint, method of a robot.
+
+    Raises:
+        RecordError: the file is no estimate.
+    """
+    try:
+        settings = _read_estimate(path)["settings"]
+        if "joints" in settings["system"]:
+            return {"method": {name: name for name in METHODS}[settings["method"]]}
+        return {"friction": FRICTIONS[settings["system"]["friction"]["name"]].name}
+    except _DAMAGE:
+        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
+
+
+def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
+    """Return the answer in a file, whatever it is of: in JSON, or carried along by the page of a report.
+
+    Of a report it is its estimate.
+
+    Raises:
+        RecordError: the file cannot be read, or holds no JSON object; the sentence ends with the remedy.
+    """
+    path = Path(path)
+    try:
+        with open_file(path) as file:
+            raw = file.read(_LARGEST + 1)
+        if len(raw) > _LARGEST:
+            size = max(path.stat().st_size, len(raw))
+            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
+        text = raw.decode("utf-8-sig")
+        if text.lstrip()[:1] == "<":  # the page of a report, which carries its answer along
+            text = text.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
+        answer = json.loads(text, parse_constant=finite)  # NaN and Infinity are words here, and so refused
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
+    except (ValueError, RecursionError):
+        raise RecordError(f"{path} is no JSON file; {remedy}.") from None
+    if isinstance(answer, dict) and "estimate" in answer:
+        answer = answer["estimate"]
+    if not isinstance(answer, dict):
+        raise RecordError(f"{path} is no estimate; {remedy}.")
+    return answer
+
+
+def _read_estimate(path: str | Path) -> Json:
+    """Return the document of an estimate, in this form.
+
+    Raises:
+        RecordError: the file cannot be read, or holds no estimate.
+    """
+    answer = read_answer(path)
+    try:
+        if answer.get("schema") == "jointid.estimate/1":
+            return _of_first_form(answer)
+    except _DAMAGE:
+        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
+    if answer.get("schema") != ESTIMATE_SCHEMA:
+        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
+    return answer
+
+
+def read_report(path: str | Path) -> ReportedEstimate:
+    """Return the estimate in a file: the JSON of an estimate or of a report, or the HTML page of a report.
+
+    Raises:
+        RecordError: the file cannot be read, or holds no estimate.
+    """
+    answer = _read_estimate(path)
+    try:
+        return _build_report(answer, Path(path).name)
+    except _DAMAGE:
+        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
+
+
+def _build_report(answer: Json, label: str) -> ReportedEstimate:
+    system, filtering, data = answer["settings"]["system"], answer["settings"]["filtering"], answer["data"]
+    robot, gear = answer["robot"], system.get("transmission")
+    side = "" if gear is None else f"{gear['side']} side, {float(gear['motor_per_load']):g} motor per load"
+    settings = {
+        "method": str(answer["settings"]["variant"]),
+        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
+        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
+    }
+    if robot is None:
+        settings["controller"] = str(answer["controller_sha256"] or "none")[:12]
+        model, kind, friction = system["model"], str(system["kind"]), str(system["friction"]["name"])
+        formulas: Json = {}
+    else:
+        model, friction = "robot", ""
+        kind = f"{system['name']} of {', '.join(str(one['name']) for one in system['joints'])}"
+        formulas = dict(zip(robot["names"], robot["formulas"], strict=True))
+    quantities = tuple(
+        _quantity(_name_of_sum(name, p["symbol"], str(formulas.get(name, ""))), _symbol(name, p), p, free=p["free"])
+        for name, p in answer["parameters"].items()
+        if (robot is None or p["axis"]) and not name.rpartition(".")[2].startswith("initial_")
+    )
+    known = answer["checks"]["known"] or {"physical": ()}
+    sums = tuple(
+        _quantity(str(one["combination"]["name"]), str(one["combination"]["formula"]), one | one["combination"])
+        for one in known["physical"]
+        if _of_both_sides(one["combination"]["weights"])
+    )
+    prints = data["logs"] or [one["fingerprint"] for one in data["records"] or (data,)]
+    error = answer["fit"]["relative_error"]
+    return ReportedEstimate(
+        label, str(data["record"]), tuple(str(one) for one in prints if one), str(model), kind, friction, side,
+        str(data["torque_unit"]), settings, None if error is None else finite(error), quantities, sums,
+    )  # fmt: skip
+
+
+def _symbol(name: str, p: Json) -> str:
+    """Return a symbol, that of a record's own parameter with the number of the record."""
+    return "@".join((str(p["symbol"]), *name.split("@")[1:]))
+
+
+def _name_of_sum(name: str, symbol: str, formula: str) -> str:
+    """Return a name with what else is in its sum, of a robot: by two methods the same name may have other sums."""
+    others = [one for one in re.findall(r"(?<!\w)[A-Za-z][\w+-]*", formula) if one != symbol]
+    return f"{name} with {', '.join(sorted(others))}" if others else name
+
+
+def _of_both_sides(weights: Mapping[str, float]) -> bool:
+    """Return whether weights are the sum or difference of one quantity on both sides."""
+    (first, one), *rest = weights.items()
+    side, _, quantity = first.partition("_")
+    return side == "motor" and one == 1.0 and len(rest) == 1 and rest[0] in {(f"load_{quantity}", w) for w in (1, -1)}
+
+
+def _quantity(name: str, symbol: str, p: Mapping[str, Any], *, free: bool = True) -> ReportedQuantity:
+    """Return a parameter or combination of a document."""
+    value, std = (None if one is None else finite(one) for one in (p["value"], p.get("stderr", p.get("std"))))
+    return ReportedQuantity(name, symbol, str(p["unit"]), value, std, free=bool(free))
+
+
+def _of_first_form(old: Json) -> Json:
+    """Return the document of an estimate that is of the form before 0.3.0, as far as it is read, in this form."""
+    robot, gear, record = old.get("robot"), old.get("transmission"), old["record"]
+    records = old.get("records") or ()
+    every: Json = dict(old["parameters"])
+    for k, one in enumerate(records, 1):
+        every |= {f"{name}@{k}": p for name, p in one["parameters"].items()}
+    parameters = {}
+    for key, p in every.items():
+        name, axis = key.partition("@")[0], p.get("axis", "")
+        beside = name.rpartition(".")[2] in ("current_lag", "delay") or name.rpartition(".")[2].startswith("initial_")
+        parameters[key] = {
+            **p, "name": name, "stderr": p.get("std"), "lack_of_fit": p.get("lack_of_fit") or 0.0, "axis": axis,
+            "of_joint": (robot is None or bool(axis)) and not beside,
+        }  # fmt: skip
+    if robot is None:
+        system = {
+            "model": old["model"], "kind": old["kind"], "friction": {"name": old["friction"]},
+            "gravity": old["gravity"],
+            "transmission": gear and {key: gear[key] for key in ("motor_per_load", "lead", "side")},
+        }  # fmt: skip
+    else:
+        system = {"name": robot["name"], "joints": [{"name": name} for name in robot["joints"]]}
+    sums = old["parameters"].values()
+    physical = [{**one, "combination": one} for one in old.get("combinations") or ()]
+    positions = {"": old.get("position_rms")} if robot is None else robot.get("position_rms", {})
+    return {
+        "parameters": parameters,
+        "controller_sha256": old.get("controller_sha256") or "",
+        "params": {
+            "names": old.get("free") or [], "basis": old.get("intervals"), "correlation": old["correlation"] or [],
+        },
+        "fit": {
+            **{key: old.get(key) or 0 for key in ("rows", "simulations")}, "stop": str(old.get("stop")),
+            "converged": old["converged"], "borders": old["filtering"]["borders"],
+            "axis_errors": {} if robot is None else dict(zip(robot["joints"], robot["left"], strict=True)),
+            "position_rms": {name: rms for name, rms in positions.items() if rms is not None},
+            **{key: _share(old[f"{key}_percent"]) for key in ("relative_error", "filtered_error")},
+        },
+        "checks": {
+            "verdicts": old["verdicts"], "warnings": old["warnings"], "notes": [], "known": {"physical": physical},
+        },
+        "data": {
+            "record": record["name"], "channels": old.get("channels") or [], "sample_time": record["sample_time"],
+            "torque_unit": record["torque_unit"], "fingerprint": record["torque_sha256"] or "",
+            "logs": record.get("logs_sha256") or [],
+            "records": [{"fingerprint": one["torque_sha256"]} for one in records],
+        },
+        "settings": {
+            "method": old["method"], "variant": old["variant"], "system": system, "filtering": old["filtering"],
+            "delay": old.get("delay", 0.0), "timing": old.get("torque_timing"),
+            "effects": [_effect(**one) for one in old.get("effects") or ()],
+        },
+        "robot": robot and {
+            "names": [*old["parameters"]], "formulas": [p["formula"] for p in sums],
+            "nominal": [p["nominal"] for p in sums], "nominal_errors": robot["nominal_left"],
+            "springs": robot.get("springs", []), "log_delay": robot.get("log_delay"),
+        },
+    }  # fmt: skip
+
+
+def _share(percent: object) -> float | None:
+    return None if percent is None else finite(percent) / 100
+
+
+def _effect(kind: str, **settings: object) -> Json:
+    named = {"harmonics": "PositionHarmonics", "drift": "Drift", "encoder_offset": "EncoderOffset"}
+    return {"type": named[kind], **settings}
