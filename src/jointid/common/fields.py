@@ -1,9 +1,8 @@
 """Data classes as JSON and back: the fields of a class by their names, and those of its parts.
 
 Samples and matrices, the fields of arrays, are left out. A class may say otherwise in `in_json`, a text of names: it
-adds arrays, properties and "type", the name
-of the class, and leaves out what stands behind a minus sign. Parts that then hold
-nothing are left out. Numbers that do not exist are null in JSON.
+adds arrays, properties and "type", the name of the class, and leaves out what stands behind a minus sign. Parts that
+then hold nothing are left out. Numbers that do not exist are null in JSON.
 """
 
 from __future__ import annotations

@@ -64,11 +64,7 @@ class Trajectory:
         for at, *row in rows:
             seconds, nanoseconds = divmod(round(1e9 * float(at)), 10**9)
             listed = (", ".join(f"{float(value):.9g}" for value in values) for values in row)
-            lines += [
-                f"{'- ' if k == 0 else '  '}{name}: [{values}]"
-                for k, (name, values) in enumerate(
-                    zip(("positions", "velocities", "accelerations"), listed, strict=True)
-                )
-            ]
+            names = ("- positions", "  velocities", "  accelerations")
+            lines += [f"{name}: [{values}]" for name, values in zip(names, listed, strict=True)]
             lines.append(f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
         return "\n".join(lines) + "\n"
